@@ -80,7 +80,7 @@ _OLD = {
     "tukey_fences": "screening.rules:tukey_fences|Screening.items",
     "vary_primary": "primary.sensitivity:vary_primary|run_multiverse",
     "write_advice": "tradeoff.advise.page:write_advice|advise(...).write",
-    "write_chart": "tradeoff.chart.page:write_chart|chart(...).write",
+    "write_chart": "tradeoff.chart.compute:write_chart|chart(...).write",
     "write_stress": "tradeoff.stress.run:write_stress|stress(...).write",
 }
 

@@ -38,7 +38,7 @@ References
    doi:10.4324/9781410611147
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import prod
@@ -179,15 +179,13 @@ def _compare_similarity(items: Items, task: Task) -> Comparisons:
 
 def _compare_dissimilarity(items: Items, _task: Task) -> Comparisons:
     """Compare all pairs of the reducers and the original, within each level arm."""
-    return tuple(comparison for arm in split_arms(items) for comparison in _list_pairs(arm))
-
-
-def _list_pairs(arm: Items) -> Iterator[Comparison]:
-    original = find_reference(arm[0], arm, reference=ORIGINAL)
-    compared = [original, *(item for item in arm if item.role == "test")]
-    for first, second in combinations(compared, 2):
-        yield _make_pair(first.stimulus_id, second.stimulus_id)
-    yield _make_pair(original.stimulus_id, original.stimulus_id, catch="identical")
+    comparisons = []
+    for arm in split_arms(items):
+        original = find_reference(arm[0], arm, reference=ORIGINAL).stimulus_id
+        names = [original, *(item.stimulus_id for item in arm if item.role == "test")]
+        comparisons += [_make_pair(first, second) for first, second in combinations(names, 2)]
+        comparisons.append(_make_pair(original, original, catch="identical"))
+    return tuple(comparisons)
 
 
 def _teach_dissimilarity(items: Items, task: Task) -> Comparisons:

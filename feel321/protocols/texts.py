@@ -89,13 +89,7 @@ def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
 
 
 def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> list[str]:
-    """Compare the texts of a language with those of another.
-
-    Examples
-    --------
-    >>> find_gaps({"a": "un", "c": "x"}, {"a": "one {n}", "b": ["yes", "no"]})
-    ['a must have the placeholders {n}, got none', 'b[1] is missing', 'b[2] is missing', 'c is not a known text']
-    """
+    """Compare the texts of a language with those of another."""
     own, wanted = dict(_flatten(texts)), dict(_flatten(model))
     gaps = [
         fault

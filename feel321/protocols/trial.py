@@ -338,13 +338,7 @@ CHOOSING = ("level", "protocol")
 def place_in_groups(
     between: Mapping[str, Sequence[str]], number: int
 ) -> tuple[dict[str, str], int]:
-    """Find the group of participant `number` (from 1), and the participant's number within it (from 1).
-
-    Examples
-    --------
-    >>> place_in_groups({"grip": ["pen", "power"]}, 4)
-    ({'grip': 'power'}, 2)
-    """
+    """Find the group of participant `number` (from 1), and the participant's number within it (from 1)."""
     place, turn = divmod(number - 1, prod(len(levels) for levels in between.values()))
     groups: dict[str, str] = {}
     for factor, levels in reversed(list(between.items())):  # the last factor changes fastest

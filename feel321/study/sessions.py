@@ -27,7 +27,7 @@ from feel321.protocols.texts import read_scales
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, identify, read_rig, take_device
 from feel321.study.folder import StudyFolder, find_changes
-from feel321.study.ledger.progress import check_anchors
+from feel321.study.ledger.progress import Anchor, check_anchors
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.observer.participant import (
     SPECTRAL,
@@ -56,7 +56,6 @@ from feel321.study.settings.read import (
     make_design,
     make_identity,
     make_recipe,
-    make_stale,
     read_settings,
     read_study_texts,
 )
@@ -162,9 +161,7 @@ class _Keeper:
             note_progress(
                 self.ledger,
                 self.journal.path.parent.name,
-                journal=self.journal.path.name,
-                lines=len(self.journal.records),
-                tip=self.journal.tip,
+                anchor=Anchor(self.journal.path.name, len(self.journal.records), self.journal.tip),
                 done=self.place.done,
                 total=self.place.total,
                 state="finished" if is_finished else "running",
@@ -206,7 +203,9 @@ def open_room(
     """Open the shared surroundings of a study's sessions."""
     ledger, notice = open_study_ledger(study, now=now)
     scales = read_scales(find_language(settings, study.path))
-    return Room(study, stimuli, scales, ledger, make_stale(settings), now), notice
+    return Room(
+        study, stimuli, scales, ledger, Stale(**settings.session.stale.model_dump()), now
+    ), notice
 
 
 def plan_sessions(

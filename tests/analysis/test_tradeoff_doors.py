@@ -59,9 +59,6 @@ def test_one_recording_is_a_list_of_one(monkeypatch: pytest.MonkeyPatch) -> None
     ("options", "message"),
     [
         ({"latency_ms": 5}, "latency_ms must be left out offline, .* got 5; set online=True"),
-        ({"online": True, "latency_ms": -5}, "^latency_ms must be a finite time of 0 ms or more"),
-        ({"online": True, "latency_ms": 3}, "^latency_ms must be at least 6.33"),
-        ({"online": True, "block_ms": -1}, "^block_ms must be a finite time"),
         ({"weber": 22}, "^weber must be above 0 and below 1, got 22"),
         ({"segment_s": 0.01}, "^segment_s must be 0.1 s or more, got 0.01"),
         ({"mounting": "some"}, "^mounting must be any or recorded, got 'some'"),

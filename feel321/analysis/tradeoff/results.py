@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from feel321.analysis.report.folder import PAGE, ResultsFolder, list_files
 from feel321.analysis.report.section import Picture, render_template
 from feel321.doors import describe
-from feel321.records import to_json_value
+from feel321.records import Result, to_json_value
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -23,31 +23,58 @@ NEEDED = ("participant", "recording", "reducer", "scale", "level", "rating")
 """Columns of ratings that are compared with reducers."""
 
 
-def write_results(
-    folder: PathLike,
-    name: str,
-    *,
-    content: Mapping[str, object],
-    tables: Mapping[str, DataFrame],
-    pictures: Sequence[Picture],
-    values: Mapping[str, Any],
-) -> Path:
-    """Write a folder of results in the place of the former one, and of nothing else; return its page.
+class PageParts(NamedTuple):
+    """What a result's folder is made of: what results.json holds, besides files; figures; what its template shows."""
 
-    name: of the template; content: what results.json holds, besides the names of the files; values: what the template
-    shows, besides pictures and drawings.
-    """
-    files = list_files([picture.name for picture in pictures], tables)
-    with ResultsFolder(folder) as results:
-        results.draw(pictures)
-        results.write(
-            to_json_value({**content, "files": files}),
-            page=lambda drawings: render_template(
-                f"{name}.html", pictures=pictures, drawings=drawings, **values
-            ),
-            tables=tables,
-        )
-    return results.path / PAGE
+    template: str
+    content: Mapping[str, object]
+    pictures: Sequence[Picture]
+    values: Mapping[str, Any]
+
+
+class PageResult(Result):
+    """A result that has a page."""
+
+    __slots__ = ()
+
+    def write(self, folder: PathLike) -> Path:
+        """Write page, numbers, tables and figures.
+
+        Parameters
+        ----------
+        folder : str or PathLike
+            The folder. The files of a former result are replaced; all others stay.
+
+        Returns
+        -------
+        Path
+            The page.
+
+        Raises
+        ------
+        OSError
+            If a file cannot be written, or would replace one that is not of a former result.
+        """
+        tables = self.to_frames()
+        name, content, pictures, values = self._make_page(tables)
+        files = list_files([picture.name for picture in pictures], tables)
+        with ResultsFolder(folder) as results:
+            results.draw(pictures)
+            results.write(
+                to_json_value({**content, "files": files}),
+                page=lambda drawings: render_template(
+                    name, pictures=pictures, drawings=drawings, **values
+                ),
+                tables=tables,
+            )
+        return results.path / PAGE
+
+    def to_frames(self) -> dict[str, DataFrame]:
+        """Return the numbers as tables, by name."""
+        raise NotImplementedError
+
+    def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
+        raise NotImplementedError
 
 
 def as_recordings(

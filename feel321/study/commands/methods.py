@@ -114,7 +114,6 @@ def chart(*, task: MethodTask, full: bool, as_json: bool) -> None:
     Writes a page to explore, figures for print, CSV and JSON. Times are measured on this machine: leave it idle.
     """
     from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
-    from feel321.analysis.tradeoff.chart.page import write_chart
     from feel321.study.analyze import find_ratings
 
     recordings, ratings = task.gather(), find_ratings(task.study)
@@ -126,7 +125,7 @@ def chart(*, task: MethodTask, full: bool, as_json: bool) -> None:
             seed=task.seed,
             progress=progress,
         )
-    write_chart(measured, task.output)
+    measured.write(task.output)
     print_results(task.output, as_json=as_json)
 
 
@@ -138,13 +137,13 @@ def stress(*, task: MethodTask, as_json: bool) -> None:
     Every reducer meets a battery of scenes: anti-phase axes, circular motion, clipping, gaps and so on. Each figure
     comes with its limit, each failure with its explanation: index.html, results.json, tables/*.csv, figures/stress.
     """
-    from feel321.analysis.tradeoff.stress.run import stress_reducers, write_stress
+    from feel321.analysis.tradeoff.stress.run import stress_reducers
 
     recordings = task.gather()
     sensor = {recording.name: recording for recording in task.gather(conditioned=False)}
     with show_progress("stress") as progress:
         result = stress_reducers(recordings, sensor=sensor, seed=task.seed, progress=progress)
-    write_stress(result, task.output)
+    result.write(task.output)
     for name, lines in result.warnings.items():
         for line in lines:
             warn(f"{name}: {line}")

@@ -233,13 +233,11 @@ def _check_live(entry: Entry) -> None:
         )
 
 
-def note_progress(  # noqa: PLR0913 - a row of the ledger, each of its cells by name
+def note_progress(
     ledger: sa.Engine,
     participant: str,
     *,
-    journal: str,
-    lines: int,
-    tip: str,
+    anchor: progress.Anchor,
     done: int,
     total: int,
     state: str,
@@ -247,20 +245,19 @@ def note_progress(  # noqa: PLR0913 - a row of the ledger, each of its cells by 
     """Record how far a participant's journal reaches."""
     if state not in STATES:
         raise ValueError(f"state must be one of {', '.join(STATES)}, got {state!r}")
-    anchor = progress.Anchor(journal, lines, tip)
     with _transact(ledger) as connection:
         entry = next(iter(_read(connection, participant)), None)
         if entry is None:
             raise ValueError(f"participant {participant}: no slot in the ledger; claim one first")
         _check_live(entry)
         anchors = {seen.journal: seen for seen in entry.anchors}
-        seen = anchors.get(journal, anchor)
-        if lines < seen.lines or (lines == seen.lines and tip != seen.tip):
+        seen = anchors.get(anchor.journal, anchor)
+        if anchor.lines < seen.lines or (anchor.lines == seen.lines and anchor != seen):
             raise ValueError(
-                f"participant {participant}: got {journal} with {lines} lines, {seen.lines} were seen, and another "
-                "end; restore the file from a copy, or accept it as it is: feel321 ledger --rebuild"
+                f"participant {participant}: got {anchor.journal} with {anchor.lines} lines, {seen.lines} were "
+                "seen, and another end; restore the file from a copy, or accept it as it is: feel321 ledger --rebuild"
             )
-        anchors[journal] = anchor
+        anchors[anchor.journal] = anchor
         noted = replace(entry, state=state, done=done, total=total, anchors=tuple(anchors.values()))
         _write(connection, [noted], instead_of=[participant])
 
@@ -349,17 +346,11 @@ def find_lost(study: StudyFolder) -> list[str]:
 
 def make_entry(own: progress.Progress) -> Entry:
     """Make the entry of a participant from plan and journals."""
-    return Entry(
-        participant=own.participant,
-        simulated=own.simulated,
-        number=own.number,
-        state=own.state,
-        done=own.done,
-        # The ledger learns the total with the first line that it sees.
-        total=own.total if own.anchors else 0,
-        anchors=own.anchors,
-        claimed_utc=own.first_utc,
-    )
+    total = (
+        own.total if own.anchors else 0
+    )  # The ledger learns it with the first line that it sees.
+    known = (own.participant, own.simulated, own.number, own.state, own.done, total, own.anchors)
+    return Entry(*known, claimed_utc=own.first_utc)
 
 
 def _log_forgotten(study: StudyFolder, lines: Sequence[str], *, now: Clock) -> None:

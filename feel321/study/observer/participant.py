@@ -29,7 +29,9 @@ stimuli, pages and answers take, so that a session of an hour is over in a secon
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
+from itertools import accumulate
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -64,15 +66,9 @@ NODES = 15  # of the quadrature over gains and over sizes of the noise
 
 
 class ObserverModel(ObserverTable):
-    """How simulated participants feel, and how they differ. A weight of 0 plants no effect.
+    """How simulated participants feel, and how they differ; the template of `study.toml` explains every number.
 
-    intercept: percept of a stimulus that matches in nothing, in points; spectral, temporal: what a perfect match adds,
-    in points; bias_sd: standard deviation of the participants' biases, in points; noise_sd: median size of their noise,
-    in points; threshold_spectral: points lost per dB of threshold-weighted spectral distance from the original, or
-    whatever the reference is; level: points per dB of felt level above that of the original; lapse_rate: share of
-    answers that have nothing to do with what was felt; straight_liners, random_clickers, scale_reversers: shares of the
-    participants who are such bad raters; spectral_metric: 1 counts as 0 where it is negative: a slope on it is planted
-    from 0 to 1 only.
+    spectral_metric: counts as 0 where it is negative, so that a slope on it is planted from 0 to 1 only.
     """
 
     spectral_metric: Annotated[str, one_of(SPECTRAL)] = SPECTRAL[0]
@@ -188,16 +184,9 @@ def draw_rater(model: ObserverModel, rng: np.random.Generator) -> Rater:
     """Draw a participant."""
     bias, gain = rng.normal(0, model.bias_sd), rng.lognormal(0, model.gain_sd)
     noise_sd = model.noise_sd * rng.lognormal(0, model.noise_spread)
-    place, kind = rng.random(), NORMAL
-    for bad, share in (
-        (STRAIGHT_LINER, model.straight_liners),
-        (RANDOM_CLICKER, model.random_clickers),
-        (SCALE_REVERSER, model.scale_reversers),
-    ):
-        if place < share:
-            kind = bad
-            break
-        place -= share
+    shares = (model.straight_liners, model.random_clickers, model.scale_reversers)
+    place = bisect_right(list(accumulate(shares)), rng.random())
+    kind = (STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER, NORMAL)[place]
     return Rater(kind, bias, gain, noise_sd, model.lapse_rate, favourite=rng.uniform(0.2, 0.8))
 
 

@@ -10,7 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from pydantic import TypeAdapter
 
@@ -19,11 +19,23 @@ if TYPE_CHECKING:
 E = TypeVar("E", bound="SessionEvent")
 
 
+EVENTS: dict[str, type[SessionEvent]] = {}
+"""Name -> type of every event."""
+
+
+@dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
 class SessionEvent:
-    """Something that happened in a session."""
+    """Something that happened in a session; a subclass gives its name."""
 
     event: ClassVar[str] = ""
+
+    def __init_subclass__(cls, event: str = "") -> None:
+        """Make a record of every subclass, and register those with a name."""
+        dataclass(frozen=True)(cls)
+        if event:
+            cls.event = event
+            EVENTS[event] = cls
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields as a record holds them; those of `identity` stand among the others."""
@@ -34,22 +46,7 @@ class SessionEvent:
         return data
 
 
-EVENTS: dict[str, type[SessionEvent]] = {}
-"""Name -> type of every event."""
-
-
-@dataclass_transform(frozen_default=True)
-def _named(name: str) -> Callable[[type[E]], type[E]]:
-    def register(kind: type[E]) -> type[E]:
-        kind.event = name
-        EVENTS[name] = dataclass(frozen=True)(kind)
-        return kind
-
-    return register
-
-
-@_named("begun")
-class SessionBegun(SessionEvent):
+class SessionBegun(SessionEvent, event="begun"):
     """The header; identity: what must not change within the session besides the plan."""
 
     format: int
@@ -64,8 +61,7 @@ class SessionBegun(SessionEvent):
     clock: dict[str, float]
 
 
-@_named("resumed")
-class SessionResumed(SessionEvent):
+class SessionResumed(SessionEvent, event="resumed"):
     """The session is opened again."""
 
     versions: dict[str, str]
@@ -73,35 +69,30 @@ class SessionResumed(SessionEvent):
     clock: dict[str, float]
 
 
-@_named("device")
-class DeviceOpened(SessionEvent):
+class DeviceOpened(SessionEvent, event="device"):
     """The actuators are ready; identity: the device as it describes itself."""
 
     identity: dict[str, Any]
 
 
-@_named("clock_stepped")
-class ClockStepped(SessionEvent):
+class ClockStepped(SessionEvent, event="clock_stepped"):
     """The time of day was set back since the record before."""
 
     back_s: float
 
 
-@_named("recovered")
-class LineRecovered(SessionEvent):
+class LineRecovered(SessionEvent, event="recovered"):
     """The end of a line that was never finished was moved into another file."""
 
     torn_bytes: int
     moved_to: str
 
 
-@_named("warm_up")
-class WarmUpBegun(SessionEvent):
+class WarmUpBegun(SessionEvent, event="warm_up"):
     """The participant was away for long; the practice of the current task comes again."""
 
 
-@_named("page")
-class PageRead(SessionEvent):
+class PageRead(SessionEvent, event="page"):
     """A page was shown and left again."""
 
     key: str
@@ -109,35 +100,30 @@ class PageRead(SessionEvent):
     stood_s: float
 
 
-@_named("finished")
-class SessionFinished(SessionEvent):
+class SessionFinished(SessionEvent, event="finished"):
     """All trials are done."""
 
     trials: int
     given_up: int
 
 
-@_named("aborted")
-class SessionAborted(SessionEvent):
+class SessionAborted(SessionEvent, event="aborted"):
     """The session ended before its end; it can be resumed."""
 
     reason: str
     time_s: float
 
 
-@_named("superseded")
-class SessionSuperseded(SessionEvent):
+class SessionSuperseded(SessionEvent, event="superseded"):
     """Another session takes the place of this one."""
 
     by: int
 
 
-@_named("released")
-class SessionReleased(SessionEvent):
+class SessionReleased(SessionEvent, event="released"):
     """The participant will not come back."""
 
 
-@dataclass(frozen=True)
 class AttemptEvent(SessionEvent):
     """Something that happened in an attempt at a trial; attempts are numbered from 1."""
 
@@ -145,13 +131,11 @@ class AttemptEvent(SessionEvent):
     attempt: int
 
 
-@_named("shown")
-class TrialShown(AttemptEvent):
+class TrialShown(AttemptEvent, event="shown"):
     """The trial is before the participant, all markers unset."""
 
 
-@_named("played")
-class PartPlayed(AttemptEvent):
+class PartPlayed(AttemptEvent, event="played"):
     """A stimulus was played; see `Playback`."""
 
     part: str
@@ -169,21 +153,18 @@ class PartPlayed(AttemptEvent):
         return data if self.measured else {k: v for k, v in data.items() if k != "measured"}
 
 
-@_named("prompted")
-class SurfaceStroked(PartPlayed):
+class SurfaceStroked(PartPlayed, event="prompted"):
     """The participant was asked to stroke the real surface."""
 
 
-@_named("replayed")
-class PartReplayed(AttemptEvent):
+class PartReplayed(AttemptEvent, event="replayed"):
     """The participant wants to feel a part again; all parts where it is empty."""
 
     part: str
     time_s: float
 
 
-@_named("moved")
-class MarkerMoved(AttemptEvent):
+class MarkerMoved(AttemptEvent, event="moved"):
     """A marker came to rest."""
 
     part: str
@@ -191,8 +172,7 @@ class MarkerMoved(AttemptEvent):
     time_s: float
 
 
-@_named("refused")
-class ActRefused(AttemptEvent):
+class ActRefused(AttemptEvent, event="refused"):
     """An act was not accepted."""
 
     reason: str
@@ -200,22 +180,19 @@ class ActRefused(AttemptEvent):
     time_s: float
 
 
-@_named("paused")
-class TrialPaused(AttemptEvent):
+class TrialPaused(AttemptEvent, event="paused"):
     """The participant pauses; the attempt begins anew afterwards."""
 
     time_s: float
 
 
-@_named("continued")
-class TrialContinued(AttemptEvent):
+class TrialContinued(AttemptEvent, event="continued"):
     """The pause is over."""
 
     time_s: float
 
 
-@_named("rated")
-class TrialRated(AttemptEvent):
+class TrialRated(AttemptEvent, event="rated"):
     """The answer was given: points, or the part that was chosen, by the part that is judged."""
 
     values: dict[str, float | str]
@@ -225,8 +202,7 @@ class TrialRated(AttemptEvent):
     rejected: bool
 
 
-@_named("spoiled")
-class TrialSpoiled(AttemptEvent):
+class TrialSpoiled(AttemptEvent, event="spoiled"):
     """The attempt ended without an answer."""
 
     flags: list[str]

@@ -157,24 +157,18 @@ class Journal:
         All records so far, in order.
     notice : str
         Repairs that were made when it was opened, for the experimenter; mostly empty.
+    tip : str
+        SHA-256 of the last line, 64 zeros if there is none.
+    is_open : bool
+        Whether it takes records: after a write that was broken off it does not.
     """
 
     path: Path
     now: Clock
     records: Records = field(default_factory=Records)
     notice: str = ""
-    _tip: str = START
-    _is_open: bool = True
-
-    @property
-    def tip(self) -> str:
-        """SHA-256 of the last line, 64 zeros if there is none."""
-        return self._tip
-
-    @property
-    def is_open(self) -> bool:
-        """Whether it takes records: after a write that was broken off it does not."""
-        return self._is_open
+    tip: str = START
+    is_open: bool = True
 
     def write(self, event: SessionEvent | str, data: Mapping[str, Any] | None = None) -> None:
         """Append one record; it is on the disk when this returns.
@@ -204,15 +198,15 @@ class Journal:
     def _append(
         self, utc: str, event: SessionEvent | str, data: Mapping[str, Any] | None = None
     ) -> None:
-        if not self._is_open:
+        if not self.is_open:
             raise OSError(
                 f"{self.path}: an earlier write was broken off, the journal is closed; reopen it to resume"
             )
         name = event if isinstance(event, str) else event.event
         data = data or {} if isinstance(event, str) else event.to_data()
         record = Record(len(self.records), utc, name, data)
-        line = write_line(record, self._tip)
-        self._is_open = False
+        line = write_line(record, self.tip)
+        self.is_open = False
         with _naming(self.path):
             written = _write_through(self.path, line)
         if written != len(line):
@@ -220,8 +214,8 @@ class Journal:
                 f"{self.path}: the disk took {written} of {len(line)} bytes; make room, then resume"
             )
         self.records.append(record)
-        self._tip = digest(line.rstrip(b"\n"))
-        self._is_open = True
+        self.tip = digest(line.rstrip(b"\n"))
+        self.is_open = True
 
 
 def utc_now() -> datetime:
@@ -242,7 +236,7 @@ def create_journal(path: Path, *, now: Clock) -> Journal:
 def require_journal(path: Path, *, now: Clock) -> Journal:
     """Go on with a journal that is there; a record and the notice say so if its last line was unfinished."""
     chain = read_journal(path)
-    journal = Journal(path, now, chain.records, _tip=chain.tip)
+    journal = Journal(path, now, chain.records, tip=chain.tip)
     if chain.torn:
         with _naming(path):
             torn = _cut_torn_line(path, chain.torn)

@@ -248,13 +248,7 @@ def compare_plans(plan: Plan, other: Plan) -> list[str]:
 def find_differences(
     old: Mapping[str, Any], new: Mapping[str, Any], *, ignore: Collection[str] = ()
 ) -> list[str]:
-    """Find the values in which two nested mappings differ, named by their keys.
-
-    Examples
-    --------
-    >>> find_differences({"seed": 1, "rig": {"rate_hz": 48000}}, {"seed": 2, "rig": {"rate_hz": 48000}})
-    ['seed 1 -> 2']
-    """
+    """Find the values in which two nested mappings differ, named by their keys."""
     before, after = (
         _flatten({k: v for k, v in entry.items() if k not in ignore}) for entry in (old, new)
     )

@@ -5,21 +5,12 @@ A rule refuses with "must be ...; what to do"; `parse_toml` adds the place and t
 
 import json
 import tomllib
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, get_args
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    TypeAdapter,
-    ValidationError,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-)
+from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError, WrapValidator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 OFF = "off"
@@ -29,7 +20,7 @@ OFF = "off"
 class TomlTable(BaseModel):
     """A table of a TOML file: no unknown keys, no guessing of types, no changes after reading."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = {"extra": "forbid", "frozen": True}
 
 
 def one_of(names: Collection[str]) -> AfterValidator:
@@ -69,7 +60,7 @@ def number_or(names: Collection[str], *, least: float, most: float) -> WrapValid
     """Make the rule that a value is a number in a range, or one of some words."""
     number = TypeAdapter(Annotated[float, Field(ge=least, le=most)])
 
-    def check(value: object, _read: ValidatorFunctionWrapHandler) -> object:
+    def check(value: object, _read: Callable[[object], object]) -> object:
         if isinstance(value, str) and value in names:
             return value
         try:
@@ -80,7 +71,7 @@ def number_or(names: Collection[str], *, least: float, most: float) -> WrapValid
     return WrapValidator(check)
 
 
-def _take_off(value: object, read: ValidatorFunctionWrapHandler) -> object:
+def _take_off(value: object, read: Callable[[object], object]) -> object:
     if value == OFF:
         return None
     try:

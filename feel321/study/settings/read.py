@@ -21,7 +21,7 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.recipe import NO_REFERENCE, Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.session.journal import digest
-from feel321.study.session.plan import Design, Stale
+from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
 from feel321.study.settings.schema import LANGUAGE_FILE, FileTable, SceneTable, Settings
@@ -161,11 +161,6 @@ def make_identity(settings: Settings, folder: Path, presenter: dict[str, Any]) -
         "calibration": None,
         "presenter": presenter,
     }
-
-
-def make_stale(settings: Settings) -> Stale:
-    """Make the rule for sessions that are resumed late."""
-    return Stale(**settings.session.stale.model_dump())
 
 
 # What each table of `study.toml` may say by itself, but not together with the others.
@@ -362,8 +357,6 @@ def _write(value: object) -> str:
     if isinstance(value, dict):
         inner = ", ".join(f"{json.dumps(key)} = {_write(one)}" for key, one in value.items())
         return f"{{ {inner} }}"
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_write, value))}]"
     return json.dumps(value, ensure_ascii=False)
 
 

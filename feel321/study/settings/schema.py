@@ -23,11 +23,11 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import THRESHOLDS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
-from feel321.study import columns
-from feel321.study.session.plan import POLICIES
+from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
+from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 
-_FLOW, _RECIPE, _STEPS = Flow(), Recipe(), Conditioning()
+_FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
 """What the floors below do where nothing is asked for: their defaults are the study's."""
 
 # Factors in which participants differ.
@@ -35,23 +35,12 @@ _FLOW, _RECIPE, _STEPS = Flow(), Recipe(), Conditioning()
 MOST_GROUPS = 64
 """A balanced design wants several participants in each group; more groups than this are a slip."""
 
-TAKEN = frozenset({
-    *columns.PARTICIPANT_COLUMNS,
-    *columns.LAST_PARTICIPANT_COLUMNS,
-    *columns.RATING_COLUMNS,
-}) - set(CHOOSING)
+TAKEN = {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS, *RATING_COLUMNS} - set(CHOOSING)
 """Names of columns: a factor becomes one of `participants.csv`, which is joined with `ratings.csv`."""
 
 
 def check_factor(name: str) -> str:
-    """Demand a name that can head a column of its own.
-
-    Examples
-    --------
-    >>> check_factor("Levels")
-    Traceback (most recent call last):
-    ValueError: must be 'level' or a label of your own
-    """
+    """Demand a name that can head a column of its own."""
     singular = name.casefold().removesuffix("s")
     if name not in CHOOSING and singular in CHOOSING:
         raise ValueError(f"must be {singular!r} or a label of your own")
@@ -94,25 +83,23 @@ class RehearsalTable(kinds.TomlTable):
 
     training: Annotated[kinds.Count, Field(le=100)] = 4
     practice: Annotated[kinds.Count, Field(le=100)] = 2
-    pass_share: Annotated[kinds.Share, Field(serialization_alias="training_pass")] = (
-        _FLOW.training_pass
+    pass_share: kinds.Share = Field(
+        default=_FLOW.training_pass, serialization_alias="training_pass"
     )
-    rounds: Annotated[int, Field(ge=1, le=100, serialization_alias="training_rounds")] = (
-        _FLOW.training_rounds
+    rounds: int = Field(
+        default=_FLOW.training_rounds, ge=1, le=100, serialization_alias="training_rounds"
     )
 
 
 class BreaksTable(kinds.TomlTable):
     """`[session.breaks]`: when the hand rests."""
 
-    every_trials: Annotated[
-        Annotated[int, Field(ge=1)] | None, kinds.OrOff, Field(serialization_alias="break_trials")
-    ] = _FLOW.break_trials
-    every_min: Annotated[
-        Annotated[kinds.Positive, Field(le=1440)] | None,
-        kinds.OrOff,
-        Field(serialization_alias="break_min"),
-    ] = _FLOW.break_min
+    every_trials: Annotated[Annotated[int, Field(ge=1)] | None, kinds.OrOff] = Field(
+        default=_FLOW.break_trials, serialization_alias="break_trials"
+    )
+    every_min: Annotated[Annotated[kinds.Positive, Field(le=1440)] | None, kinds.OrOff] = Field(
+        default=_FLOW.break_min, serialization_alias="break_min"
+    )
     break_s: Annotated[kinds.NotNegative, Field(le=3600)] = _FLOW.break_s
     rest_s: Annotated[kinds.NotNegative, Field(le=3600)] = _FLOW.rest_s
 
@@ -131,8 +118,10 @@ class QualityTable(kinds.TomlTable):
 class StaleTable(kinds.TomlTable):
     """`[session.stale]`: what becomes of a session that is resumed late."""
 
-    after_h: Annotated[Annotated[kinds.Positive, Field(le=8760)] | None, kinds.OrOff] = 6.0
-    policy: Annotated[str, kinds.one_of(POLICIES)] = "warm_up"
+    after_h: Annotated[Annotated[kinds.Positive, Field(le=8760)] | None, kinds.OrOff] = (
+        _STALE.after_h
+    )
+    policy: Annotated[str, kinds.one_of(POLICIES)] = _STALE.policy
 
 
 class SessionTable(kinds.TomlTable):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, nan
 
 import numpy as np
@@ -128,7 +129,7 @@ def test_tolerances_follow_from_the_weber_fraction() -> None:
 
 @pytest.mark.parametrize("weber", [0, -0.1, 1, 22, nan])
 def test_what_is_no_fraction_is_refused(weber: float) -> None:
-    with pytest.raises(ValueError, match="tolerance must be above 0 and below 1, got"):
+    with pytest.raises(ValueError, match="weber must be above 0 and below 1, got"):
         Tolerance(weber)
 
 
@@ -139,21 +140,21 @@ def test_what_is_no_fraction_is_refused(weber: float) -> None:
         ({"axes": 0}, "axes must be 1, 2 or 3, got 0"),
         (
             {"online": True, "latency_ms": -1.0},
-            "latency-ms must be a finite time of 0 ms or more, got -1",
+            "latency_ms must be a finite time of 0 ms or more, got -1",
         ),
         (
             {"online": True, "device_ms": -1.0},
-            "device-ms must be a finite time of 0 ms or more, got -1",
+            "device_ms must be a finite time of 0 ms or more, got -1",
         ),
         (
             {"online": True, "latency_ms": 5.0},
-            r"latency-ms must be at least 6.33, which block \(1.33 ms\) and device \(5 ms\) alone",
+            r"latency_ms must be at least 6.33, which block \(1.33 ms\) and device \(5 ms\) alone",
         ),
         ({"mounting": "turned"}, "mounting must be any or recorded, got 'turned'"),
-        ({"online": True, "latency_ms": nan}, "latency-ms must be a finite time .*, got nan"),
+        ({"online": True, "latency_ms": nan}, "latency_ms must be a finite time .*, got nan"),
         (
             {"latency_ms": 10.0},
-            "latency-ms must be left out offline, where nobody waits, got 10; add --online",
+            "latency_ms must be left out offline, where nobody waits, got 10; set online=True",
         ),
     ],
 )
@@ -185,7 +186,7 @@ def test_segments_hold_every_sample_once(segment_s: float, lengths: list[int]) -
 
 @pytest.mark.parametrize("segment_s", [0.05, 0.0, -1.0, nan])
 def test_short_segments_are_refused(segment_s: float) -> None:
-    with pytest.raises(ValueError, match=r"segment must be 0.1 s or more, got"):
+    with pytest.raises(ValueError, match=r"segment_s must be 0.1 s or more, got"):
         list(split_recording(make_scene("bumps", duration_s=1.0), segment_s))
 
 
@@ -428,6 +429,12 @@ def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
     assert describe_doubt(good, [leading, good]).endswith(
         "could reverse it: pca321@20ms suffices in 1 of 2 segments"
     )
+    both = [
+        replace(leading, segments=3),
+        leading,
+        good,
+    ]  # the last, which is the least simple, is named
+    assert describe_doubt(good, both).endswith(": pca321@20ms suffices in 1 of 2 segments")
     bad = judged(Shortfall(2, 0, 0, 0), Scores(-2.0, 1, 1, 0, 1, 1))
     assert explain_closest(bad, [bad]).endswith(
         "no reducer is within tolerance of the best in everything"

@@ -15,15 +15,19 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, draw_turns, measure_accuracy
-from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
+from feel321.analysis.tradeoff.chart.compute import (
+    FULL,
+    QUICK,
+    compute_chart,
+    merge_equal,
+    write_chart,
+)
 from feel321.analysis.tradeoff.chart.figures import draw_cost, draw_latency
 from feel321.analysis.tradeoff.chart.page import (
     collect_notes,
     describe_answers,
     dump_data,
     list_axes,
-    merge_equal,
-    write_chart,
 )
 from feel321.analysis.tradeoff.chart.points import (
     GROUPS,
@@ -58,7 +62,7 @@ BROWSER = next(
 
 def dump(chart: Chart) -> str:
     tables = chart.to_frames()
-    return dump_data(tables, list_axes(tables))
+    return dump_data(tables, merge_equal(tables), list_axes(tables))
 
 
 def test_every_reducer_scene_measure_and_sweep_is_there(tiny: Chart) -> None:
@@ -138,7 +142,8 @@ def test_rated_members_of_a_point_stand_beside_it(rated: Chart) -> None:
 def test_a_chart_is_small_to_look_at_and_goes_through_pickle(rated: Chart) -> None:
     assert pickle.loads(pickle.dumps(rated)) == rated  # noqa: S301 - our own bytes
     assert len(repr(rated)) <= 200
-    assert rated.summary().splitlines() == list(describe_answers(rated.to_frames()))
+    tables = rated.to_frames()
+    assert rated.summary().splitlines() == list(describe_answers(tables, merge_equal(tables)))
 
 
 def test_recordings_need_names_of_their_own(make_recording: Callable[[str], Recording]) -> None:
@@ -163,6 +168,21 @@ def test_answers_name_the_front_and_the_dominated(rated: Chart) -> None:
     assert "No reducer is clearly dominated" in none.summary()
     unclear = replace(rated, dominated=dominated.assign(clear=False))
     assert "is not clearly worse than" in unclear.summary()
+
+
+def test_of_dissimilarities_the_lowest_is_best(rated: Chart) -> None:
+    apart = replace(rated, rated=rated.rated.assign(scale="dissimilarity"))
+    assert "Best mean dissimilarity from the reference (as is): soc321, 62.5" in apart.summary()
+    assert [list_axes(one.to_frames())[-1]["better"] for one in (apart, rated)] == ["low", "high"]
+
+
+def test_spreads_of_a_group_are_merged_as_variances() -> None:
+    rows = [
+        {"method": name, "reducer": name, "scene": "oak", "sd": sd, "mean": sd}
+        for name, sd in zip(GROUPS["sax/say/saz321"], (3.0, 4.0, 5.0), strict=True)
+    ]
+    (merged,) = merge_rows(pd.DataFrame(rows)).to_dict("records")
+    assert (merged["mean"], merged["sd"]) == pytest.approx((4.0, np.sqrt(50 / 3)))
 
 
 def test_notes_tell_what_was_cut_and_a_busy_machine(

@@ -9,6 +9,7 @@ import pytest
 
 from feel321.protocols.trial import Flow, Judgement, Page, Part, Task, Trial
 from feel321.study.folder import StudyFolder
+from feel321.study.ledger.progress import Anchor
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
 from feel321.study.session.journal import (
@@ -118,9 +119,7 @@ class Lab:
         note_progress(
             ledger,
             plan.participant,
-            journal=journal.path.name,
-            lines=len(journal.records),
-            tip=journal.tip,
+            anchor=Anchor(journal.path.name, len(journal.records), journal.tip),
             done=replay(plan, journal.records).done,
             total=TRIALS,
             state="finished" if journal.records.has(SessionFinished) else "running",

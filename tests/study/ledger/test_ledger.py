@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import feel321.study.ledger.slots
+from feel321.study.ledger.progress import Anchor
 from feel321.study.ledger.slots import claim_slots, note_progress, open_ledger, read_ledger
 
 if TYPE_CHECKING:
@@ -56,7 +57,9 @@ def note(
         "total": 4,
         "state": "running",
     }
-    note_progress(ledger, participant, **known | changes)
+    noted = known | changes
+    anchor = Anchor(*(noted.pop(name) for name in ("journal", "lines", "tip")))
+    note_progress(ledger, participant, anchor=anchor, **noted)
 
 
 def test_slots_are_claimed_in_order_and_kept(ledger: Engine, now: Now) -> None:

@@ -20,13 +20,7 @@ from feel321.study.folder import create_study, read_template, require_study
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.session.plan import Design, Stale
 from feel321.study.settings.fields import TomlTable, list_tables
-from feel321.study.settings.read import (
-    make_design,
-    make_recipe,
-    make_stale,
-    open_recordings,
-    read_settings,
-)
+from feel321.study.settings.read import make_design, make_recipe, open_recordings, read_settings
 from feel321.study.settings.schema import SceneTable, Settings
 
 if TYPE_CHECKING:
@@ -87,7 +81,7 @@ def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
 def test_defaults_are_those_of_the_rules_and_the_observer(read: Callable[[str], Settings]) -> None:
     settings = read(SHORTEST)
     design = make_design(settings)
-    assert (design.flow, make_stale(settings)) == (Flow(), Stale())
+    assert (design.flow, Stale(**settings.session.stale.model_dump())) == (Flow(), Stale())
     assert design.tasks == tuple(
         make_task(name, training=4, practice=2) for name in ("realism", "similarity")
     )
@@ -158,7 +152,7 @@ def test_every_setting_of_the_session_reaches_the_design(read: Callable[[str], S
             gap_s=0.1,
         ),
     )
-    assert make_stale(settings) == Stale(after_h=None, policy="restart")
+    assert Stale(**settings.session.stale.model_dump()) == Stale(after_h=None, policy="restart")
 
 
 def test_the_shortest_study_gives_the_recipe_of_the_stimuli_room(

@@ -129,35 +129,30 @@ def advise_scene(
     named = {cost.name: contender for cost, contender in listed.items()}
     gains_db = np.array([[contender.gain_db] for contender in named.values()])
     judge = partial(compare, gains_db=gains_db, tolerance=context.tolerance)
-    any_mounting = context.mounting == ANY
     mounted, scores = score_scene(
-        scene.recording, named, judge, any_mounting=any_mounting, seed=seed
+        scene.recording, named, judge, any_mounting=context.mounting == ANY, seed=seed
     )
     shortfalls, best = judge(scores), np.fmax.reduce(scores[..., 1:3], axis=0)
     verdicts = []
     for row, (cost, contender) in enumerate(listed.items()):
         decides, suits = find_deciding(mounted, shortfalls[row].max(axis=-1))
         best_spectrum, best_time = best[decides].tolist()
-        verdicts.append(
-            Verdict(
-                cost,
-                complete_scores(contender, mounted[decides], scores[row, decides]),
-                Shortfall(*shortfalls[row, decides].tolist()),
-                in_budget=cost.latency_ms <= context.room_ms,
-                rated=(ratings or {}).get(cost.name),
-                needs_ratings=bool(ratings),
-                best_spectrum=best_spectrum, best_time=best_time,
-                suits=sum(suits), segments=len(suits),
-            )
-        )  # fmt: skip
-    verdicts.sort(key=partial(_order, context=context))
-    return choose(scene, verdicts, context)
+        verdicts.append(Verdict(
+            cost,
+            complete_scores(contender, mounted[decides], scores[row, decides]),
+            Shortfall(*shortfalls[row, decides].tolist()),
+            in_budget=cost.latency_ms <= context.room_ms,
+            rated=(ratings or {}).get(cost.name), needs_ratings=bool(ratings),
+            best_spectrum=best_spectrum, best_time=best_time,
+            suits=sum(suits), segments=len(suits),
+        ))  # fmt: skip
 
+    def order(one: Verdict) -> tuple[object, ...]:
+        # Rounded, so that reducers that differ by rounding only are ordered by name.
+        worst = round(one.shortfall.worst / SAME)
+        return *one.cost.rank(online=context.online), worst, one.name
 
-def _order(verdict: Verdict, context: Context) -> tuple[object, ...]:
-    # Rounded, so that reducers that differ by rounding only are ordered by name.
-    worst = round(verdict.shortfall.worst / SAME)
-    return *verdict.cost.rank(online=context.online), worst, verdict.name
+    return choose(scene, sorted(verdicts, key=order), context)
 
 
 def _find_problem(recording: Recording) -> str:
@@ -235,13 +230,13 @@ def _ties(best: Verdict, other: Verdict, context: Context) -> bool:
 
 def find_common(advices: Sequence[SceneAdvice]) -> tuple[str, ...]:
     """Find the reducers that suffice in every scene that has vibration, the simplest first."""
-    judged = [advice.verdicts for advice in advices if advice.verdicts]
     serving = [
-        {each.name for each in verdicts if each.in_budget and each.is_sufficient}
-        for verdicts in judged
+        [each.name for each in advice.verdicts if each.in_budget and each.is_sufficient]
+        for advice in advices
+        if advice.verdicts
     ]
-    first = judged[0] if judged else ()
-    return tuple(each.name for each in first if all(each.name in names for names in serving))
+    first = next(iter(serving), [])
+    return tuple(one for one in first if all(one in names for names in serving))
 
 
 def explain_choice(chosen: Verdict, verdicts: Sequence[Verdict]) -> str:
@@ -265,11 +260,12 @@ def explain_choice(chosen: Verdict, verdicts: Sequence[Verdict]) -> str:
 def explain_closest(closest: Verdict, verdicts: Sequence[Verdict]) -> str:
     """Explain why nothing suffices, and what would."""
     barred = _list_barred(verdicts)
-    why = "no reducer is within tolerance of the best in everything"
-    if any(verdict.fits and verdict.in_budget for verdict in verdicts):
-        why = "the ratings show for no reducer within the tolerances of the metrics that it feels like the best"
     if barred:
         why = f"{barred[0].name} would suffice, but {_describe_wait(barred[0])}"
+    elif any(verdict.fits and verdict.in_budget for verdict in verdicts):
+        why = "the ratings show for no reducer within the tolerances of the metrics that it feels like the best"
+    else:
+        why = "no reducer is within tolerance of the best in everything"
     parts = [f"it {describe_fault(closest)}", why, describe_doubt(closest, verdicts)]
     return "; ".join(filter(None, parts))
 

@@ -125,18 +125,14 @@ def _transforms(n: int) -> float:
     return 4 * 2.5 * log2(max(n, 2))  # three axes there, one back
 
 
-def _fixed(state: float, operations: float) -> Callable[[int, int], tuple[float, float]]:
-    return lambda _n, _window: (state, operations)
-
-
 _SPECTRA = SPECTRA_TO_ONE + 4
 _WORK: Mapping[str, Callable[[int, int], tuple[float, float]]] = MappingProxyType({
-    **{f"sa{axis}321": _fixed(0.0, 0.0) for axis in "xyz"},
-    "soc321": _fixed(0.0, 2.0),
-    "mag321": _fixed(0.0, 6.0),
+    **{f"sa{axis}321": lambda *_: (0.0, 0.0) for axis in "xyz"},
+    "soc321": lambda *_: (0.0, 2.0),
+    "mag321": lambda *_: (0.0, 6.0),
     **{f"sa{axis}321_matched": lambda n, _: (n + 2.0, 7.0) for axis in "xyz"},
     # Three squares and their sums, two sums that forget, the limit, division, root and product.
-    **{f"sa{axis}321_matched_running": _fixed(2.0, 14.0) for axis in "xyz"},
+    **{f"sa{axis}321_matched_running": lambda *_: (2.0, 14.0) for axis in "xyz"},
     "pca321": lambda n, _: (3.0 * n, MEAN + COVARIANCE + PROJECTION),
     "pca321_matched": lambda n, _: (3.0 * n, MEAN + COVARIANCE + PROJECTION + 1),
     # One covariance, axis and gain are remembered; axis and gain fade from one estimate to the next.
@@ -352,8 +348,8 @@ def spread_turns(count: int, rng: np.random.Generator) -> Samples:
     from scipy.spatial.transform import Rotation
     from scipy.stats import qmc
 
-    first, second, third = qmc.Halton(3, seed=rng).random(count).T
-    second, third = 2 * np.pi * second, 2 * np.pi * third
+    first, *angles = qmc.Halton(3, seed=rng).random(count).T
+    second, third = 2 * np.pi * np.array(angles)
     low, high = np.sqrt(1 - first), np.sqrt(first)
     parts = low * np.sin(second), low * np.cos(second), high * np.sin(third), high * np.cos(third)
     return np.asarray(Rotation.from_quat(np.transpose(parts)).as_matrix())

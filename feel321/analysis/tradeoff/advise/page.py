@@ -12,14 +12,12 @@ from feel321.analysis.report.section import Picture
 from feel321.analysis.tradeoff.advise.choice import SceneAdvice, advise_scene, find_common
 from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
-from feel321.analysis.tradeoff.results import as_recordings, write_results
-from feel321.records import Result, to_json_value
+from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings
+from feel321.records import to_json_value
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
 
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
@@ -56,6 +54,8 @@ MARKS: dict[str, dict[str, Any]] = {
 
 def draw_advice(advices: Sequence[SceneAdvice]) -> Figure:
     """Draw which reducers suffice for which scenes."""
+    from matplotlib.lines import Line2D
+
     first = next((each.verdicts for each in advices if each.verdicts), ())
     names = [verdict.name for verdict in first]
     with style.print_style():
@@ -63,6 +63,10 @@ def draw_advice(advices: Sequence[SceneAdvice]) -> Figure:
         figure, axes = style.new_figure(head + ROW_CM * len(advices) + REST_CM)
         wide = (COLUMN_WIDE_CM * len(names) + NAME_CM + 0.5) / style.CM_PER_INCH
         figure.set_figwidth(max(figure.get_figwidth(), wide))
+        marks = {
+            state: Line2D([], [], linestyle="none", label=state, **mark)
+            for state, mark in MARKS.items()
+        }
         states = set()
         for row, advice in enumerate(advices):
             for verdict in advice.verdicts:
@@ -75,7 +79,11 @@ def draw_advice(advices: Sequence[SceneAdvice]) -> Figure:
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
-        _add_key(axes, states, wide=figure.get_figwidth() * style.CM_PER_INCH / style.COLUMN_CM)
+        left = -0.45 * style.COLUMN_CM / (figure.get_figwidth() * style.CM_PER_INCH)
+        axes.legend(
+            handles=[mark for state, mark in marks.items() if state in states], loc="upper left", ncols=2,
+            bbox_to_anchor=(left, 0.0), frameon=False, columnspacing=1.0, handletextpad=0.3,
+        )  # fmt: skip
         style.add_title(figure, TITLE)
     return figure
 
@@ -89,22 +97,8 @@ def find_state(advice: SceneAdvice, verdict: Verdict) -> str:
     return CLOSEST if verdict.name == advice.closest else FAILS
 
 
-def _add_key(axes: Axes, states: set[str], *, wide: float) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [
-        Line2D([], [], linestyle="none", label=state, **mark)
-        for state, mark in MARKS.items()
-        if state in states
-    ]
-    axes.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(-0.45 / wide, 0.0), ncols=2,
-        frameon=False, columnspacing=1.0, handletextpad=0.3,
-    )  # fmt: skip
-
-
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Advice(Result):
+class Advice(PageResult):
     """The simplest sufficient reducer for every scene.
 
     Parameters
@@ -175,35 +169,13 @@ class Advice(Result):
         lines = (*(advice.line for advice in self.advices), self.headline, self.note)
         return "\n".join(filter(None, lines))
 
-    def write(self, folder: PathLike) -> Path:
-        """Write page, numbers, tables and figure.
-
-        Parameters
-        ----------
-        folder : str or PathLike
-            The folder. The files of a former advice are replaced; all others stay.
-
-        Returns
-        -------
-        Path
-            The page.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written, or would replace one that is not of a former advice.
-        """
+    def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
+        del tables
         content = build_content(self)
         first = content["measures"][0]["scene"] if content["measures"] else None
         records = [row for row in content["measures"] if row["scene"] == first]
-        return write_results(
-            folder,
-            "advise",
-            content=content,
-            tables=self.to_frames(),
-            pictures=[Picture("advice", CAPTION, draw_advice(self.advices))],
-            values={"content": content, "records": records},
-        )
+        pictures = [Picture("advice", CAPTION, draw_advice(self.advices))]
+        return PageParts("advise.html", content, pictures, {"content": content, "records": records})
 
 
 def advise_recordings(
@@ -332,5 +304,4 @@ def _tabulate_verdict(scene: str, order: int, verdict: Verdict) -> dict[str, Any
         "in_budget": verdict.in_budget, "fits": verdict.fits, "sufficient": verdict.is_sufficient,
         "rated_best": rated.best if rated else None, "p_equivalence": rated.p if rated else None,
     }  # fmt: skip
-    complete: dict[str, Any] = to_json_value(row)
-    return complete
+    return {**to_json_value(row)}

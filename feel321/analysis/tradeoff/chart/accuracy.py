@@ -133,11 +133,9 @@ def measure_accuracy(
         for variant in variants:
             scores = np.array([scorer.score(one, variant.reduce(one, rate)) for one in turned])
             values = scores[0], scores[1:].mean(axis=0), scores[1:].std(axis=0, ddof=1)
-            for measure, mounted, mean, sd in zip(
-                MEASURES, *(value.tolist() for value in values), strict=True
-            ):
+            for measure, found in zip(MEASURES, np.transpose(values).tolist(), strict=True):
                 row = (sweep, variant.label, variant.reducer, recording.name, rate, measure)
-                rows.append((*row, mounted, mean, sd, len(turns)))
+                rows.append((*row, *found, len(turns)))
     except ValueError as error:
         raise ValueError(f"recording {recording.name!r}: {error}") from error
     return [dict(zip(TABLES["accuracies"], row, strict=True)) for row in rows]

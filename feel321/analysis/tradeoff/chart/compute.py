@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import platform
@@ -22,6 +23,7 @@ from feel321.analysis.table.schema import ROLES
 from feel321.analysis.tradeoff.chart import accuracy, cost, page
 from feel321.analysis.tradeoff.chart.points import (
     TABLES,
+    Tables,
     find_reference,
     list_dominated,
     list_records,
@@ -30,12 +32,11 @@ from feel321.analysis.tradeoff.chart.points import (
     name_point,
     place_points,
 )
-from feel321.analysis.tradeoff.results import as_recordings, as_table, write_results
-from feel321.records import Result
+from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings, as_table
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
     from pandas import DataFrame
@@ -71,7 +72,7 @@ FULL = Effort("full", math.inf, 200, 64, 10**7, 15)
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Chart(Result):
+class Chart(PageResult):
     """Speed against accuracy, measured in one run; every table is a data frame.
 
     Parameters
@@ -130,38 +131,25 @@ class Chart(Result):
         str
             One line for each.
         """
-        return "\n".join(page.describe_answers(self.to_frames()))
-
-    def write(self, folder: PathLike) -> Path:
-        """Write a page to explore, figures for print, tables and numbers.
-
-        Parameters
-        ----------
-        folder : str or PathLike
-            The folder. The files of a former chart are replaced; all others stay.
-
-        Returns
-        -------
-        Path
-            The page.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written, or would replace one that is not of a former chart.
-        """
         tables = self.to_frames()
-        pictures, values = page.list_pictures(tables), page.build_page(tables)
+        return "\n".join(page.describe_answers(tables, merge_equal(tables)))
+
+    def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
+        merged = merge_equal(tables)
+        pictures, values = page.list_pictures(tables, merged), page.build_page(tables, merged)
         rows = {name: list_records(frame) for name, frame in tables.items()}
         content = {
             field.name: rows.get(field.name, getattr(self, field.name)) for field in fields(self)
         }
         captions = {picture.name: picture.caption for picture in pictures}
-        return write_results(
-            folder, "chart",
-            content={**content, "answers": values["answers"], "figures": captions},
-            tables=tables, pictures=pictures, values={"chart": self, **values},
-        )  # fmt: skip
+        content |= {"answers": values["answers"], "figures": captions}
+        return PageParts("chart.html", content, pictures, {"chart": self, **values})
+
+
+def write_chart(chart: Chart, folder: PathLike) -> tuple[str, ...]:
+    """Write a chart and return the names of its files; kept for callers of the former name."""
+    results = chart.write(folder).with_name("results.json")
+    return tuple(json.loads(results.read_text(encoding="utf-8"))["files"])
 
 
 def compute_chart(
@@ -179,10 +167,8 @@ def compute_chart(
     recordings = as_recordings(recordings, fewest=1)
     rows = None if ratings is None else as_table(ratings).rows
     name, clock = cost.choose_clock() if clock is None else ("given", clock)
-    steps, total = (
-        count(1),
-        2 * len(recordings) + effort.rounds + 2 + 2 * len(accuracy.list_variants()),
-    )
+    steps = count(1)
+    total = 2 * len(recordings) + effort.rounds + 2 + 2 * len(accuracy.list_variants())
 
     def tick() -> None:
         if progress is not None:
@@ -253,12 +239,24 @@ def _place(tables: dict[str, DataFrame]) -> dict[str, DataFrame]:
     usual = accuracies[accuracies["sweep"] == "reducer"]
     latencies = {one.reducer: one.find_latency(cost.RATE_HZ) for one in accuracy.list_variants()}
     points = place_points(usual, find_reference(tables["costs"]), latencies)
-    merged = page.merge_equal({**tables, "points": points})["points"]
+    merged = merge_equal({**tables, "points": points})["points"]
     # Equal methods stand or fall together.
     front = merged.set_index(["reducer", "measure"])["on_front"]
     places = zip(points["reducer"].map(name_point), points["measure"], strict=True)
     points["on_front"] = [bool(front[place]) for place in places]
     return {**tables, "points": points, "dominated": list_dominated(merged, merge_rows(usual))}
+
+
+def merge_equal(tables: Tables) -> dict[str, DataFrame]:
+    """Merge the rows of reducers that are equal by construction, for figures and sentences; files keep all names."""
+    names = ("accuracies", "costs", "memory", "stability")
+    merged = {name: merge_rows(tables[name]) for name in names}
+    usual = merged["accuracies"][merged["accuracies"]["sweep"] == "reducer"]
+    rows = list_records(tables["points"])
+    latencies = {name_point(row["reducer"]): row["latency_s"] for row in rows}
+    points = place_points(usual, find_reference(merged["costs"]), latencies)
+    growth = make_table("growth", cost.fit_all(merged["costs"]))
+    return {**tables, **merged, "points": points, "growth": growth}
 
 
 def _measure_scenes(
@@ -329,9 +327,7 @@ def rate_reducers(ratings: DataFrame, *, seed: int, draws: int = DRAWS) -> list[
         table = table.reindex(index=people, columns=scenes)
         low, high = draw_interval(table.to_numpy(np.float64), *drawn)
         # One participant, or participants who all agree, give no t interval.
-        ends = {
-            name: row[name] if math.isfinite(row[name]) else math.nan for name in ("low", "high")
-        }
+        ends = {end: row[end] if math.isfinite(row[end]) else math.nan for end in ("low", "high")}
         rows.append({
             **key, "mean": float(row["mean"]), **ends, "two_way_low": low, "two_way_high": high,
             "participants": int(row["n_participants"]), "recordings": int(table.notna().any().sum()),

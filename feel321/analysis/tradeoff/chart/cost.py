@@ -27,7 +27,7 @@ import numpy as np
 
 from feel321.analysis.tradeoff.advise.measures import find_complexity
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, list_variants
-from feel321.analysis.tradeoff.chart.points import split
+from feel321.analysis.tradeoff.chart.points import TABLES, split
 from feel321.analysis.tradeoff.stress.battery import take_excerpt
 from feel321.analysis.tradeoff.stress.measures import perturbation_gain
 from feel321.stimuli import recording
@@ -268,13 +268,9 @@ def measure_memory(variant: ReducerVariant, n_samples: int, rng: np.random.Gener
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    relative = peak / signal.nbytes
-    return {
-        "reducer": variant.reducer,
-        "n_samples": n_samples,
-        "peak_bytes": peak,
-        "relative": relative,
-    }
+    return dict(
+        zip(TABLES["memory"], (variant.reducer, n_samples, peak, peak / signal.nbytes), strict=True)
+    )
 
 
 def compare_precision(
@@ -336,9 +332,7 @@ def _copy_modules() -> dict[str, ModuleType]:
     for copy in copies.values():
         for name, value in list(vars(copy).items()):
             home = copies.get(getattr(value, "__module__", ""))
-            if home is not None and hasattr(
-                home, name
-            ):  # imported from another of them: from its copy, then
+            if home is not None and hasattr(home, name):  # imported from another: from its copy
                 setattr(copy, name, getattr(home, name))
         known = {name: value for name, value in _IN_32_BIT.items() if hasattr(copy, name)}
         vars(copy).update(known, np=_Numpy32())
@@ -395,10 +389,8 @@ def list_resources() -> Iterator[Row]:
     """List what every reducer holds and does, by its definition."""
     for name, reducer in REDUCERS.items():
         cost = find_complexity(name, reducer, n_samples=REFERENCE_N, rate_hz=RATE_HZ)
-        yield {
-            "reducer": name, "state_bytes": NUMBER_BYTES * cost.state, "operations": cost.operations,
-            "parameters": cost.parameters,
-        }  # fmt: skip
+        row = name, NUMBER_BYTES * cost.state, cost.operations, cost.parameters
+        yield dict(zip(TABLES["resources"], row, strict=True))
 
 
 def measure_stability(recordings: Iterable[Recording], *, seed: int) -> Iterator[Row]:
@@ -408,7 +400,5 @@ def measure_stability(recordings: Iterable[Recording], *, seed: int) -> Iterator
         for name, reduce in REDUCERS.items() if excerpt.acceleration.any() else ():
             rng = np.random.default_rng([seed, *scene.name.encode()])
             gain = perturbation_gain(reduce, excerpt, rng=rng, draws=NOISES)
-            yield {
-                "reducer": name, "scene": scene.name, "gain": gain.median, "worst": gain.worst,
-                "draws": NOISES,
-            }  # fmt: skip
+            row = name, scene.name, gain.median, gain.worst, NOISES
+            yield dict(zip(TABLES["stability"], row, strict=True))

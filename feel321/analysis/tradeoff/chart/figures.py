@@ -58,9 +58,8 @@ def describe_measure(measure: str) -> str:
     'Temporal match, invariant'
     """
     metric, _, kind = measure.partition("_match")
-    return capitalise(f"{metric} match") + (
-        f", {kind.strip('_').replace('_', '-')}" if kind else ""
-    )
+    kind = kind.strip("_").replace("_", "-")
+    return capitalise(f"{metric} match") + (f", {kind}" if kind else "")
 
 
 def format_plainly(value: float) -> str:
@@ -222,10 +221,8 @@ def draw_rates(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
 
 def draw_rated(tables: Tables, scale: str, level: str) -> Figure:
     """Draw mean ratings against cost; of single axes each, as they were mounted."""
-    looks, costs = (
-        choose_looks(tables),
-        tables["points"].groupby("reducer")["ns_per_sample"].first(),
-    )
+    looks = choose_looks(tables)
+    costs = tables["points"].groupby("reducer")["ns_per_sample"].first()
     rows = list_records(_select(tables["rated"], scale=scale, level=level))
     rated = [row for row in rows if row["reducer"] in costs.index]
     with style.print_style():
@@ -297,13 +294,8 @@ def _mark(
 
 
 def _draw_span(axes: Axes, x: float, values: Series, *, look: style.Look, zorder: int = 2) -> None:
-    thin: dict[str, Any] = {
-        "colors": look.colour,
-        "linewidths": 0.5,
-        "alpha": 0.5,
-        "zorder": zorder,
-    }
-    axes.vlines(x, values.min(), values.max(), **thin)
+    thin: dict[str, Any] = {"linewidths": 0.5, "alpha": 0.5, "zorder": zorder}
+    axes.vlines(x, values.min(), values.max(), colors=look.colour, **thin)
 
 
 def _line(look: style.Look) -> dict[str, Any]:

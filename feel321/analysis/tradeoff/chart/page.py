@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.report.section import (
-    TEMPLATES,
-    PageTable,
-    Picture,
-    make_slug,
-    number_pictures,
-)
+from feel321.analysis import words
+from feel321.analysis.report import section
+from feel321.analysis.report.section import PageTable, Picture
 from feel321.analysis.table.schema import APART
 from feel321.analysis.tradeoff.chart import figures
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, list_variants
-from feel321.analysis.tradeoff.chart.cost import CALLS, NS, RATE_HZ, REFERENCE_N, fit_all
+from feel321.analysis.tradeoff.chart.cost import CALLS, NS, RATE_HZ, REFERENCE_N
 from feel321.analysis.tradeoff.chart.points import (
     GROUPS,
     MEASURES,
@@ -24,29 +21,15 @@ from feel321.analysis.tradeoff.chart.points import (
     Tables,
     find_reference,
     list_records,
-    make_table,
-    merge_rows,
     name_point,
-    place_points,
     split,
 )
-from feel321.analysis.words import (
-    ABSENT,
-    format_interval,
-    format_measure,
-    format_name,
-    format_number,
-    join_words,
-)
+from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
     from pandas import DataFrame
 
     from feel321.stimuli.recording import Recording
-    from feel321.types import PathLike
 
 PLACES = 5
 """Significant digits that the page's script gets; results.json has all."""
@@ -61,21 +44,6 @@ _FRONT = (
     "other one clearly beats in both. Averaged over orientations, the three single-axis reducers are equivalent: they "
     "are one point, sax/say/saz321, as are their matched and running forms."
 )
-
-
-def merge_equal(tables: Tables) -> dict[str, DataFrame]:
-    """Merge the rows of reducers that are equal by construction, for figures and sentences; files keep all names."""
-    merged = {
-        name: merge_rows(tables[name]) for name in ("accuracies", "costs", "memory", "stability")
-    }
-    usual = merged["accuracies"][merged["accuracies"]["sweep"] == "reducer"]
-    costs = merge_rows(find_reference(tables["costs"]))
-    latency = {
-        name_point(row["reducer"]): row["latency_s"] for row in list_records(tables["points"])
-    }
-    points = place_points(usual, costs, latency)
-    growth = make_table("growth", fit_all(merged["costs"]))
-    return {**tables, **merged, "points": points, "growth": growth}
 
 
 _TIMES_VARY = (
@@ -122,7 +90,7 @@ def collect_notes(
     yield from _COMPARED
     if cut := sum(recording.duration_s > longest_s for recording in recordings):
         longer = f"{cut} of {len(recordings)} recordings are longer than {longest_s:g} s"
-        yield f"{longer}: their middle was used; --full uses all."
+        yield f"{longer}: their middle was used; full=True (--full) uses all."
     yield from _EQUAL
     yield from _note_precision(precision)
     yield from _SWEPT
@@ -147,9 +115,8 @@ def _note_precision(precision: Sequence[Record]) -> Iterator[str]:
         )
 
 
-def describe_answers(tables: Tables) -> tuple[str, ...]:
-    """Describe the main results; every number in the sentences is in the tables."""
-    merged = merge_equal(tables)
+def describe_answers(tables: Tables, merged: Tables) -> tuple[str, ...]:
+    """Describe the main results; every number in the sentences is in the tables; merged: see `merge_equal`."""
     points = merged["points"]
     return (
         _describe_speed(list_records(points[points["measure"] == MEASURES[0]])),
@@ -161,11 +128,11 @@ def describe_answers(tables: Tables) -> tuple[str, ...]:
 
 
 def _describe_speed(points: Sequence[Record]) -> str:
-    shown = []
-    for extreme in (min, max):
-        point = extreme(points, key=lambda one: one["ns_per_sample"])
-        cost = f"{point['ns_per_sample']:.3g} ns per sample, {_times_real_time(point)} × real time"
-        shown.append(f"{point['reducer']} ({cost})")
+    ordered = sorted(points, key=lambda one: one["ns_per_sample"])
+    shown = [
+        f"{one['reducer']} ({one['ns_per_sample']:.3g} ns per sample, {_times_real_time(one)} × real time)"
+        for one in (ordered[0], ordered[-1])
+    ]
     return f"Fastest: {shown[0]}; slowest: {shown[1]}, at {figures.format_plainly(REFERENCE_N)} samples and {KHZ}."
 
 
@@ -175,7 +142,7 @@ def _times_real_time(point: Record) -> str:
 
 def _describe_front(points: DataFrame, measure: str) -> str:
     front = list_records(points[points["on_front"]].sort_values("ns_per_sample"))
-    shown = join_words([f"{point['reducer']} ({point['median']:.2f})" for point in front])
+    shown = words.join_words([f"{point['reducer']} ({point['median']:.2f})" for point in front])
     name = figures.describe_measure(measure)
     return f"{name}{',' if ',' in name else ''} against cost: on the front are {shown}."
 
@@ -185,7 +152,7 @@ def _describe_dominated(dominated: DataFrame) -> Iterator[str]:
     for row in list_records(dominated):
         shown = f"{row['by']} ({row['scenes']} of {row['of']})"
         winners[bool(row["clear"])].setdefault(row["reducer"], []).append(shown)
-    named = "; ".join(f"{name} by {join_words(own)}" for name, own in winners[True].items())
+    named = "; ".join(f"{name} by {words.join_words(own)}" for name, own in winners[True].items())
     yield (
         f"Dominated in cost, latency and both of the paper's metrics together: {named}. In brackets: scenes on which "
         "the other one is at least as good by both metrics."
@@ -194,13 +161,13 @@ def _describe_dominated(dominated: DataFrame) -> Iterator[str]:
     )
     for name, own in winners[False].items():
         if name not in winners[True]:
-            yield f"{name} is not clearly worse than {join_words(own)}: the difference is within the noise."
+            yield f"{name} is not clearly worse than {words.join_words(own)}: the difference is within the noise."
 
 
 def _describe_growth(growth: Sequence[Record]) -> str:
     ordered = sorted(growth, key=lambda row: row["exponent"])
     ends = [
-        f"{row['exponent']:.2f} ({row['reducer']}, 95 % interval {format_interval(row['low'], row['high'])})"
+        f"{row['exponent']:.2f} ({row['reducer']}, 95 % interval {words.format_interval(row['low'], row['high'])})"
         for row in (ordered[0], ordered[-1])
     ]
     steep = [row["reducer"] for row in growth if row["low"] > 1]
@@ -208,7 +175,7 @@ def _describe_growth(growth: Sequence[Record]) -> str:
         figures.format_plainly(growth[0][name]) for name in ("smallest", "largest")
     )
     which = (
-        f"clearly faster than n for {join_words(steep)}"
+        f"clearly faster than n for {words.join_words(steep)}"
         if steep
         else "for none clearly faster than n"
     )
@@ -220,10 +187,11 @@ def _describe_growth(growth: Sequence[Record]) -> str:
 def _describe_rated(rated: DataFrame) -> Iterator[str]:
     for (scale, level), own in split(rated, "scale", "level"):
         best = own.sort_values("mean", ascending=scale in APART, kind="stable").iloc[0]
-        interval = format_interval(best["two_way_low"], best["two_way_high"], kind="rating")
+        interval = words.format_interval(best["two_way_low"], best["two_way_high"], kind="rating")
+        of = f"{words.format_measure(scale)} ({words.format_name(level)})"
         yield (
-            f"Best mean {format_measure(scale)} ({format_name(level)}): {best['reducer']}, {best['mean']:.1f} (95 % "
-            f"two-way interval {interval}; participants: {best['participants']}, recordings: {best['recordings']})."
+            f"Best mean {of}: {best['reducer']}, {best['mean']:.1f} (95 % two-way interval "
+            f"{interval}; participants: {best['participants']}, recordings: {best['recordings']})."
         )
 
 
@@ -261,7 +229,7 @@ def _tabulate_reducers(tables: Tables) -> PageTable:
             "Latency": "whole signal" if math.isnan(first["latency_s"]) else latency,
             **{
                 figures.describe_measure(one["measure"]):
-                    f"{format_number(one['median'])} [{format_interval(one['lowest'], one['highest'])}]"
+                    f"{words.format_number(one['median'])} [{words.format_interval(one['lowest'], one['highest'])}]"
                 for one in points
             },
             "On a front": ", ".join(fronts) or "no",
@@ -282,15 +250,15 @@ def _tabulate_running(tables: Tables) -> PageTable:
         name, own = row["reducer"], timed.get(row["reducer"])
         gain = gains.get_group(name) if name in gains.groups else None
         times = [own[key] if own else math.nan for key in ("median_us", "p99_us", "worst_us")]
-        shown = [ABSENT if math.isnan(one) else f"{one:.0f}" for one in times]
+        shown = [words.ABSENT if math.isnan(one) else f"{one:.0f}" for one in times]
         rows.append({
             "Reducer": name, "Block: median (µs)": shown[0] if own else "whole signal",
             "99 % (µs)": shown[1], "Worst (µs)": shown[2],
-            "Worst, share of the deadline (%)": f"{100 * times[2] / own['deadline_us']:.0f}" if own else ABSENT,
+            "Worst, share of the deadline (%)": f"{100 * times[2] / own['deadline_us']:.0f}" if own else words.ABSENT,
             "State (bytes)": figures.format_plainly(row["state_bytes"]) if row["state_bytes"] else "0",
             "Operations per sample": f"{row['operations']:.0f}",
-            "Perturbation gain, median": ABSENT if gain is None else f"{gain.median():.2g}",
-            "Worst scene": ABSENT if gain is None else f"{gain.max():.3g}",
+            "Perturbation gain, median": words.ABSENT if gain is None else f"{gain.median():.2g}",
+            "Worst scene": words.ABSENT if gain is None else f"{gain.max():.3g}",
         })  # fmt: skip
     deadline = f"{next(iter(timed.values()))['deadline_us']:.0f} µs" if timed else "none"
     caption = (
@@ -329,7 +297,7 @@ def _tabulate_growth(tables: Tables) -> PageTable:
     rows = (
         {
             "Reducer": row["reducer"], "Exponent": f"{row['exponent']:.2f}",
-            "95 % interval": format_interval(row["low"], row["high"]),
+            "95 % interval": words.format_interval(row["low"], row["high"]),
             "Overhead (µs)": f"{row['overhead_us']:.0f}", "Misfit (%)": f"{100 * row['misfit']:.0f}",
             f"Peak memory at {longest} (MB)": f"{memory[row['reducer']]['peak_bytes'] / 1e6:.1f}",
             "× input": f"{memory[row['reducer']]['relative']:.2f}",
@@ -369,21 +337,23 @@ def _tabulate_precision(tables: Tables) -> PageTable:
 
 
 def _tabulate_rated(tables: Tables) -> PageTable:
+    def interval(row: Record, which: str = "") -> str:
+        return words.format_interval(row[f"{which}low"], row[f"{which}high"], kind="rating")
+
     rows = (
         {
-            "Ratings": f"{format_measure(row['scale'])}, {format_name(row['level'])}", "Reducer": row["reducer"],
-            "Mean": f"{row['mean']:.1f}", "Over participants": format_interval(row["low"], row["high"], kind="rating"),
-            "Two-way": format_interval(row["two_way_low"], row["two_way_high"], kind="rating"),
-            "Participants": str(row["participants"]), "Recordings": str(row["recordings"]),
+            "Ratings": f"{words.format_measure(row['scale'])}, {words.format_name(row['level'])}",
+            "Reducer": row["reducer"], "Mean": f"{row['mean']:.1f}", "Over participants": interval(row),
+            "Two-way": interval(row, "two_way_"), "Participants": str(row["participants"]),
+            "Recordings": str(row["recordings"]),
         }
         for row in list_records(tables["rated"])
     )  # fmt: skip
     return _build("Mean ratings with 95 % intervals.", rows)
 
 
-def list_pictures(tables: Tables) -> list[Picture]:
+def list_pictures(tables: Tables, merged: Tables) -> list[Picture]:
     """List the figures."""
-    merged = merge_equal(tables)
     spans = f"A vertical line spans the scenes. Values below {figures.CUT:g} are drawn at the edge."
     pictures = [
         Picture("cost", f"Both of the paper's metrics against cost. {_MARKS} {_FRONT}", figures.draw_cost(merged)),
@@ -400,25 +370,26 @@ def list_pictures(tables: Tables) -> list[Picture]:
                 figures.draw_rates(merged)),
     ]  # fmt: skip
     for (scale, level), _ in split(tables["rated"], "scale", "level"):
+        of = f"{words.format_measure(scale)} (level {words.format_name(level)})"
         caption = (
-            f"Mean {format_measure(scale)} (level {format_name(level)}) against cost. Thick: 95 % t interval over "
-            "participants, for these recordings; thin: 95 % bootstrap interval over participants and recordings."
+            f"Mean {of} against cost. Thick: 95 % t interval over participants, for these recordings; thin: 95 % "
+            "bootstrap interval over participants and recordings."
         )
         drawing = figures.draw_rated(tables, scale, level)
-        pictures.append(Picture(make_slug("rated", scale, level), caption, drawing))
-    return list(number_pictures(pictures))
+        pictures.append(Picture(section.make_slug("rated", scale, level), caption, drawing))
+    return list(section.number_pictures(pictures))
 
 
-def build_page(tables: Tables) -> dict[str, Any]:
+def build_page(tables: Tables, merged: Tables) -> dict[str, Any]:
     """Build what the page shows of the tables."""
-    axes, merged = list_axes(tables), merge_equal(tables)
+    axes = list_axes(tables)
     return {
-        "answers": describe_answers(tables),
+        "answers": describe_answers(tables, merged),
         "axes": axes,
         "looks": figures.choose_looks(merged),
         "grids": tabulate(tables),
-        "data": dump_data(tables, axes),
-        "script": (TEMPLATES / "chart.js").read_text(encoding="utf-8"),
+        "data": dump_data(tables, merged, axes),
+        "script": (section.TEMPLATES / "chart.js").read_text(encoding="utf-8"),
         "styles": ("report.css", "chart.css"),
     }
 
@@ -441,25 +412,23 @@ def list_axes(tables: Tables) -> list[dict[str, Any]]:
     ]
 
 
-def dump_data(tables: Tables, axes: Sequence[Mapping[str, Any]]) -> str:
+def dump_data(tables: Tables, merged: Tables, axes: Sequence[Mapping[str, Any]]) -> str:
     """Write what the script reads."""
     scenes = tables["scenes"]["name"].tolist()
-    data = {"axes": axes, "scenes": scenes, "methods": list(_list_markers(tables))}
+    methods = list(_list_markers(merged, _list_ratings(tables)))
+    data = {"axes": axes, "scenes": scenes, "methods": methods}
     text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c")
 
 
-def _list_markers(tables: Tables) -> Iterator[dict[str, Any]]:
+def _list_markers(merged: Tables, ratings: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     """List the markers that a reader can show: what each is, what it costs, its scores and ratings."""
-    merged = merge_equal(tables)
-    looks, ratings = figures.choose_looks(merged), _list_ratings(tables)
+    looks = figures.choose_looks(merged)
     gains = merged["stability"].set_index(["reducer", "scene"])["gain"].to_dict()
-    scores: dict[tuple[str, str, float | None], dict[str, dict[str, list[float]]]] = {}
+    scores: dict[Any, dict[str, dict[str, list[float]]]] = {}
     for row in list_records(merged["accuracies"]):
-        rate_hz = row["rate_hz"] if row["sweep"] == "rate" else None
-        own = scores.setdefault((row["sweep"], row["method"], rate_hz), {}).setdefault(
-            row["scene"], {}
-        )
+        key = row["sweep"], row["method"], row["rate_hz"] if row["sweep"] == "rate" else None
+        own = scores.setdefault(key, {}).setdefault(row["scene"], {})
         own[row["measure"]] = [_round(row[name]) for name in ("mean", "sd", "as_mounted")]
     for kind, label, variant, cost, scored in _list_costs(merged, ratings):
         name = name_point(variant.reducer)
@@ -477,46 +446,37 @@ def _list_markers(tables: Tables) -> Iterator[dict[str, Any]]:
             }  # fmt: skip
 
 
-def _list_costs(
-    tables: Tables, ratings: Mapping[str, object]
-) -> Iterator[tuple[str, str, ReducerVariant, Record, tuple[str, str, float | None]]]:
-    """List kind, label, variant, cost and key of the scores of every marker.
+Marker = tuple[str, str, ReducerVariant, Record, tuple[str, str, float | None]]
+"""Kind, label, variant, cost and key of the scores."""
 
-    Streams score as the whole signal does, a block later; members of a group that were rated stand beside its point.
-    """
+
+def _list_costs(tables: Tables, ratings: Mapping[str, object]) -> Iterator[Marker]:
+    """List the markers; streams score as the whole signal does, a block later."""
     costs = tables["costs"]
-    swept = costs[costs["sweep"].isin(["window", "hop"])]
-    whole = [*list_records(find_reference(costs)), *list_records(swept)]
-    known = {(row["sweep"], row["method"]): row for row in whole}
-    for kind, sweep in (("reducer", "size"), ("window", "window"), ("hop", "hop")):
-        named: dict[str, ReducerVariant] = {}
+    whole = {row["method"]: row for row in list_records(find_reference(costs))}
+    swept = {(row["sweep"], row["method"]): row for row in list_records(costs)}
+    for label in dict.fromkeys(map(name_point, REDUCERS)):
+        yield "reducer", label, _first(label), whole[label], ("reducer", label, None)
+    for kind in ("window", "hop"):
         for variant in list_variants(kind):
-            named.setdefault(name_point(variant.label), variant)
-        for label, variant in named.items():
-            yield kind, label, variant, known[sweep, label], (kind, label, None)
-    for member in ratings:
-        label = name_point(member)
-        if label != member and ("size", label) in known:
-            yield (
-                "reducer",
-                member,
-                ReducerVariant(member),
-                known["size", label],
-                ("reducer", label, None),
-            )
+            key = kind, variant.label
+            yield *key, variant, swept[key], (*key, None)
+    for member in ratings:  # those that were rated stand beside their point
+        if (label := name_point(member)) != member and label in whole:
+            yield "reducer", member, ReducerVariant(member), whole[label], ("reducer", label, None)
     for row in list_records(costs[costs["sweep"].isin(["rate", "block"])]):
         name, rate_hz = row["method"], row["rate_hz"]
-        variant = ReducerVariant(GROUPS.get(name, (name,))[0])
         if row["sweep"] == "rate":
-            yield "rate", f"{name}, {rate_hz / 1000:g} kHz", variant, row, ("rate", name, rate_hz)
+            label = f"{name}, {rate_hz / 1000:g} kHz"
+            yield "rate", label, _first(name), row, ("rate", name, rate_hz)
         else:
-            yield (
-                "block",
-                f"{name}, blocks of {row['block']}",
-                variant,
-                row,
-                ("reducer", name, None),
-            )
+            label = f"{name}, blocks of {row['block']}"
+            yield "block", label, _first(name), row, ("reducer", name, None)
+
+
+def _first(label: str) -> ReducerVariant:
+    """Find the reducer, of a group the first, that a point stands for."""
+    return ReducerVariant(GROUPS.get(label, (label,))[0])
 
 
 def _describe_costs(
@@ -543,14 +503,10 @@ def _list_ratings(tables: Tables) -> dict[str, dict[str, list[float | None]]]:
 
 
 def _name_rating(row: Record) -> str:
-    return f"Mean {format_measure(row['scale'])}, {format_name(row['level'])} (0 to 100)"
+    return (
+        f"Mean {words.format_measure(row['scale'])}, {words.format_name(row['level'])} (0 to 100)"
+    )
 
 
 def _round(value: float) -> float:
     return float(f"{value:.{PLACES}g}")
-
-
-def write_chart(chart: Any, folder: PathLike) -> tuple[str, ...]:  # noqa: ANN401 - a Chart, which is defined above this module
-    """Write a chart and return the names of its files; kept for callers of the former name."""
-    page: Path = chart.write(folder)
-    return tuple(json.loads(page.with_name("results.json").read_text(encoding="utf-8"))["files"])

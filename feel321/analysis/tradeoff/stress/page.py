@@ -7,13 +7,12 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.figures import style
 from feel321.analysis.report.section import PageTable, Picture
-from feel321.analysis.tradeoff.results import write_results
+from feel321.analysis.tradeoff.results import PageParts, PageResult
 from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.analysis.tradeoff.stress.diagnosis import (
     SIGNS,
@@ -23,8 +22,6 @@ from feel321.analysis.tradeoff.stress.diagnosis import (
 )
 from feel321.analysis.tradeoff.stress.measures import EXPLODED, MEASURES, RANGE_LIMIT, StressCell
 from feel321.analysis.words import ABSENT, MINUS
-from feel321.records import Result
-from feel321.types import PathLike
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -61,7 +58,7 @@ MOVED = MappingProxyType({
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Stress(Result):
+class Stress(PageResult):
     """Where reducers fail, how badly, and which recordings come near.
 
     Parameters
@@ -153,24 +150,8 @@ class Stress(Result):
         warned = (f"{name}: {line}" for name, lines in self.warnings.items() for line in lines)
         return "\n".join((*self.answers, *warned))
 
-    def write(self, folder: PathLike) -> Path:
-        """Write page, numbers, tables and figure.
-
-        Parameters
-        ----------
-        folder : str or PathLike
-            The folder. The files of a former stress test are replaced; all others stay.
-
-        Returns
-        -------
-        Path
-            The page.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written, or would replace one that is not of a former stress test.
-        """
+    def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
+        del tables
         content = {
             "answers": self.answers,
             "warnings": self.warnings,
@@ -188,10 +169,8 @@ class Stress(Result):
             "notes": self.notes,
             "inputs": dict(self.inputs),
         }
-        return write_results(
-            folder, FIGURE, content=content, tables=self.to_frames(),
-            pictures=[Picture(FIGURE, CAPTION, draw_stress(self))], values=build_page(self),
-        )  # fmt: skip
+        pictures = [Picture(FIGURE, CAPTION, draw_stress(self))]
+        return PageParts("stress.html", content, pictures, build_page(self))
 
 
 def _to_row(cell: StressCell) -> dict[str, object]:
