@@ -347,6 +347,12 @@ def test_a_recording_that_is_mere_noise_is_named(scenes: list[Recording], tmp_pa
     assert not build_stimuli(recordings, tmp_path, reducers=["dft321"]).warnings
 
 
+def test_more_than_40_db_is_too_much(built: StimulusSet) -> None:
+    rows = [replace(built[0], recording=f"x{gain}", gain=gain) for gain in (99.0, 101.0)]
+    (warning,) = replace(built, stimuli=tuple(rows)).warnings
+    assert warning.startswith("x101.0: played 40 dB stronger")
+
+
 def test_a_new_recording_is_added_and_an_old_one_removed(
     scenes: list[Recording], tmp_path: Path
 ) -> None:
@@ -671,7 +677,13 @@ def test_a_set_whose_anchor_is_no_anchor_is_refused(
     build_stimuli(scenes[:1], tmp_path, recipe=Recipe(reducers=("sax321",)))
     table = (tmp_path / "manifest.csv").read_text()
     line = next(row for row in table.splitlines() if "anchor_mid" in row)
-    for column, value in (("spectral_match", "0.99"), ("temporal_match", "0.99")):
+    test = next(row for row in table.splitlines() if ",test," in row).split(",")
+    equal = test[CONTRACT.index("spectral_match")]
+    for column, value in (
+        ("spectral_match", "0.99"),
+        ("spectral_match", equal),
+        ("temporal_match", "0.99"),
+    ):
         row = line.split(",")
         row[CONTRACT.index(column)] = value
         (tmp_path / "manifest.csv").write_text(table.replace(line, ",".join(row)))
@@ -762,6 +774,7 @@ def test_a_gain_that_clips_is_counted_and_reported(scenes: list[Recording], tmp_
             "line 2: could not convert string to float",
         ),
         (b"\xff\xfe", "UTF-8"),
+        ('stimulus_id\n"a"b\n', "not a CSV table"),
     ],
 )
 def test_a_manifest_that_is_none_is_refused(
