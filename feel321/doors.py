@@ -1,4 +1,4 @@
-"""What every door does with its arguments: paths, randomness and names, and how it refuses them."""
+"""Arguments of public functions: paths, randomness, names, progress, and how wrong ones are refused."""
 
 from __future__ import annotations
 
@@ -16,26 +16,14 @@ if TYPE_CHECKING:
 
 
 def as_path(path: str | os.PathLike[str], what: str = "path") -> Path:
-    """Make a path of a str or any other path.
-
-    Examples
-    --------
-    >>> as_path("recordings/oak.csv").name
-    'oak.csv'
-    """
+    """Make a path of a str or any other path."""
     if not isinstance(path, str | os.PathLike):
         raise TypeError(f"{what} must be a path, got {describe(path)}")
     return Path(path)
 
 
 def as_rng(rng: int | np.random.Generator, what: str = "rng") -> np.random.Generator:
-    """Make a generator of a seed, or take the generator that is given.
-
-    Examples
-    --------
-    >>> as_rng(0).integers(10, size=3)
-    array([8, 6, 5])
-    """
+    """Make a generator of a seed, or take the generator that is given."""
     import numpy as np  # not before it is needed: the command line answers at once
 
     if isinstance(rng, np.random.Generator):
@@ -48,13 +36,7 @@ def as_rng(rng: int | np.random.Generator, what: str = "rng") -> np.random.Gener
 
 
 def as_seed(rng: int | np.random.Generator, what: str = "rng") -> int:
-    """Take the seed that is given, or draw one from a generator: for results that have many sources of randomness.
-
-    Examples
-    --------
-    >>> as_seed(7)
-    7
-    """
+    """Take the seed that is given, or draw one from a generator: for results that have many sources of randomness."""
     import numpy as np
 
     generator = as_rng(rng, what)
@@ -82,13 +64,7 @@ def follow(
 
 
 def as_names(names: Iterable[str], what: str) -> tuple[str, ...]:
-    """Make a tuple of names; a bare str, whose letters would pass for names, is refused.
-
-    Examples
-    --------
-    >>> as_names(["dft321", "pca321"], "reducers")
-    ('dft321', 'pca321')
-    """
+    """Make a tuple of names; a bare str, whose letters would pass for names, is refused."""
     if isinstance(names, str):
         raise TypeError(
             f"{what} must be a list of names, got the text {names!r}; write [{names!r}]"
@@ -101,10 +77,6 @@ def check_name(name: str, names: Collection[str], what: str) -> str:
 
     Examples
     --------
-    >>> check_name("latin", ["williams", "blocked"], "order")
-    Traceback (most recent call last):
-        ...
-    ValueError: order must be one of williams, blocked; got 'latin'
     >>> check_name("dft312", ["dft321", "pca321"], "reducer")
     Traceback (most recent call last):
         ...
@@ -123,22 +95,13 @@ def refuse_name(name: object, names: Collection[str], what: str) -> str:
 
 
 def describe(value: object) -> str:
-    """Describe what was got in a few words: the value if it is short, else its type.
-
-    Examples
-    --------
-    >>> describe(-3), describe("x" * 80)
-    ('-3', 'a str')
-    """
+    """Describe what was got in a few words: the value if it is short, else its type."""
     shape = getattr(value, "shape", None)
     if shape is not None:
         return f"{type(value).__name__} of shape {shape}"
     text = repr(value)
-    return text if len(text) <= _SHORT and "\n" not in text else f"a {type(value).__name__}"
-
-
-_SHORT = 60
-"""Characters of a value that fit into a message."""
+    fits = len(text) <= 60 and "\n" not in text  # noqa: PLR2004 - characters of one line's message
+    return text if fits else f"a {type(value).__name__}"
 
 
 Entry = TypeVar("Entry")
@@ -146,13 +109,6 @@ Entry = TypeVar("Entry")
 
 class Registry(Mapping[str, Entry]):
     """An ordered, read-only mapping of names; an entry is also an attribute, and a wrong name lists the right ones.
-
-    Parameters
-    ----------
-    what : str
-        What an entry is called in messages.
-    entries : Mapping
-        Name -> entry.
 
     Examples
     --------
@@ -203,23 +159,7 @@ class Registry(Mapping[str, Entry]):
         return f"<{self._what}: {', '.join(self._entries)}>"
 
     def find(self, given: str | Entry) -> Entry:
-        """Return the entry of a name, what a dotted name "package.module:name" stands for, or what is given itself.
-
-        Parameters
-        ----------
-        given : str or any other
-            A name of this registry, a dotted name, or a lab's own entry.
-
-        Returns
-        -------
-        any
-            The entry.
-
-        Raises
-        ------
-        ValueError
-            If there is no such name, module, or name in the module.
-        """
+        """Return the entry of a name or of a dotted name ("package.module:name"), or what is given itself."""
         if not isinstance(given, str):
             return given
         if ":" not in given:
@@ -232,19 +172,7 @@ class Registry(Mapping[str, Entry]):
         return entry
 
     def choose(self, wanted: str | Entry | Iterable[str | Entry] = "all") -> dict[str, Entry]:
-        """Return several entries by their names: all of them, or what `find` finds of each.
-
-        Parameters
-        ----------
-        wanted : "all", or a list of str or any other
-            Names of this registry, dotted names, or a lab's own entries; or one such entry, or a mapping of its names
-            to entries.
-
-        Returns
-        -------
-        dict
-            Name -> entry, in the order that is wanted.
-        """
+        """Return several entries by name, as wanted: "all", a list of what `find` takes, one entry, or a mapping."""
         if isinstance(wanted, str):
             if wanted == "all":
                 return dict(self._entries)

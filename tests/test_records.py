@@ -7,7 +7,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.doors import Registry, as_names, as_path, as_rng, as_seed, follow, forward_old_names
+from feel321.doors import (
+    Registry,
+    as_names,
+    as_path,
+    as_rng,
+    as_seed,
+    describe,
+    follow,
+    forward_old_names,
+)
 from feel321.records import REPR_WIDTH, Result
 
 
@@ -66,6 +75,11 @@ def test_doors_refuse_in_one_line() -> None:
         TypeError, match=r"^reducers must be a list of names, got the text 'dft321'; write"
     ):
         as_names("dft321", "reducers")
+
+
+def test_what_was_got_is_described_in_a_few_words() -> None:
+    described = {describe(value) for value in (-3, "x" * 80, "a\nb", np.ones((3, 2)))}
+    assert described == {"-3", "a str", "'a\\nb'", "ndarray of shape (3, 2)"}
 
 
 def test_a_generator_goes_through_and_a_seed_is_repeated() -> None:

@@ -575,12 +575,6 @@ def noise_ceiling_within(table: Values, groups: NDArray[np.intp]) -> float:
     with n_g targets and k raters, R has Σ (n_g - 1) degrees of freedom and the residual E k - 1 times as many. What
     raises all targets of a group, for everyone or for one rater, is neither signal nor noise here. With one group it
     is `noise_ceiling`.
-
-    Examples
-    --------
-    >>> table = np.array([[1.0, 2], [3, 5], [6, 6]])
-    >>> round(noise_ceiling_within(table, np.zeros(3, int)), 3)
-    0.975
     """
     by_target, n_raters = np.zeros(table.shape), table.shape[1]
     for number in np.unique(groups):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.arrays import CONFIDENCE, FLAT, PERFECT
+from feel321.analysis.arrays import CONFIDENCE, FLAT, PERFECT, Values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.analysis.table.items import Items
-
-    Values = NDArray[np.float64]
 
 
 def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
@@ -43,12 +41,6 @@ def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
     ----------
     Kendall (1945), Biometrika 33, 239-251, doi 10.1093/biomet/33.3.239.
     Knight (1966), Journal of the American Statistical Association 61, 436-439, doi 10.1080/01621459.1966.10480879.
-
-    Examples
-    --------
-    >>> x, y = np.array([1.0, 2, 3, 4]), np.array([1.0, 3, 2, 4])
-    >>> weighted_kendall(x, y, weights=np.ones(4)).round(3)
-    np.float64(0.667)
     """
     x, y, weights = np.broadcast_arrays(x, y, weights)
     by_y = np.argsort(y, axis=-1, kind="stable")
@@ -129,12 +121,6 @@ def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
     """Pearson's correlation along the last axis, each item counting as often as its weight says; NaN for constants.
 
     All arrays: (..., n_items).
-
-    Examples
-    --------
-    >>> x, y = np.array([1.0, 2, 3]), np.array([1.0, 3, 2])
-    >>> weighted_pearson(x, y, weights=np.ones(3)).round(3)
-    np.float64(0.5)
     """
     x, y, weights = np.broadcast_arrays(_scale_down(x), _scale_down(y), weights)
     total = weights.sum(axis=-1, keepdims=True)
@@ -161,13 +147,7 @@ def weighted_spearman(x: Values, y: Values, *, weights: Values) -> Values:
 
 
 def weighted_ranks(values: Values, weights: Values) -> Values:
-    """Mid-ranks, from 1, along the last axis of a sample in which each item occurs as often as its weight says.
-
-    Examples
-    --------
-    >>> weighted_ranks(np.array([10.0, 30, 20]), np.array([1.0, 1, 2])).tolist()
-    [1.0, 4.0, 2.5]
-    """
+    """Mid-ranks, from 1, along the last axis of a sample in which each item occurs as often as its weight says."""
     values, weights = np.broadcast_arrays(values, weights)
     order = np.argsort(values, axis=-1, kind="stable")
     ordered = np.take_along_axis(values, order, axis=-1)
@@ -280,12 +260,6 @@ def average_recordings(correlations: Values, sizes: Values, *, counts: Values) -
     -----
     A perfect correlation has no z, yet among few items one by ranks is common and must neither be left out nor
     outweigh all others. One of n items counts as 1 - 6 / (n (n² - 1)), half way to the next lower correlation of ranks.
-
-    Examples
-    --------
-    >>> one, n = np.ones((1, 2)), np.full((1, 2), 9.0)
-    >>> average_recordings(np.array([[0.2, 0.6]]), n, counts=one).round(3)
-    array([0.42])
     """
     defined = np.isfinite(correlations)
     weights = counts * defined

@@ -406,13 +406,6 @@ def regress_attributes(
     References
     ----------
     Borg & Groenen (2005), Modern Multidimensional Scaling, chapter 4, doi 10.1007/0-387-28981-X.
-
-    Examples
-    --------
-    >>> places = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [2, 1.5]])
-    >>> regress_attributes(places, {"rough": [10, 22, 9, 19, 31]}).round(2)
-            r2       f  df    p  axis_1  axis_2
-    rough  1.0  219.53   2  0.0    0.99   -0.14
     """
     import statsmodels.api as sm
     from pandas import DataFrame

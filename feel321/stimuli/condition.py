@@ -4,16 +4,13 @@ Each step is named, optional, and recorded in the stimulus set's manifest. Filte
 applied forwards and backwards (no phase shift, magnitude squared): at the corner frequency the gain is -6 dB.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from feel321.stimuli.recording import Recording
-    from feel321.types import Samples
+from feel321.stimuli.recording import Recording
+from feel321.types import Samples
 
 FILTER_ORDER = 4
 
@@ -106,18 +103,15 @@ def condition(
     >>> stimuli.condition(stimuli.make_scene("bumps"), crop_s=(0, 1))
     Recording('bumps', 10000 samples at 10000 Hz, 1 s)
     """
-    steps = replace(steps or Conditioning(), **changes)
+    steps, rate = replace(steps or Conditioning(), **changes), recording.rate_hz
     samples = (recording.crop(*steps.crop_s) if steps.crop_s else recording).acceleration
     if steps.remove_offset:
         samples = samples - samples.mean(axis=-1, keepdims=True)
-    if steps.high_pass_hz is not None:
-        samples = filter_zero_phase(
-            samples, recording.rate_hz, corner_hz=steps.high_pass_hz, kind="highpass"
-        )
-    if steps.low_pass_hz is not None and _has_low_pass(steps, recording.rate_hz):
-        samples = filter_zero_phase(
-            samples, recording.rate_hz, corner_hz=steps.low_pass_hz, kind="lowpass"
-        )
+    if (corner_hz := steps.high_pass_hz) is not None:
+        samples = filter_zero_phase(samples, rate, corner_hz=corner_hz, kind="highpass")
+    # A sensor whose Nyquist frequency is below the low-pass's corner has no signal there.
+    if (corner_hz := steps.low_pass_hz) is not None and corner_hz < rate / 2:
+        samples = filter_zero_phase(samples, rate, corner_hz=corner_hz, kind="lowpass")
     return replace(recording, acceleration=samples, sha256="")
 
 
@@ -129,24 +123,16 @@ def list_steps(steps: Conditioning, rate_hz: float) -> list[str]:
     >>> list_steps(Conditioning(), 1600.0)
     ['offset removed', 'high-pass 20 Hz', 'low-pass 1000 Hz left out: not below the Nyquist frequency of 800 Hz']
     """
-    done = (
-        [] if steps.crop_s is None else [f"cropped to {steps.crop_s[0]:g}..{steps.crop_s[1]:g} s"]
-    )
+    done = [f"cropped to {steps.crop_s[0]:g}..{steps.crop_s[1]:g} s"] if steps.crop_s else []
     if steps.remove_offset:
         done.append("offset removed")
     if steps.high_pass_hz is not None:
         done.append(f"high-pass {steps.high_pass_hz:g} Hz")
     if steps.low_pass_hz is not None:
         void = f" left out: not below the Nyquist frequency of {rate_hz / 2:g} Hz"
-        done.append(
-            f"low-pass {steps.low_pass_hz:g} Hz" + ("" if _has_low_pass(steps, rate_hz) else void)
-        )
+        in_vain = steps.low_pass_hz >= rate_hz / 2
+        done.append(f"low-pass {steps.low_pass_hz:g} Hz" + (void if in_vain else ""))
     return done
-
-
-def _has_low_pass(steps: Conditioning, rate_hz: float) -> bool:
-    """Whether the low-pass does anything: a sensor whose Nyquist frequency is below the corner has no signal there."""
-    return steps.low_pass_hz is not None and steps.low_pass_hz < rate_hz / 2
 
 
 def filter_zero_phase(
@@ -160,7 +146,7 @@ def filter_zero_phase(
             f"{kind} must be below the Nyquist frequency of {rate_hz / 2:g} Hz, got {corner_hz} Hz"
         )
     sections = signal.butter(FILTER_ORDER, corner_hz, btype=kind, fs=rate_hz, output="sos")
-    # The filter's start-up dies out in about a period of its corner; padding by that much keeps it out of the signal.
+    # Padded by a period of the corner: the filter's start-up takes about that long to die out.
     padding = min(max(int(rate_hz / corner_hz), 3 * (2 * len(sections) + 1)), samples.shape[-1] - 1)
     if padding < 1:
         raise ValueError(

@@ -13,15 +13,14 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, SupportsFloat, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from feel321.doors import check_name, describe
 from feel321.records import Result
+from feel321.types import Samples
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, DTypeLike, NDArray
     from pandas import DataFrame
-
-    from feel321.types import Samples
 
 Signal: TypeAlias = "Recording | Reduced | ArrayLike"
 """A recording, a reduced one, or plain samples, which come with their rate."""

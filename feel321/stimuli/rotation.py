@@ -22,10 +22,12 @@ References
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from feel321.doors import Registry, as_rng, name_of
 from feel321.stimuli.match import (
@@ -49,14 +51,10 @@ from feel321.stimuli.recording import (
     scale_down,
 )
 from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.types import Metric, Reducer, Rng, Samples
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from numpy.typing import ArrayLike
     from pandas import DataFrame
-
-    from feel321.types import Metric, Reducer, Rng, Samples
 
 LEAST_ROTATIONS = 200
 # Rotated copies made at a time: enough to amortise a call, few enough to stay in the processor's cache.

@@ -10,11 +10,10 @@ import numpy as np
 from feel321.records import Result
 from feel321.stimuli.recording import AXES, Signal, as_samples
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
+from feel321.types import Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-    from feel321.types import Samples
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -94,7 +93,8 @@ def psd(signal: Signal, *, rate_hz: float | None = None, window_s: float = 0.25)
     rate_hz : float, optional
         Sampling rate of plain samples in Hz.
     window_s : float
-        Length of a window in s; frequencies are 1 / window_s apart.
+        Length of a window in s, rounded to an even number of samples and at most that of the signal (the result holds
+        what it came to); frequencies are one over it apart.
 
     Returns
     -------

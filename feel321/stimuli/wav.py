@@ -7,7 +7,7 @@ import io
 import struct
 import warnings
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -122,7 +122,12 @@ def read_wav(path: PathLike) -> tuple[Samples, int]:
             raise ValueError(
                 f"{source.name}: has chunks that cannot be read ({error}); save it again as PCM or float"
             ) from error
-    return np.ascontiguousarray(_as_fractions(frames).T), int(rate)
+    fractions = frames.astype(np.float64)
+    if frames.dtype.kind != "f":
+        full_scale = np.iinfo(frames.dtype).max + 1
+        middle = 128 if frames.dtype == np.uint8 else 0  # 8-bit WAV is unsigned around 128
+        fractions = (fractions - middle) / (full_scale - middle)
+    return np.ascontiguousarray(fractions.T), int(rate)
 
 
 def read_wav_header(path: Path) -> WavHeader:
@@ -200,11 +205,3 @@ def _as_frames(samples: ArrayLike) -> NDArray[np.float32]:
             f"samples must fit into float32 (3.4e38), got a peak of {np.abs(values).max():g}"
         )
     return np.ascontiguousarray(frames)
-
-
-def _as_fractions(frames: NDArray[Any]) -> Samples:
-    if frames.dtype.kind == "f":
-        return frames.astype(np.float64)
-    info = np.iinfo(frames.dtype)
-    middle = 128 if frames.dtype == np.uint8 else 0  # 8-bit WAV is unsigned around 128
-    return (frames.astype(np.float64) - middle) / (info.max + 1 - middle)

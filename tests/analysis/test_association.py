@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -450,6 +451,10 @@ def test_a_within_interval_rests_on_whatever_is_scarcest(tidy: Callable[..., pd.
     items = make_items(tidy(participants=2, recordings=6), [SPECTRAL])
     for method in ("pearson", "within"):
         assert count_scarcest(items, draw_intervals(items, method, draws=5, rng=rng())) == 2
+    items = make_items(tidy(participants=8, recordings=6), [SPECTRAL])
+    silent = replace(items, metrics=np.where(items.recordings < 3, items.metrics, 0.5))
+    for method, count in (("pearson", 6), ("within", 3)):
+        assert count_scarcest(silent, draw_intervals(silent, method, draws=5, rng=rng())) == count
 
 
 def test_exactly_half_of_the_stimuli_make_a_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:

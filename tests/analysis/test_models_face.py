@@ -167,6 +167,7 @@ def test_holm_is_that_of_statsmodels() -> None:
     rng = np.random.default_rng(1)
     for p in ([0.5, 0.5, 0.01], [0.0, 1.0, 0.03], *(rng.uniform(0, 1, n) ** 3 for n in (1, 2, 9))):
         np.testing.assert_allclose(adjust_holm(p), multipletests(p, method="holm")[1])
+    np.testing.assert_allclose(adjust_holm([0.01, np.nan, 0.04, 0.03]), [0.03, np.nan, 0.06, 0.06])
 
 
 def test_one_of_several_scales_is_chosen_in_single_comparisons(
@@ -181,6 +182,14 @@ def test_one_of_several_scales_is_chosen_in_single_comparisons(
         assert call(Table(both.assign(matched=True), (), ()), scale="realism") == call(rows)
         with pytest.raises(ValueError, match="scale must be one of realism, similarity"):
             call(both, scale="realsim")
+
+
+def test_the_usual_margin_is_half_the_spread_of_repeats(rows: pd.DataFrame) -> None:
+    differences = np.random.default_rng(4).normal(0, 6, len(rows))
+    again = rows.assign(rating=rows["rating"] + differences)
+    found = analysis.compare_reducers(pd.concat([rows, again], ignore_index=True), "x", "y")
+    half = np.sqrt(np.mean(differences**2) / 2) / 2
+    assert (found.margin_low, found.margin_high) == pytest.approx((-half, half))
 
 
 def test_papers_and_r_get_the_model_that_was_fitted(rows: pd.DataFrame, tmp_path: Path) -> None:

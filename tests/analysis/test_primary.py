@@ -12,7 +12,7 @@ import pytest
 from feel321.analysis.mixed.model import fit_mixed
 from feel321.analysis.primary import plan
 from feel321.analysis.primary.model import fit_attributes, fit_primary, tabulate_slopes
-from feel321.analysis.primary.plan import make_cells
+from feel321.analysis.primary.plan import make_cells, plan_terms
 from feel321.analysis.primary.sensitivity import (
     SlopePrecision,
     find_own,
@@ -113,6 +113,18 @@ def test_slopes_in_every_unit_say_the_same(rows: pd.DataFrame, primary: Primary)
     assert sm[["standardised", "standardised_low", "standardised_high"]].tolist() == pytest.approx(
         wanted, rel=1e-4
     )
+
+
+@pytest.mark.parametrize(("reducers", "held"), [(2, ()), (7, ("reducer",)), (8, ())])
+def test_few_reducers_are_kept_from_zero(reducers: int, held: tuple[str, ...]) -> None:
+    who, recording, reducer = (axis.ravel() for axis in np.indices((3, 4, reducers)))
+    item, rng = recording * reducers + reducer, np.random.default_rng(1)
+    values, rating = rng.normal(size=4 * reducers), rng.normal(size=len(item))
+    rows = pd.DataFrame({
+        "participant": who, "recording": recording, "reducer": reducer, "item": item, "sm": values[item],
+        "rating": rating,
+    })  # fmt: skip
+    assert plan_terms(make_cells(rows, ["sm"]), correlated=False, reducers=True).penalty == held
 
 
 def test_what_is_not_to_be_explained_costs_no_second_model_and_changes_no_slope(

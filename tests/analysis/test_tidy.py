@@ -14,7 +14,14 @@ from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.multiverse import run_multiverse
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.screening.screen import screen_raters
-from feel321.analysis.table.items import leave_rejected, make_items, name_items, name_stimuli
+from feel321.analysis.table.items import (
+    find_sources,
+    leave_rejected,
+    leave_untested,
+    make_items,
+    name_items,
+    name_stimuli,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -180,3 +187,16 @@ def test_repeats_are_averaged_whatever_the_order_of_rows(tidy: Callable[..., pd.
         order = [name.replace("/", "_") for name in items.names]
         np.testing.assert_allclose(items.ratings, means[order], rtol=1e-14)
         assert items.n_recordings == 3
+
+
+def test_one_of_something_is_said_in_the_singular() -> None:
+    rows, notes = leave_untested(pd.DataFrame({"rating": [40.0, 99.0], "role": ["test", "anchor"]}))
+    assert rows["rating"].tolist() == [40.0]
+    other = "of other stimuli than test stimuli (hidden references, anchors)"
+    assert notes == (f"1 rating {other} is left out.",)
+
+
+def test_a_recording_without_a_source_is_its_own() -> None:
+    table = pd.DataFrame({"recording": ["c", "a", "b", "a"], "source": [None, "x", "", "x"]})
+    assert find_sources(table).to_dict() == {"a": "x", "b": "b", "c": "c"}
+    assert find_sources(table[["recording"]]).to_dict() == {"a": "a", "b": "b", "c": "c"}

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from feel321.stimuli.condition import Conditioning, condition, fade, filter_zero_phase, resample
 from feel321.stimuli.recording import Recording
@@ -45,6 +46,13 @@ def test_default_corners_halve_the_amplitude_and_do_not_shift() -> None:
     np.testing.assert_allclose(got, [1e-8, 0.5, 1.0, 0.5, 0.0], atol=2e-3)
     band = condition(recording(tones(150)), Conditioning()).acceleration[0]
     np.testing.assert_allclose(band[2000:-2000], tones(150)[2000:-2000], atol=1e-3)
+
+
+def test_a_filter_is_padded_by_a_period_of_its_corner() -> None:
+    wave = tones(30.3, 150) + 2
+    sections = butter(4, 20, btype="highpass", fs=RATE, output="sos")
+    filtered = filter_zero_phase(wave, RATE, corner_hz=20.0, kind="highpass")
+    np.testing.assert_array_equal(filtered, sosfiltfilt(sections, wave, padlen=400))
 
 
 def test_a_sensor_slower_than_the_low_pass_keeps_what_it_has() -> None:

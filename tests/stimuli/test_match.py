@@ -186,14 +186,26 @@ def test_temporal_match_takes_any_unit_of_either(size: float) -> None:
     assert temporal_match(size * acceleration, reduced) == pytest.approx(expected, rel=1e-12)
 
 
-def test_an_absurd_reduced_signal_is_refused_not_scored() -> None:
+@pytest.mark.parametrize("size", [1e145, 1e200])
+def test_an_absurd_reduced_signal_is_refused_not_scored(size: float) -> None:
     with pytest.raises(ValueError, match="are they in the same unit"):
-        spectral_match(noise(3, 400), 1e200 * noise(400), RATE)
+        spectral_match(noise(3, 400), size * noise(400), RATE)
 
 
-def test_a_weak_axis_is_not_a_silent_one() -> None:
+@pytest.mark.parametrize(("size", "silent"), [(1e-9, ()), (1e-11, ()), (1e-13, (1,))])
+def test_a_weak_axis_is_not_a_silent_one(size: float, silent: tuple[int, ...]) -> None:
     wave, other = noise(2, 500)
-    assert temporal_match_details([wave, 1e-9 * other, other], wave).silent_axes == ()
+    assert temporal_match_details([wave, size * other, other], wave).silent_axes == silent
+
+
+@pytest.mark.parametrize(("size", "counts"), [(2.8e-6, True), (3e-8, False)])
+def test_a_tone_counts_from_a_share_of_1e_12_of_the_energy_per_bin(
+    size: float, counts: bool
+) -> None:
+    # Spread over the 154 Hz around 700 Hz it has 13 size² times the mean energy per bin: 1e-10, and 1e-14.
+    loud, weak = (np.sin(2 * np.pi * f * np.arange(4000) / RATE) for f in (100, 700))
+    recording = np.array([loud + size * weak, 0 * loud, 0 * loud])
+    assert (700 in spectral_match_details(recording, loud, RATE).frequencies_hz) == counts
 
 
 def test_a_silent_axis_is_left_out_and_reported() -> None:

@@ -126,3 +126,10 @@ def test_a_copy_with_the_same_samples_keeps_its_digest(sha256: str) -> None:
     ):
         assert copy.sha256 == recording.sha256
         assert copy.sha256_of == recording.sha256_of
+
+
+def test_a_crop_may_end_where_the_recording_ends_but_for_rounding() -> None:
+    recording = Recording(np.ones((3, 700)), 1601.57, "a")
+    assert recording.crop(0, recording.duration_s * (1 + 1e-12)).n_samples == 700
+    with pytest.raises(ValueError, match="0 <= start < end <="):
+        recording.crop(0, recording.duration_s * 1.001)

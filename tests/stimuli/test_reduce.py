@@ -216,6 +216,12 @@ def test_adaptive_pca_keeps_its_axis_through_rest_and_ignores_a_constant_offset(
     np.testing.assert_allclose(pca321_adaptive(moved, RATE), wave - 9.8 * 0.6, atol=1e-6)
 
 
+def test_a_whisper_on_a_large_offset_has_an_axis_of_its_own() -> None:
+    whisper = 1e-7 * noise(500)
+    reduced = pca321_adaptive([np.ones(500), whisper, np.zeros(500)], RATE)[50:-50]
+    assert np.abs(reduced).max() < 1e-5  # along the diagonal it would be 0.58
+
+
 def test_adaptive_pca_sign_is_not_left_to_rounding_either() -> None:
     wave = noise(400)
     for tiny in (0.0, 2e-16, -2e-16, 1e-15, -1e-15):

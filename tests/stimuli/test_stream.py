@@ -198,6 +198,21 @@ def test_skipped_samples_are_a_gap() -> None:
         stream.skip(-1)
 
 
+@pytest.mark.parametrize("name", STREAMING)
+def test_a_buffer_that_the_driver_fills_anew_changes_nothing_that_was_fed(name: str) -> None:
+    samples = np.random.default_rng(0).standard_normal((3, 200))
+    fresh, reused = (StreamingReducer(name, RATE, on_gap="hold") for _ in range(2))
+    buffer = np.empty((3, 20))
+    for start in range(0, 200, 20):
+        buffer[:] = samples[:, start : start + 20]
+        got = reused.process(buffer).copy()
+        buffer[:] = 1e9
+        expected = fresh.process(samples[:, start : start + 20])
+        np.testing.assert_array_equal(got, expected)
+        np.testing.assert_array_equal(reused.skip(3), fresh.skip(3))
+    np.testing.assert_array_equal(reused.flush(), fresh.flush())
+
+
 def test_an_unknown_way_with_gaps_is_answered_with_the_list() -> None:
     with pytest.raises(ValueError, match="on_gap must be one of raise, hold, zero; got 'mend'"):
         StreamingReducer("say321", RATE, on_gap="mend")  # type: ignore[arg-type]  # that is the test

@@ -174,16 +174,7 @@ def _tabulate(trials: Table | DataFrame) -> DataFrame:
 
 
 def discriminate_pairs(trials: DataFrame) -> dict[tuple[str, str] | None, Discrimination]:
-    """Evaluate ABX trials pair by pair, in alphabetical order; None -> all trials pooled.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> trials = pd.DataFrame({"first": ["a", "b", "a", "a"], "second": ["b", "a", "c", "c"],
-    ...     "correct": [True, True, False, True]})
-    >>> {pair: result.share for pair, result in discriminate_pairs(trials).items()}
-    {('a', 'b'): 1.0, ('a', 'c'): 0.5, None: 0.75}
-    """
+    """Evaluate ABX trials pair by pair, in alphabetical order; None -> all trials pooled."""
     check_columns(trials, ["first", "second", "correct"], "trials")
     if trials.empty:
         raise ValueError("trials must have a row or more, got none")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
     from pandas import DataFrame
@@ -58,16 +58,7 @@ class Formula:
 
 
 def parse_formula(text: str) -> Formula:
-    """Take a formula apart.
-
-    Examples
-    --------
-    >>> parsed = parse_formula("y ~ x + (1 + x || subject) + (1 | class/pupil)")
-    >>> parsed.fixed
-    'x'
-    >>> [(term.effects, term.name, term.independent) for term in parsed.random]
-    [('1 + x', 'subject', True), ('1', 'class', False), ('1', 'pupil:class', False)]
-    """
+    """Take a formula apart."""
     sides = [side.strip() for side in text.split("~")] if isinstance(text, str) else []
     if len(sides) != 2 or not all(sides):  # noqa: PLR2004 - left and right
         raise ValueError(
@@ -261,7 +252,9 @@ def _read_plain(text: str, data: DataFrame) -> Expanded | None:
     if len(set(numbers)) < len(pieces) or text == "0":
         return None
     ones = () if first == "0" else ("(Intercept)",)
-    values = np.column_stack([np.ones((len(data), len(ones))), data[numbers].to_numpy(np.float64)])
+    values = np.ones((len(data), len(ones)))
+    if numbers:
+        values = np.column_stack([values, data[numbers].to_numpy(np.float64)])
     return Expanded((*ones, *numbers), values) if np.isfinite(values).all() else None
 
 
@@ -320,6 +313,8 @@ def _write_python(text: str) -> str:
 def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
     """Build one factor per group, holding all its terms, because their levels are the same."""
     merged: dict[str, Factor] = {}
+    groups = dict.fromkeys(name for one in parsed.random for name in one.group)
+    known = {name: _number_levels(data, name) for name in groups}
     for bracket in parsed.random:
         name, what = bracket.name, f"the random effects over {bracket.name}"
         parts = _split_effects(bracket.effects) if bracket.independent else [bracket.effects]
@@ -332,7 +327,7 @@ def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
             before = merged[name]
             merged[name] = Factor(name, before.levels, before.index, (*before.terms, *terms))
         else:
-            merged[name] = Factor(name, *_read_levels(bracket, data), terms)
+            merged[name] = Factor(name, *_read_levels(bracket, known), terms)
     for factor in merged.values():
         _check_factor(factor)
     return tuple(merged.values())
@@ -356,24 +351,32 @@ def _split_effects(effects: str) -> list[str]:
     return [term if term == "1" else f"0 + {term}" for term in terms]
 
 
-def _read_levels(bracket: RandomTerm, data: DataFrame) -> tuple[tuple[str, ...], NDArray[np.intp]]:
-    """Give a number to the observed combinations of a bracket's columns, in their order."""
+def _number_levels(data: DataFrame, name: str) -> tuple[NDArray[np.intp], NDArray[np.object_]]:
+    """Give a number to every row's value of a column, -1 where it is missing, and a name to every number."""
     import pandas as pd
 
-    if missing := [name for name in bracket.group if name not in data]:
+    if name not in data:
         raise ValueError(
-            f"formula must group by columns of the table ({', '.join(map(str, data.columns))}), got {missing[0]!r}"
+            f"formula must group by columns of the table ({', '.join(map(str, data.columns))}), got {name!r}"
         )
-    combined = np.zeros(len(data), dtype=np.intp)
-    for name in bracket.group:
-        codes, values = pd.factorize(data[name], sort=True)
+    codes, values = pd.factorize(data[name], sort=True)
+    return codes, pd.Index(values).astype(str).to_numpy(object)
+
+
+def _read_levels(
+    bracket: RandomTerm, known: Mapping[str, tuple[NDArray[np.intp], NDArray[np.object_]]]
+) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+    """Give a number to the observed combinations of a bracket's columns, in their order."""
+    columns = [known[name] for name in bracket.group]
+    combined = np.zeros(len(columns[0][0]), dtype=np.intp)
+    for codes, names in columns:
         if (codes < 0).any():
             raise ValueError(
                 f"data must have a level of {bracket.name} in every row, got rows without; leave them out"
             )
-        combined = combined * len(values) + codes
+        combined = combined * len(names) + codes
     _, first, index = np.unique(combined, return_index=True, return_inverse=True)
-    parts = [data[name].iloc[first].astype(str) for name in bracket.group]
+    parts = [names[codes[first]] for codes, names in columns]
     return tuple(":".join(level) for level in zip(*parts, strict=True)), index
 
 

@@ -8,20 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import Block, MixedDesign, build_design, read_new_rows
-from feel321.analysis.mixed.optimum import (
-    Balanced,
-    Profile,
-    State,
-    find_balance,
-    find_coefficients,
-    find_modes,
-    find_optimum,
-    find_sigma,
-    find_slope,
-    find_spreads,
-    hold_threads,
-)
 from feel321.records import Result
 
 if TYPE_CHECKING:
@@ -81,7 +69,7 @@ class Estimate(Result):
     high: float
 
 
-def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
+def find_uncertainty(profile: optimum.Profile, best: optimum.State) -> Uncertainty:
     """Compute how the fixed effects' covariance depends on the spreads, and how well those are known.
 
     Notes
@@ -91,19 +79,22 @@ def find_uncertainty(profile: Profile, best: State) -> Uncertainty:
     and are left out, as lmerTest does. Derivatives along theta are central differences of the exact slope. A penalty
     of -2 log theta adds 2 / theta².
     """
-    sigma, size = find_sigma(profile, best), len(best.theta)
+    sigma, size = optimum.find_sigma(profile, best), len(best.theta)
     unit = np.maximum(np.abs(best.theta), 1)
-    covariance = find_coefficients(profile, best)[1] * sigma**2
+    covariance = optimum.find_coefficients(profile, best)[1] * sigma**2
     hessian = np.zeros((size + 1, size + 1))
     slopes = np.empty((size + 1, *covariance.shape))
     for place, shift in enumerate(np.diag(STEP * unit)):
         above, below = profile.evaluate(best.theta + shift), profile.evaluate(best.theta - shift)
-        rise = find_slope(profile, above, above.rss / sigma**2) - find_slope(
+        rise = optimum.find_slope(profile, above, above.rss / sigma**2) - optimum.find_slope(
             profile, below, below.rss / sigma**2
         )
         hessian[place, :size] = rise * unit / (2 * STEP)
         hessian[place, size] = hessian[size, place] = -(above.rss - below.rss) / STEP / sigma**2
-        wider = find_coefficients(profile, above)[1] - find_coefficients(profile, below)[1]
+        wider = (
+            optimum.find_coefficients(profile, above)[1]
+            - optimum.find_coefficients(profile, below)[1]
+        )
         slopes[place] = wider * sigma**2 / (2 * STEP)
     held = np.flatnonzero(profile.penalised)
     hessian[held, held] += 2 * (unit[held] / best.theta[held]) ** 2
@@ -336,8 +327,8 @@ def fit_mixed(
 class Solved(NamedTuple):
     """A design's deviance at its minimum, and what is known of the fixed effects there."""
 
-    profile: Profile
-    best: State
+    profile: optimum.Profile
+    best: optimum.State
     coefficients: Samples
     uncertainty: Uncertainty
 
@@ -349,14 +340,14 @@ class Solved(NamedTuple):
 
 def solve_design(design: MixedDesign, *, reml: bool = True, penalty: Sequence[str] = ()) -> Solved:
     """Minimise a design's deviance, by the shortcut where it is balanced."""
-    balance = find_balance(design)
+    balance = optimum.find_balance(design)
     if balance:
-        profile: Profile = Balanced(design, balance, reml=reml, penalty=penalty)
+        profile: optimum.Profile = optimum.Balanced(design, balance, reml=reml, penalty=penalty)
     else:
-        profile = Profile(design, reml=reml, penalty=penalty)
-    with hold_threads(profile.n_random):
-        best = find_optimum(profile)
-        coefficients, _ = find_coefficients(profile, best)
+        profile = optimum.Profile(design, reml=reml, penalty=penalty)
+    with optimum.hold_threads(profile.n_random):
+        best = optimum.find_optimum(profile)
+        coefficients, _ = optimum.find_coefficients(profile, best)
         return Solved(profile, best, coefficients, find_uncertainty(profile, best))
 
 
@@ -365,12 +356,12 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     import pandas as pd
 
     profile, best, design = solved.profile, solved.best, solved.profile.design
-    if isinstance(profile, Balanced):  # which knows no random effects of rows
+    if isinstance(profile, optimum.Balanced):  # which knows no random effects of rows
         held = [one.factor.name for one in profile.blocks if profile.penalised[one.theta].any()]
-        profile = Profile(design, reml=profile.reml, penalty=held)
-        with hold_threads(profile.n_random):
+        profile = optimum.Profile(design, reml=profile.reml, penalty=held)
+        with optimum.hold_threads(profile.n_random):
             best = profile.evaluate(best.theta)
-    coefficients, _ = find_coefficients(profile, best)
+    coefficients, _ = optimum.find_coefficients(profile, best)
     weights = np.eye(profile.n_fixed)
     rows = [asdict(estimate_sum(coefficients, row, solved.uncertainty)) for row in weights]
     variances, correlations = _tabulate_spreads(profile, best)
@@ -379,7 +370,7 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     marginal, conditional = _explain_variance(profile, best)
     return MixedFit(
         formula=formula, reml=profile.reml, fixed=pd.DataFrame(rows, index=pd.Index(design.names, name="term")),
-        variances=variances, correlations=correlations, residual_sd=find_sigma(profile, best),
+        variances=variances, correlations=correlations, residual_sd=optimum.find_sigma(profile, best),
         criterion=profile.deviance(best), singular=bool(zero), marginal_r2=marginal, conditional_r2=conditional,
         effects=effects, fitted=fitted, residuals=design.response - fitted, uncertainty=solved.uncertainty,
         n_rows=profile.n_rows, n_levels={factor.name: len(factor.levels) for factor in design.factors}, notes=zero,
@@ -455,7 +446,7 @@ def _read_weights(text: str) -> dict[str, float]:
     return weights
 
 
-def _tabulate_spreads(profile: Profile, best: State) -> tuple[DataFrame, DataFrame]:
+def _tabulate_spreads(profile: optimum.Profile, best: optimum.State) -> tuple[DataFrame, DataFrame]:
     """Write the random effects' spreads and their correlations as tables, in the order of the formula."""
     import pandas as pd
 
@@ -474,29 +465,31 @@ def _tabulate_spreads(profile: Profile, best: State) -> tuple[DataFrame, DataFra
     )
 
 
-def list_spreads(profile: Profile, best: State) -> Iterator[tuple[str, tuple[str, ...], Samples]]:
+def list_spreads(
+    profile: optimum.Profile, best: optimum.State
+) -> Iterator[tuple[str, tuple[str, ...], Samples]]:
     """List group, effects and covariance of what varies together, in the order of the formula."""
-    sigma = find_sigma(profile, best)
-    for block, covariance in _in_order(profile, find_spreads(profile, best)):
+    sigma = optimum.find_sigma(profile, best)
+    for block, covariance in _in_order(profile, optimum.find_spreads(profile, best)):
         start = 0
         for term in block.factor.terms:
             place = slice(start, start := start + len(term.names))
             yield block.factor.name, term.names, covariance[place, place] * sigma**2
 
 
-def _in_order(profile: Profile, values: list[Samples]) -> Iterator[tuple[Block, Samples]]:
+def _in_order(profile: optimum.Profile, values: list[Samples]) -> Iterator[tuple[Block, Samples]]:
     """Pair blocks with what belongs to them, in the order of the formula."""
     names = [factor.name for factor in profile.design.factors]
     pairs = zip(profile.blocks, values, strict=True)
     return iter(sorted(pairs, key=lambda pair: names.index(pair[0].factor.name)))
 
 
-def _predict(profile: Profile, best: State) -> tuple[Samples, DataFrame]:
+def _predict(profile: optimum.Profile, best: optimum.State) -> tuple[Samples, DataFrame]:
     import pandas as pd
 
-    fitted = profile.design.fixed @ find_coefficients(profile, best)[0]
+    fitted = profile.design.fixed @ optimum.find_coefficients(profile, best)[0]
     tables = []
-    for block, values in _in_order(profile, find_modes(profile, best)):
+    for block, values in _in_order(profile, optimum.find_modes(profile, best)):
         fitted = fitted + np.sum(block.factor.columns * values[block.factor.index], axis=1)
         names = [name for term in block.factor.terms for name in term.names]
         effects = {
@@ -509,12 +502,14 @@ def _predict(profile: Profile, best: State) -> tuple[Samples, DataFrame]:
     return fitted, pd.concat(tables, ignore_index=True)
 
 
-def _explain_variance(profile: Profile, best: State) -> tuple[float, float]:
+def _explain_variance(profile: optimum.Profile, best: optimum.State) -> tuple[float, float]:
     """Nakagawa's marginal and conditional R²."""
-    residual = find_sigma(profile, best) ** 2
-    fixed = float(np.var(profile.design.fixed @ find_coefficients(profile, best)[0], ddof=1))
+    residual = optimum.find_sigma(profile, best) ** 2
+    fixed = float(
+        np.var(profile.design.fixed @ optimum.find_coefficients(profile, best)[0], ddof=1)
+    )
     random = 0.0
-    for block, covariance in zip(profile.blocks, find_spreads(profile, best), strict=True):
+    for block, covariance in zip(profile.blocks, optimum.find_spreads(profile, best), strict=True):
         values = block.factor.columns
         random += residual * float(np.mean(np.einsum("ni,ij,nj->n", values, covariance, values)))
     total = fixed + random + residual

@@ -23,7 +23,7 @@ import numpy as np
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.mixed.model import note_zeros
-from feel321.analysis.primary.model import Primary, adjust_holm, fit_cells
+from feel321.analysis.primary.model import Primary, adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import (
     ITEM,
     RATING,
@@ -68,7 +68,7 @@ class Variant(NamedTuple):
     def fit(self) -> tuple[DataFrame, bool, str]:
         """Fit the slopes; also whether the fit is singular, and what its model lacks."""
         cells = self.make()
-        found = fit_cells(cells, correlated=self.correlated, reducers=self.reducers)
+        found = fit_slopes(cells, correlated=self.correlated, reducers=self.reducers)
         table = found.table.reindex(list(cells.metrics))
         return table, bool(note_zeros(found.solved)), " ".join(found.terms.reductions)
 
@@ -209,12 +209,6 @@ class SlopePrecision(Result):
         """Compute the slope's standard error and its degrees of freedom, by Welch and Satterthwaite.
 
         Degrees of freedom come from participants, stimuli and reducers less what is estimated from each.
-
-        Examples
-        --------
-        >>> study = SlopePrecision(5, 4, 10, 2.5, n_participants=20, n_recordings=10, n_items=90)
-        >>> [round(value, 2) for value in study.find_se()]
-        [3.11, 95.47]
         """
         people, (stimulus, reducer) = self.slope_sd**2 / self.n_participants, find_variances(self)
         within, between = (
@@ -296,12 +290,6 @@ def find_own(
     """Find what one metric has and the others do not, and the part of it that is the same for a reducer.
 
     metrics: (n_items, n_metrics); reducers, and both that are returned: (n_items,).
-
-    Examples
-    --------
-    >>> own, alike = find_own(np.array([[1.0, 0], [-1, 0], [0, 2], [0, -2]]), 0, np.array([0, 1, 0, 1]))
-    >>> own.tolist(), alike.tolist()
-    ([1.0, -1.0, 0.0, 0.0], [0.5, -0.5, 0.5, -0.5])
     """
     alike = np.zeros_like(metrics)
     if reducers is not None:
@@ -383,13 +371,7 @@ class Influence:
 
 
 def conclude(p_holm: float) -> str:
-    """Give the verdict on a slope: ``predicts``, ``open``, or ``not_estimable`` where there is no test (NaN).
-
-    Examples
-    --------
-    >>> conclude(0.01), conclude(0.2), conclude(float("nan"))
-    ('predicts', 'open', 'not_estimable')
-    """
+    """Give the verdict on a slope: ``predicts``, ``open``, or ``not_estimable`` where there is no test (NaN)."""
     if math.isnan(p_holm):
         return NOT_ESTIMABLE
     return PREDICTS if p_holm < LEVEL else OPEN

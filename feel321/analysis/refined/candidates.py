@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.arrays import FLAT
+from feel321.analysis.arrays import FLAT, Values
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.analysis.table.items import Items
-
-    Values = NDArray[np.float64]
 
 EXPONENTS = (0.5, 2.0)
 """Of metrics from 0 to 1, values below 0 counting as 0: differences near 0, or near 1, are made to count for more."""
@@ -115,14 +113,7 @@ class Searched(NamedTuple):
 def make_basis(
     names: Sequence[str], values: Values, *, n_plain: int, groups: NDArray[np.intp] | None
 ) -> Basis:
-    """List the candidates that metrics of these values, (n_features, n_items), allow; groups: (n_items,).
-
-    Examples
-    --------
-    >>> values = np.array([[0.1, 0.5, 0.9], [0.9, 0.2, 0.4]])
-    >>> [one.name for one in make_basis(["a", "b"], values, n_plain=2, groups=None).candidates]
-    ['a', 'b', 'equal weights', 'a ^ 0.5', 'a ^ 2', 'b ^ 0.5', 'b ^ 2', 'a + b']
-    """
+    """List the candidates that metrics of these values, (n_features, n_items), allow; groups: (n_items,)."""
     columns = dict(zip(names, values, strict=True))
     for name in names[:n_plain]:
         for exponent in EXPONENTS:

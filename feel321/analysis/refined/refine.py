@@ -8,22 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.analysis.agreement import find_ceiling
-from feel321.analysis.arrays import check_draws
-from feel321.analysis.refined.candidates import (
-    EQUAL,
-    GROUPS,
-    Basis,
-    SearchData,
-    Searched,
-    average_groups,
-    choose,
-    fit_candidate,
-    join_draws,
-    make_basis,
-    make_split,
-    score_draws,
-    sum_moments,
-)
+from feel321.analysis.arrays import Values, check_draws
+from feel321.analysis.refined import candidates as search
 from feel321.analysis.resampling import BLOCK, bootstrap_margin, draw_counts, fisher_z
 from feel321.analysis.table.items import Items, Table, choose_metrics, make_items
 from feel321.doors import as_rng
@@ -36,8 +22,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.types import Rng
-
-    Values = NDArray[np.float64]
 
 FEWEST_RECORDINGS, FEWEST_PEOPLE = 5, 3
 """One recording is judged, one chooses, and a weight needs more than two; people are split besides."""
@@ -207,7 +191,7 @@ def refine_metric(
     names, rng = choose_metrics(table, metrics), as_rng(rng)
     items = make_items(table, tuple(dict.fromkeys([*names, *others])))
     data = _prepare(items, names, others, within=within, rng=rng)
-    whole = score_draws(
+    whole = search.score_draws(
         data, people=np.ones((1, items.n_participants)), recordings=np.ones((1, items.n_recordings))
     )
     drawn = _draw(data, draws=draws, rng=rng)
@@ -241,7 +225,7 @@ def _prepare(
     *,
     within: bool,
     rng: np.random.Generator,
-) -> SearchData:
+) -> search.SearchData:
     for count, least, what in (
         (items.n_sources, FEWEST_RECORDINGS, "recordings of their own"),
         (items.n_participants, FEWEST_PEOPLE, "participants"),
@@ -255,36 +239,40 @@ def _prepare(
         raise ValueError("ratings must differ, got the same rating everywhere")
     names = list(dict.fromkeys([*metrics, *others]))
     groups = items.recordings if within else None
-    basis = make_basis(names, items.metrics, n_plain=len(metrics), groups=groups)
+    basis = search.make_basis(names, items.metrics, n_plain=len(metrics), groups=groups)
     if not basis.candidates:
         raise ValueError(
             f"metrics must vary between stimuli, got {', '.join(metrics)}, none of which varies"
         )
-    return SearchData(items, basis, make_split(items, rng), within)
+    return search.SearchData(items, basis, search.make_split(items, rng), within)
 
 
-def _draw(data: SearchData, *, draws: int, rng: np.random.Generator) -> Searched:
+def _draw(data: search.SearchData, *, draws: int, rng: np.random.Generator) -> search.Searched:
     items, size = data.items, data.basis.columns.shape[1] + 2
     folds = int(data.split.items.max()) + 1
-    cost = GROUPS * max(items.n_items, folds**2 * size**2)
+    cost = search.GROUPS * max(items.n_items, folds**2 * size**2)
     block = max(1, BLOCK // cost)
     found = []
     for start in range(0, draws, block):
         number = min(block, draws - start)
         people = draw_counts(items.n_participants, number, rng=rng)
         recordings = draw_counts(items.n_sources, number, rng=rng)[:, items.of_source]
-        found.append(score_draws(data, people=people, recordings=recordings))
-    return join_draws(found)
+        found.append(search.score_draws(data, people=people, recordings=recordings))
+    return search.join_draws(found)
 
 
-def _choose_finally(data: SearchData) -> tuple[int, Values]:
+def _choose_finally(data: search.SearchData) -> tuple[int, Values]:
     """Choose on all data, everyone's ratings."""
     items, basis = data.items, data.basis
     everyone = data.split._replace(people=np.zeros(items.n_participants, dtype=np.intp))
-    means = average_groups(items, everyone, np.ones((1, items.n_participants)), within=data.within)
-    moments = sum_moments(basis.columns, means.own[0, 0], means.share[0, 0], folds=data.split.items)
-    chosen = int(choose(moments, basis.candidates))
-    return chosen, fit_candidate(moments.sum(axis=0), basis.candidates[chosen])
+    means = search.average_groups(
+        items, everyone, np.ones((1, items.n_participants)), within=data.within
+    )
+    moments = search.sum_moments(
+        basis.columns, means.own[0, 0], means.share[0, 0], folds=data.split.items
+    )
+    chosen = int(search.choose(moments, basis.candidates))
+    return chosen, search.fit_candidate(moments.sum(axis=0), basis.candidates[chosen])
 
 
 def _interval(middle: float, drawn: Values, n_units: int) -> tuple[float, float]:
@@ -300,7 +288,7 @@ def _explain(value: float, low: float) -> list[str]:
     return [none] if np.isnan(value) else [wide] if np.isnan(low) else []
 
 
-def _tabulate_candidates(basis: Basis, whole: Searched) -> DataFrame:
+def _tabulate_candidates(basis: search.Basis, whole: search.Searched) -> DataFrame:
     """List what might have been chosen."""
     import pandas as pd
 
@@ -314,7 +302,9 @@ def _tabulate_candidates(basis: Basis, whole: Searched) -> DataFrame:
     })
 
 
-def _tabulate_gains(basis: Basis, whole: Searched, drawn: Searched, *, n_units: int) -> DataFrame:
+def _tabulate_gains(
+    basis: search.Basis, whole: search.Searched, drawn: search.Searched, *, n_units: int
+) -> DataFrame:
     """Compare the refined metric with each plain one."""
     import pandas as pd
 
@@ -339,7 +329,7 @@ def _tabulate_gains(basis: Basis, whole: Searched, drawn: Searched, *, n_units: 
 
 
 def _tabulate_weights(
-    basis: Basis, whole: Searched, chosen: int, *, fit: NDArray[np.float64]
+    basis: search.Basis, whole: search.Searched, chosen: int, *, fit: NDArray[np.float64]
 ) -> DataFrame:
     """List the weights of what was chosen, and how they change from fold to fold; fit: (n_columns + 2,)."""
     import pandas as pd
@@ -354,6 +344,6 @@ def _tabulate_weights(
     })  # fmt: skip
 
 
-def _list_plain(basis: Basis) -> list[tuple[int, str]]:
+def _list_plain(basis: search.Basis) -> list[tuple[int, str]]:
     single = [(place, one) for place, one in enumerate(basis.candidates) if one.parameters == 1]
-    return [(place, one.name) for place, one in single if one.name != EQUAL]
+    return [(place, one.name) for place, one in single if one.name != search.EQUAL]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.primary.model import CENTRED, FEW, fit_cells
+from feel321.analysis.primary.model import CENTRED, FEW, fit_slopes
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.schema import APART
 from feel321.analysis.words import format_name, format_number, format_ratings, name_path
@@ -178,7 +178,7 @@ def fit_rest(cells: Cells, out: Iterable[Hashable], *, people: int) -> DataFrame
         raise ValueError(
             f"One rater of {people} is left: an interval would not know how people differ."
         )
-    slopes = fit_cells(rest).table
+    slopes = fit_slopes(rest).table
     return slopes.assign(**dict.fromkeys(CENTRED.values(), np.nan))
 
 

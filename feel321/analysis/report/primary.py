@@ -8,7 +8,7 @@ from typing import Any
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.figures.scatter import draw_residuals
-from feel321.analysis.primary.model import Primary, fit_cells, fit_primary, tabulate_slopes
+from feel321.analysis.primary.model import Primary, fit_primary, fit_slopes, tabulate_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import find_candidates, measure_influence
 from feel321.analysis.report.answer import (
@@ -341,7 +341,7 @@ def _compare_paper(part: RatingsPart, metrics: list[str], choices: Choices) -> R
         "n_items": ranks.n_items,
     }  # fmt: skip
     for name, some in (("raw", cells), ("rest", cells.leave_out(ITEM, item))):
-        slope = fit_cells(some).table.loc[RAW]
+        slope = fit_slopes(some).table.loc[RAW]
         row |= {f"{name}{end}": slope[f"tenth{end}"] for end in ("", "_low", "_high")}
         row[f"{name}_n"] = len(some.table)
     return row

@@ -6,23 +6,21 @@ screening); the measures are defined here, because the data need not be balanced
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.analysis.resampling import FEWEST_ITEMS
 from feel321.analysis.table.schema import HIGHEST, LOWEST, NAMING
 from feel321.protocols.tasks import PROTOCOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
     from pandas import DataFrame, Index, Series
 
-    Values = NDArray[np.float64]
-
+    from feel321.analysis.arrays import Values
 
 MOST_STEPS = 11
 """Different ratings up to which a scale may be one of few steps."""
@@ -88,7 +86,10 @@ def make_judgements(ratings: DataFrame, *, assumed: str = "") -> Judgements:
 
     named = _check_ratings(ratings)
     if "repeat" in ratings:
-        ratings = ratings.sort_values("repeat", kind="stable")
+        # As text 10 comes before 2; what is no number keeps its place in the table, behind all numbers.
+        ratings = ratings.sort_values(
+            "repeat", kind="stable", key=lambda turns: pd.to_numeric(turns, errors="coerce")
+        )
     excerpt = [name for name in ("scale", "recording", "level") if name in ratings] or named
     item = ["scale", *key_stimulus(ratings)] if "scale" in ratings else key_stimulus(ratings)
     excerpts, items = (

@@ -62,13 +62,7 @@ MIDDLE = 50.0
 
 
 def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
-    """Medians of the lower and the upper half; for odd n the median belongs to both.
-
-    Examples
-    --------
-    >>> tukey_hinges([1, 2, 3, 4, 5]), tukey_hinges([1, 2, 3, 4, 5, 6])
-    ((2.0, 4.0), (2.0, 5.0))
-    """
+    """Medians of the lower and the upper half; for odd n the median belongs to both."""
     ordered = np.sort(read_numbers(values, what="values").ravel())
     if not len(ordered) or not np.isfinite(ordered).all():
         raise ValueError(
@@ -83,11 +77,6 @@ def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]
 
     On a scale of few steps the hinge spread counts as one step at least: where most raters choose one step, their
     neighbours on the next are no outliers.
-
-    Examples
-    --------
-    >>> tukey_fences([1, 2, 3, 4, 5])
-    (-1.0, 7.0)
     """
     low, high = tukey_hinges(values)
     reach = REACH * max(high - low, step)

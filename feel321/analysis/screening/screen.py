@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -9,34 +10,21 @@ import numpy as np
 
 from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import read_numbers
+from feel321.analysis.screening import rules as measures
 from feel321.analysis.screening.judgements import (
     Judgements,
     gauge_raters,
     key_stimulus,
     make_judgements,
 )
-from feel321.analysis.screening.rules import (
-    EXPERTISE,
-    MOST_RATERS,
-    RULES,
-    SIGHTED,
-    UNIMODAL,
-    check_expertise,
-    choose_limits,
-    multimodality,
-    share_undegraded,
-    tukey_fences,
-)
+from feel321.analysis.screening.rules import EXPERTISE, RULES, SIGHTED, choose_limits
 from feel321.analysis.table.items import Table, leave_rejected, name_stimuli, open_ratings
 from feel321.doors import as_rng
 from feel321.records import Result
+from feel321.types import Rng
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Iterator, Mapping
-
     from pandas import DataFrame
-
-    from feel321.types import Rng
 
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
 
@@ -208,7 +196,9 @@ def screen_raters(
     found = {}
     for name, limit in limits.items():
         find, meant = RULES[name].find, judgements.of_protocols(RULES[name].protocols)
-        found[name] = find(meant, limit) if find else check_expertise(gauge, judgements, limit)
+        found[name] = (
+            find(meant, limit) if find else measures.check_expertise(gauge, judgements, limit)
+        )
     parts = [part.reset_index().assign(rule=name) for name, part in found.items()]
     screened = pd.concat(parts, ignore_index=True)
     hit = screened.loc[screened["hit"], "participant"].unique()
@@ -281,9 +271,9 @@ def _explain_rules(found: Mapping[str, DataFrame], judgements: Judgements) -> It
 
 
 def _describe_excerpts(judgements: Judgements) -> DataFrame:
-    shares = share_undegraded(judgements)
+    shares = measures.share_undegraded(judgements)
     excerpts = judgements.excerpts.loc[shares.index]
-    return excerpts.assign(mid_above_90=shares, counts=shares <= MOST_RATERS)
+    return excerpts.assign(mid_above_90=shares, counts=shares <= measures.MOST_RATERS)
 
 
 def _describe_items(judgements: Judgements) -> DataFrame:
@@ -295,16 +285,16 @@ def _describe_items(judgements: Judgements) -> DataFrame:
     means = judgements.means()
     for item, step in steps.items():
         own = means[item].dropna().to_numpy(np.float64)
-        low, high = tukey_fences(own, step=step)
+        low, high = measures.tukey_fences(own, step=step)
         rows.append({
             "item": item,
             "n": len(own),
             "low_fence": low,
             "high_fence": high,
             "outliers": int(((own < low) | (own > high)).sum()),
-            "multimodality": multimodality(own),
+            "multimodality": measures.multimodality(own),
         })
     columns = ["item", "n", "low_fence", "high_fence", "outliers", "multimodality"]
     described = pd.DataFrame(rows, columns=columns)
     described["item"] = judgements.items.reindex(described["item"]).to_numpy()
-    return described.assign(multimodal=described["multimodality"] > UNIMODAL)
+    return described.assign(multimodal=described["multimodality"] > measures.UNIMODAL)

@@ -16,10 +16,12 @@ share, and the count of sources is reported.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeGuard
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
 from feel321.analysis.table.schema import APART, NAMING, NO, REDUCERS, YES
@@ -27,9 +29,6 @@ from feel321.doors import as_names, check_name
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
     from pandas import DataFrame, Series
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"
@@ -214,15 +213,7 @@ def as_votes(given: Table | ArrayLike) -> ArrayLike:
 
 
 def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFrame:
-    """Give ratings a plain index, so that no row is matched with another by a label that both happen to have.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> day = pd.DataFrame({"rating": [40.0, 60.0]})
-    >>> open_ratings(pd.concat([day, day])).index.tolist()
-    [0, 1, 2, 3]
-    """
+    """Give ratings a plain index, so that no row is matched with another by a label that both happen to have."""
     from pandas import DataFrame
 
     ratings = ratings.rows if isinstance(ratings, Table) else ratings
@@ -274,36 +265,21 @@ def refuse_pooled(rows: DataFrame, *, metrics: Collection[str] = (), what: str =
             )
 
 
-def leave_rejected(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
-    """Leave out judgements that are marked as rejected.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> table = pd.DataFrame({"rating": [40.0, None, 60.0], "rejected": [False, True, False]})
-    >>> rows, notes = leave_rejected(table)
-    >>> rows["rating"].tolist(), notes
-    ([40.0, 60.0], ('1 judgement marked as rejected is left out.',))
-    """
+def leave_rejected(
+    ratings: DataFrame, *, what: str = "ratings"
+) -> tuple[DataFrame, tuple[str, ...]]:
+    """Leave out judgements that are marked as rejected."""
     rejected = _read_marks(ratings[REJECTED]) if REJECTED in ratings else None
     if rejected is None or not (n := int(rejected.sum())):
         return ratings, ()
     if n == len(ratings):
-        raise ValueError(f"ratings: all {n} judgements are marked as rejected; one must be valid")
+        raise ValueError(f"{what}: all {n} judgements are marked as rejected; one must be valid")
     left = "judgement marked as rejected is" if n == 1 else "judgements marked as rejected are"
     return ratings[~rejected], (f"{n} {left} left out.",)
 
 
 def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
-    """Leave out hidden references and anchors: chosen to be far apart, they would inflate every slope.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> rows, notes = leave_untested(pd.DataFrame({"rating": [40.0, 99.0], "role": ["test", "reference"]}))
-    >>> rows["rating"].tolist(), notes
-    ([40.0], ('1 rating of other stimuli than test stimuli (hidden references, anchors) is left out.',))
-    """
+    """Leave out hidden references and anchors: chosen to be far apart, they would inflate every slope."""
     if ROLE not in ratings:
         return ratings, ()
     tested = ratings[ROLE] == TEST
@@ -329,14 +305,7 @@ def _read_marks(marks: Series) -> Series:
 
 
 def name_stimuli(ratings: DataFrame) -> DataFrame:
-    """Give a table the column ``stimulus_id`` where another column is meant as that.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> name_stimuli(pd.DataFrame({"stimulus": ["a", "b"], "recording": "tap"}))["stimulus_id"].tolist()
-    ['a', 'b']
-    """
+    """Give a table the column ``stimulus_id`` where another column is meant as that."""
     spoken = [name for name in SPOKEN if name in ratings]
     if STIMULUS in ratings or not spoken:
         return ratings
@@ -434,26 +403,13 @@ def split_tests(ratings: Table | DataFrame) -> Iterator[Tests]:
 
 
 def order_reducers(names: Iterable[str]) -> list[str]:
-    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet.
-
-    Examples
-    --------
-    >>> order_reducers(["mine", "dft321", "soc321", "dft321"])
-    ['soc321', 'dft321', 'mine']
-    """
+    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
     found = set(names)
     return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
 
 
 def find_sources(rows: Table | DataFrame) -> Series:
-    """Find what each recording of a tidy table was made from, itself where nothing is said; indexed by recording.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> find_sources(pd.DataFrame({"recording": ["b-r1", "b-r2", "c"], "source": ["b", "b", None]})).to_dict()
-    {'b-r1': 'b', 'b-r2': 'b', 'c': 'c'}
-    """
+    """Find what each recording of a tidy table was made from, itself where nothing is said; indexed by recording."""
     table = open_ratings(rows, what="rows")
     check_columns(table, ["recording"], "rows")
     named = [name for name in ("recording", "source") if name in table]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from feel321.analysis.table import schema
@@ -11,8 +12,6 @@ from feel321.analysis.table.items import ROLE, STIMULUS, TEST
 from feel321.analysis.table.schema import shorten
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from pandas import DataFrame
 
 NAMED = 3

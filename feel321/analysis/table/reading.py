@@ -17,50 +17,23 @@ analysis and no correction for several tests holds them.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import schema
-from feel321.analysis.table.items import ROLE, STIMULUS, TEST, Table, order_reducers
-from feel321.analysis.table.notes import (
-    list_names,
-    note_apart,
-    note_gaps,
-    note_lacking,
-    note_lookalikes,
-    note_scales,
-    note_sources,
-    note_stimuli,
-)
-from feel321.analysis.table.schema import (
-    read_cells,
-    read_column,
-    read_header,
-    read_sheet,
-    refuse_lines,
-    shorten,
-)
+from feel321.analysis.table.items import ROLE, STIMULUS, TEST, Table, leave_rejected, order_reducers
 from feel321.doors import as_names, as_path, describe
+from feel321.types import PathLike
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from pandas import DataFrame, Series
 
-    from feel321.types import PathLike
-
-__all__ = [
-    "ROSTER",
-    "ROSTER_FILE",
-    "Further",
-    "Table",
-    "note_apart",
-    "order_reducers",
-    "read_table",
-]
+__all__ = ["Further", "Table", "order_reducers", "read_table"]
 
 RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
@@ -150,11 +123,11 @@ def read_table(
     notes += [
         *joined,
         *more_notes,
-        *note_gaps(rows, stimuli),
+        *remarks.note_gaps(rows, stimuli),
         *_note_references(rows, stimuli),
-        *note_sources(rows),
-        *note_lookalikes(rows),
-        *note_lacking(rows, planned),
+        *remarks.note_sources(rows),
+        *remarks.note_lookalikes(rows),
+        *remarks.note_lacking(rows, planned),
     ]
     tests, known = rows[rows[ROLE] == TEST], schema.describe_explored(planned)
     explored = [name for name in known if name in rows and tests[name].notna().all()]
@@ -200,12 +173,12 @@ def _open(given: PathLike | DataFrame, what: str) -> _Source:
 
 def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[str]]:
     """Read every judgement that counts."""
-    columns = schema.describe_ratings()
-    sheet, notes = read_sheet(source, what, columns)
+    columns = {**schema.RATINGS, **schema.describe_further()}
+    sheet, notes = schema.read_sheet(source, what, columns)
     sheet, more_notes = _leave_rejected(sheet, what)  # which needs no rating
     notes += more_notes
     for name in [str(name) for name in sheet if name != "rejected"]:
-        read_column(sheet, name, what, kind=columns[name].kind)
+        schema.read_column(sheet, name, what, kind=columns[name].kind)
     sheet, more_notes = _leave_simulated(sheet, what)
     notes += more_notes
     unclear = sheet.loc[
@@ -213,10 +186,12 @@ def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[
         & ~sheet["rating"].isin([schema.LOWEST, schema.HIGHEST]),
         "rating",
     ]
-    refuse_lines(unclear, what, must=f"be 100 (right) or 0 (wrong) on scale '{schema.ANSWERED}'")
+    schema.refuse_lines(
+        unclear, what, must=f"be 100 (right) or 0 (wrong) on scale '{schema.ANSWERED}'"
+    )
     if "reference_id" not in sheet:
         sheet["reference_id"] = ""
-    notes += [*_check_doubles(sheet, what), *note_scales(sheet)]
+    notes += [*_check_doubles(sheet, what), *remarks.note_scales(sheet)]
     if "underruns" in sheet and len(broken := sheet.loc[sheet["underruns"] > 0, "participant"]):
         notes.append(
             f"{len(broken)} judgements of {broken.nunique()} participants were made on an interrupted playback "
@@ -229,20 +204,11 @@ def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[
 
 
 def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
-    read_column(sheet, "rejected", what, kind="flag")
-    if "rejected" not in sheet or not (rejected := sheet["rejected"]).any():
-        return sheet, []
-    if rejected.all():
-        raise ValueError(
-            f"{what}: all {len(sheet)} judgements are marked as rejected; one must be valid"
-        )
-    notes = [f"{int(rejected.sum())} judgements marked as rejected are left out."]
-    people = sheet["participant"]
-    if lost := sorted(set(people) - set(people[~rejected])):
-        notes.append(
-            f"Participants without a valid judgement, who do not count: {list_names(lost)}."
-        )
-    return sheet[~rejected].copy(), notes
+    schema.read_column(sheet, "rejected", what, kind="flag")
+    left, notes = leave_rejected(sheet, what=what)
+    lost = sorted(set(sheet["participant"]) - set(left["participant"]))
+    gone = f"Participants without a valid judgement, who do not count: {remarks.list_names(lost)}."
+    return left.copy(), [*notes, gone] if lost else list(notes)
 
 
 def _leave_simulated(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
@@ -250,7 +216,7 @@ def _leave_simulated(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]
         return sheet.assign(simulated=False), []
     simulated, who = sheet["simulated"], sheet["participant"]
     both = who[simulated & who.isin(who[~simulated])]
-    refuse_lines(both, what, must="be simulated in all of its lines or in none")
+    schema.refuse_lines(both, what, must="be simulated in all of its lines or in none")
     if simulated.all() or not simulated.any():
         return sheet, []
     note = (
@@ -269,7 +235,7 @@ def _check_doubles(sheet: DataFrame, what: str) -> list[str]:
     key = [name for name in (*JUDGEMENT, counted) if name in sheet]
     doubled = sheet.loc[sheet.duplicated(key), counted]
     must = f"occur once with the same {', '.join(key[:-1])}"
-    refuse_lines(doubled, what, must=must, do="keep one of the lines")
+    schema.refuse_lines(doubled, what, must=must, do="keep one of the lines")
     if counted == "repeat" or "repeat" not in sheet:
         return []
     if not (count := int(sheet.duplicated([*key[:-1], "repeat"]).sum())):
@@ -288,7 +254,7 @@ def _read_manifest(
     """Read the manifest's columns that an analysis needs, indexed by stimulus; also the planned metrics, and notes."""
     metrics, what = None if metrics is None else as_names(metrics, "metrics"), source.what
     columns = schema.describe_manifest(metrics or schema.PLANNED)
-    sheet, notes = read_sheet(*source, columns)
+    sheet, notes = schema.read_sheet(*source, columns)
     planned, more_notes = _choose_metrics(sheet, metrics, source)
     notes += more_notes
     for name, value in (("level", "as_is"), (ROLE, TEST)):
@@ -298,8 +264,8 @@ def _read_manifest(
                 f"{what} has nothing in a column '{name}': every stimulus is taken as '{value}'."
             )
     for name in (*schema.IDENTITY, "level"):
-        read_column(sheet, name, what, kind="name")
-    refuse_lines(
+        schema.read_column(sheet, name, what, kind="name")
+    schema.refuse_lines(
         sheet.loc[~sheet[ROLE].isin(schema.ROLES), ROLE],
         what,
         must=f"be one of {', '.join(schema.ROLES)}",
@@ -308,9 +274,9 @@ def _read_manifest(
     _read_metrics(sheet, planned, what)
     for name in (schema.AMPLITUDE, schema.GAIN, schema.SENSATION):
         if name not in planned:
-            read_column(sheet, name, what, kind=columns[name].kind)
+            schema.read_column(sheet, name, what, kind=columns[name].kind)
     sheet["source"] = _read_sources(sheet, sources, what)
-    notes += note_stimuli(sheet)
+    notes += remarks.note_stimuli(sheet)
     return sheet.set_index(STIMULUS), planned, notes
 
 
@@ -320,8 +286,8 @@ def _read_metrics(sheet: DataFrame, planned: Sequence[str], what: str) -> None:
         if name in planned or name not in schema.MATCHES:
             lacking = sheet.loc[(sheet[name] == "") & (sheet[ROLE] == TEST), name]
             do = "correct it or leave the row out"
-            refuse_lines(lacking, what, must="be a finite number", do=do)
-        read_column(sheet, name, what, kind="metric")
+            schema.refuse_lines(lacking, what, must="be a finite number", do=do)
+        schema.read_column(sheet, name, what, kind="metric")
 
 
 def _choose_metrics(
@@ -358,13 +324,13 @@ def _refuse_missing(sheet: DataFrame, metrics: Sequence[str], source: _Source) -
             why = f" (built before it existed: build the set again, or use {instead})"
         lacks = "no numbers in column" if name in sheet else "no column"
         raise ValueError(
-            f"{source.what}: got {lacks} {shorten(name)} as a metric{why}; {_list_numeric(source.given)}"
+            f"{source.what}: got {lacks} {schema.shorten(name)} as a metric{why}; {_list_numeric(source.given)}"
         )
 
 
 def _list_numeric(source: Path | DataFrame) -> str:
     """List what may be used as a metric, of all columns of the table."""
-    cells = read_cells(source)
+    cells = schema.read_cells(source)
     names = [
         str(name) for name in cells if name not in schema.NOT_METRICS and _is_numeric(cells[name])
     ]
@@ -381,7 +347,7 @@ def _is_numeric(cells: Series) -> bool:
 
 def _refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
     doubled = sheet.loc[sheet[name].duplicated(), name]
-    refuse_lines(doubled, what, must="be listed once", do="keep one of the lines")
+    schema.refuse_lines(doubled, what, must="be listed once", do="keep one of the lines")
 
 
 def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Series:
@@ -391,7 +357,9 @@ def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Se
     found = sheet["source"].mask(sheet["source"] == "", sheet["recording"])
     first = found.groupby(sheet["recording"]).transform("first")
     do = "an earlier line of its recording has another"
-    refuse_lines(found[found != first].rename("source"), what, must="be one per recording", do=do)
+    schema.refuse_lines(
+        found[found != first].rename("source"), what, must="be one per recording", do=do
+    )
     return found
 
 
@@ -402,15 +370,13 @@ def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, names: tuple[str,
     what, listed = names
     strangers = ratings.loc[~ratings[STIMULUS].isin(manifest.index), STIMULUS]
     must = f"be a stimulus of {listed}"
-    refuse_lines(strangers, what, must=must, do="is it the manifest of these stimuli?")
+    schema.refuse_lines(strangers, what, must=must, do="is it the manifest of these stimuli?")
     for name in [name for name in ECHOED if name in ratings]:
         of_stimulus = ratings[STIMULUS].map(manifest[name])
         differing = ratings.loc[ratings[name] != of_stimulus, name]
         if len(differing):
-            must = (
-                f"be {shorten(of_stimulus[differing.index[0]])}, as {listed} says of that stimulus"
-            )
-            refuse_lines(differing, what, must=must, do="correct whichever is wrong")
+            must = f"be {schema.shorten(of_stimulus[differing.index[0]])}, as {listed} says of that stimulus"
+            schema.refuse_lines(differing, what, must=must, do="correct whichever is wrong")
 
 
 def _turn_pairs(ratings: DataFrame, manifest: DataFrame, what: str) -> DataFrame:
@@ -418,7 +384,7 @@ def _turn_pairs(ratings: DataFrame, manifest: DataFrame, what: str) -> DataFrame
     is_paired = (ratings["scale"] == schema.PAIRED) & (ratings["reference_id"] != "")
     others = ratings.loc[is_paired, "reference_id"]
     must = f"be a stimulus of the manifest, or empty, in a {schema.PAIRED}"
-    refuse_lines(others[~others.isin(manifest.index)], what, must=must)
+    schema.refuse_lines(others[~others.isin(manifest.index)], what, must=must)
     backward = is_paired & (ratings[STIMULUS].map(manifest[ROLE]) == "reference")
     ids = [STIMULUS, "reference_id"]
     turned = ratings.copy()
@@ -477,13 +443,13 @@ def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame,
     if path is None or not path.is_file():
         return rows, []
     known = ROSTER | {*rows, "participant"}
-    names = [name for name in read_header(path) if name and name not in known]
+    names = [name for name in schema.read_header(path) if name and name not in known]
     if not names:
         return rows, []
     columns = {"participant": schema.ColumnInfo("who", needed=True)} | dict.fromkeys(
         names, schema.ColumnInfo("a label")
     )
-    sheet, _ = read_sheet(path, path.name, columns)
+    sheet, _ = schema.read_sheet(path, path.name, columns)
     _refuse_doubled(sheet, "participant", path.name)
     labels = sheet.set_index("participant")
     joined = rows.join(labels, on="participant").fillna(dict.fromkeys(labels, ""))
@@ -491,12 +457,12 @@ def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame,
     for name in names:
         groups = joined.groupby(name)["participant"].nunique()
         sizes = ", ".join(
-            f"{list_names([str(group)]) if group else 'unknown'} {count}"
+            f"{remarks.list_names([str(group)]) if group else 'unknown'} {count}"
             for group, count in groups.items()
         )
         notes.append(
-            f"Participants differ in {list_names([name])} ({ROSTER_FILE}; participants: {sizes}): no test compares "
-            "them."
+            f"Participants differ in {remarks.list_names([name])} ({ROSTER_FILE}; participants: {sizes}): "
+            "no test compares them."
         )
     return joined, notes
 

@@ -17,13 +17,12 @@ from __future__ import annotations
 import csv
 import re
 import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from pandas import DataFrame, Series
 
 
@@ -149,13 +148,7 @@ name of `spectral_match_energy_weighted`; tables that use it are read as before.
 
 
 def describe_further() -> dict[str, ColumnInfo]:
-    """List the columns of metrics that an analysis explores, beside those that it was planned for.
-
-    Examples
-    --------
-    >>> list(describe_further())[:3]
-    ['spectral_match_rotation_mean', 'spectral_match_rotation_sd', 'spectral_match_delivered']
-    """
+    """List the columns of metrics that an analysis explores, beside those that it was planned for."""
     return {
         f"{metric}_{kind}": ColumnInfo(
             meaning.format(metric.replace("_", " ")), unit, kind="metric"
@@ -176,11 +169,6 @@ def describe_explored(metrics: Sequence[str]) -> dict[str, ColumnInfo]:
     """
     others = {name: MANIFEST[name] for name in MATCHES} | describe_further()
     return {name: column for name, column in others.items() if name not in metrics}
-
-
-def describe_ratings() -> dict[str, ColumnInfo]:
-    """List the columns that a table of ratings may have."""
-    return {**RATINGS, **describe_further()}
 
 
 def describe_manifest(metrics: Sequence[str] = ()) -> dict[str, ColumnInfo]:

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from feel321.analysis.report.folder import PAGE, ResultsFolder, list_files
 from feel321.analysis.report.section import Picture, render_template
 from feel321.doors import describe
 from feel321.records import Result, to_json_value
+from feel321.types import PathLike
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from pandas import DataFrame
 
     from feel321.analysis.table.items import Table
     from feel321.stimuli.recording import Recording
-    from feel321.types import PathLike
 
 NEEDED = ("participant", "recording", "reducer", "scale", "level", "rating")
 """Columns of ratings that are compared with reducers."""

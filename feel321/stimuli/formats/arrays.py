@@ -20,27 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.stimuli.formats.common import (
-    ACCELERATION_SPELLINGS,
-    RATE_KEYS,
-    UNIT_KEYS,
-    Decoded,
-    ReadingOptions,
-    as_three_axes,
-    foreign_errors,
-    one_value,
-    parse_unit,
-    split_unit,
-    stack_axes,
-)
-from feel321.stimuli.formats.tables import (
-    AXIS,
-    Columns,
-    add_units,
-    find_columns,
-    find_time,
-    pick_columns,
-)
+from feel321.stimuli.formats import common, tables
 from feel321.stimuli.recording import AXES, check_rate
 from feel321.types import Samples
 
@@ -48,11 +28,11 @@ ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
 """Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""
 
 
-def read_npz(path: Path, request: ReadingOptions) -> Decoded:
+def read_npz(path: Path, request: common.ReadingOptions) -> common.Decoded:
     """Read an NPZ archive by the names of its arrays."""
     # Opened here, because numpy leaves it open when the archive is damaged.
     with (
-        foreign_errors("an NPZ archive"),
+        common.foreign_errors("an NPZ archive"),
         path.open("rb") as file,
         np.load(file, allow_pickle=False) as archive,
     ):
@@ -60,15 +40,17 @@ def read_npz(path: Path, request: ReadingOptions) -> Decoded:
     return decode_arrays(arrays, request)
 
 
-def read_npy(path: Path, _: ReadingOptions) -> Decoded:
+def read_npy(path: Path, _: common.ReadingOptions) -> common.Decoded:
     """Read a single array."""
     # Mapped first: a header that promises more than the file holds is refused before anything is allocated.
-    with foreign_errors("an NPY array"):
+    with common.foreign_errors("an NPY array"):
         array = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
-    return Decoded(as_three_axes(as_numbers(array, "the array")))
+    return common.Decoded(common.as_three_axes(as_numbers(array, "the array")))
 
 
-def decode_arrays(arrays: Mapping[str, NDArray[Any]], request: ReadingOptions) -> Decoded:
+def decode_arrays(
+    arrays: Mapping[str, NDArray[Any]], request: common.ReadingOptions
+) -> common.Decoded:
     """Find samples, rate, time and unit among named arrays."""
     columns = {name: array for name, array in arrays.items() if array.size != 1}
     place = choose_arrays(columns, request, found=tuple(arrays))
@@ -76,19 +58,19 @@ def decode_arrays(arrays: Mapping[str, NDArray[Any]], request: ReadingOptions) -
     time_s, step_s = (
         (None, 0.0) if place.time is None else _read_stamps(columns, names[place.time], place)
     )
-    rates = {name: array for name, array in arrays.items() if name.casefold() in RATE_KEYS}
-    said = {name: array for name, array in arrays.items() if name.casefold() in UNIT_KEYS}
-    units = {name: parse_unit(str(array.squeeze())) for name, array in said.items()}
+    rates = {name: array for name, array in arrays.items() if name.casefold() in common.RATE_KEYS}
+    said = {name: array for name, array in arrays.items() if name.casefold() in common.UNIT_KEYS}
+    units = {name: common.parse_unit(str(array.squeeze())) for name, array in said.items()}
     if place.unit:
         units[names[place.axes[0]]] = place.unit
-    return Decoded(
+    return common.Decoded(
         _stack(columns, [names[i] for i in place.axes]),
-        one_value(
+        common.one_value(
             units,
             argument="unit",
-            requested=None if request.unit is None else parse_unit(request.unit),
+            requested=None if request.unit is None else common.parse_unit(request.unit),
         ),
-        one_value(
+        common.one_value(
             {name: _as_scalar(array, "the rate") for name, array in rates.items()},
             argument="rate_hz",
             requested=request.rate_hz,
@@ -99,15 +81,19 @@ def decode_arrays(arrays: Mapping[str, NDArray[Any]], request: ReadingOptions) -
 
 
 def choose_arrays(
-    columns: Mapping[str, NDArray[Any]], request: ReadingOptions, *, found: Sequence[str]
-) -> Columns:
+    columns: Mapping[str, NDArray[Any]], request: common.ReadingOptions, *, found: Sequence[str]
+) -> tables.Columns:
     """Choose the arrays of samples and time: as asked for, else by their names."""
     labels = tuple(columns)
     if request.columns is not None:
-        return pick_columns(request.columns, labels=labels, n_columns=len(labels), whole=True)
-    bare = [split_unit(label, ACCELERATION_SPELLINGS)[0] for label in labels]
+        return tables.pick_columns(
+            request.columns, labels=labels, n_columns=len(labels), whole=True
+        )
+    bare = [common.split_unit(label, common.ACCELERATION_SPELLINGS)[0] for label in labels]
     wholes = [i for i, name in enumerate(bare) if name.casefold() in ACCELERATION_KEYS]
-    axes = {match[1].lower(): i for i, name in enumerate(bare) if (match := AXIS.fullmatch(name))}
+    axes = {
+        match[1].lower(): i for i, name in enumerate(bare) if (match := tables.AXIS.fullmatch(name))
+    }
     candidates = [*wholes, *(axes.values() if len(axes) == AXES else ())]
     if wholes and len(candidates) > 1:
         several = ", ".join(labels[i] for i in candidates)
@@ -122,9 +108,9 @@ def choose_arrays(
             "or say columns=(name,)"
         )
     return (
-        add_units(labels, axes=(wholes[0],), time=find_time(labels))
+        tables.add_units(labels, axes=(wholes[0],), time=tables.find_time(labels))
         if wholes
-        else find_columns(labels)
+        else tables.find_columns(labels)
     )
 
 
@@ -139,8 +125,8 @@ def as_numbers(array: NDArray[Any], what: str) -> Samples:
 
 def _stack(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Samples:
     if len(names) == 1:
-        return as_three_axes(as_numbers(columns[names[0]], repr(names[0])))
-    return stack_axes({
+        return common.as_three_axes(as_numbers(columns[names[0]], repr(names[0])))
+    return common.stack_axes({
         axis: _vector(columns[name], name) for axis, name in zip("xyz", names, strict=True)
     })
 
@@ -152,7 +138,7 @@ def _vector(array: NDArray[Any], name: str) -> Samples:
 
 
 def _read_stamps(
-    columns: Mapping[str, NDArray[Any]], name: str, place: Columns
+    columns: Mapping[str, NDArray[Any]], name: str, place: tables.Columns
 ) -> tuple[Samples, float]:
     stamps, second = _vector(columns[name], name), place.time_unit_s or 1.0
     coarse = columns[name].dtype.type if columns[name].dtype.kind == "f" else np.float64
@@ -183,12 +169,12 @@ LARGEST_BYTES = 2**30
 """So much an array may inflate to: more than an hour of three axes at 10 kHz."""
 
 
-def read_mat(path: Path, request: ReadingOptions) -> Decoded:
+def read_mat(path: Path, request: common.ReadingOptions) -> common.Decoded:
     """Read a MATLAB file of version 4 to 7 by the names of its variables."""
     from scipy.io import loadmat
 
     content = path.read_bytes()
-    with foreign_errors("a MATLAB file"):
+    with common.foreign_errors("a MATLAB file"):
         if 0 not in content[:4]:  # the mark of version 4, which scipy reads in Python
             content = keep_plain_arrays(content)
         variables = loadmat(io.BytesIO(content))  # type: ignore[arg-type]  # the stubs leave out open files
@@ -287,7 +273,7 @@ def _check_values(values: bytes, kind: int, shape: tuple[int, ...], *, is_text: 
         raise ValueError(f"{len(values)} bytes of values for the shape {shape}")
 
 
-KEYS = ("unit", "rate_hz", "axes", "full_scale", *UNIT_KEYS, *RATE_KEYS)
+KEYS = ("unit", "rate_hz", "axes", "full_scale", *common.UNIT_KEYS, *common.RATE_KEYS)
 ALLOWED = ", ".join(dict.fromkeys(KEYS))
 """Every entry that is read. Others are refused: a misspelt unit is worth a factor of 9.8."""
 
@@ -321,7 +307,7 @@ def read_sidecar(path: Path) -> Sidecar:
 def _parse_sidecar(path: Path) -> Sidecar:
     load = json.loads if path.suffix == ".json" else tomllib.loads
     content = path.read_bytes()
-    with foreign_errors(path.suffix[1:].upper()):
+    with common.foreign_errors(path.suffix[1:].upper()):
         entries: Any = load(content.decode("utf-8-sig"))
     if not isinstance(entries, dict):
         raise ValueError(f"must be a table with {ALLOWED}, got a {type(entries).__name__}")  # noqa: TRY004 - a file's fault, not a caller's
@@ -329,11 +315,11 @@ def _parse_sidecar(path: Path) -> Sidecar:
         raise ValueError(
             f"entries must be {ALLOWED}, got {', '.join(map(repr, unknown))}; correct or remove it"
         )
-    unit, rate_hz = (_find_entry(entries, keys) for keys in (UNIT_KEYS, RATE_KEYS))
+    unit, rate_hz = (_find_entry(entries, keys) for keys in (common.UNIT_KEYS, common.RATE_KEYS))
     full_scale = entries.get("full_scale")
     return Sidecar(
         path,
-        None if unit is None else parse_unit(unit),
+        None if unit is None else common.parse_unit(unit),
         None if rate_hz is None else check_rate(rate_hz),
         _parse_axes(entries.get("axes")),
         None if full_scale is None else check_rate(full_scale, "full_scale", ""),

@@ -119,13 +119,7 @@ def foreign_errors(what: str) -> Iterator[None]:
 
 
 def normalise(text: str) -> str:
-    """Strip case, blanks and underscores, and make both micro signs one.
-
-    Examples
-    --------
-    >>> normalise(" M / s^2 ")
-    'm/s^2'
-    """
+    """Strip case, blanks and underscores, and make both micro signs one."""
     return re.sub(r"[\s_]+", "", text).casefold()
 
 
@@ -149,13 +143,7 @@ def split_unit(label: str, spellings: Container[str]) -> tuple[str, str | None]:
 
 
 def parse_unit(text: str) -> str:
-    """Return the unit of acceleration meant by a spelling.
-
-    Examples
-    --------
-    >>> parse_unit("m/s²")
-    'm/s^2'
-    """
+    """Return the unit of acceleration meant by a spelling."""
     try:
         return ACCELERATION_SPELLINGS[normalise(text)]
     except (KeyError, TypeError):

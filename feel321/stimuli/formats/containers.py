@@ -17,18 +17,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from feel321.stimuli.formats import common, tables
 from feel321.stimuli.formats.arrays import Sidecar, read_sidecar
-from feel321.stimuli.formats.common import (
-    ACCELERATION_SPELLINGS,
-    Decoded,
-    ReadingOptions,
-    foreign_errors,
-    normalise,
-    parse_unit,
-    refuse_reduced,
-    stack_axes,
-)
-from feel321.stimuli.formats.tables import read_numbers, read_text, split_table
 from feel321.stimuli.recording import AXES, check_rate
 from feel321.stimuli.wav import WavHeader, read_wav, read_wav_header
 from feel321.types import Samples
@@ -36,7 +26,7 @@ from feel321.types import Samples
 FULL_SCALE_NOTE = "integer WAV without full_scale: full scale taken as 1.0 in the unit"
 
 
-def read_wav_recording(path: Path, request: ReadingOptions) -> Decoded:
+def read_wav_recording(path: Path, request: common.ReadingOptions) -> common.Decoded:
     """Read three channels of a WAV file."""
     header = read_wav_header(path)
     sidecar = read_sidecar(path)
@@ -44,7 +34,7 @@ def read_wav_recording(path: Path, request: ReadingOptions) -> Decoded:
     full_scale = _full_scale(header, sidecar, requested=request.full_scale)
     assumed = not (full_scale or header.is_float)
     samples, _ = read_wav(path)
-    return Decoded(
+    return common.Decoded(
         samples[channels] * (full_scale or 1.0),
         sidecar.unit,
         _true_rate(header.rate_hz, sidecar),
@@ -55,7 +45,7 @@ def read_wav_recording(path: Path, request: ReadingOptions) -> Decoded:
 
 def _channels(n_channels: int, sidecar: Sidecar) -> list[int]:
     if n_channels == 1:
-        raise refuse_reduced("a WAV file with 1 channel")
+        raise common.refuse_reduced("a WAV file with 1 channel")
     if n_channels < AXES:
         raise ValueError(f"there must be 3 channels, one per axis x, y, z; got {n_channels}")
     axes = sidecar.axes or ("x", "y", "z")
@@ -103,7 +93,7 @@ DEEPEST = 64
 """So deep may tags be nested: texts are collected at each depth, so that deeper ones cost the square."""
 
 
-def read_hatt(path: Path, _: ReadingOptions) -> Decoded:
+def read_hatt(path: Path, _: common.ReadingOptions) -> common.Decoded:
     """Read the three axes, the rate and the unit that an XML recording names."""
     content = path.read_bytes()
     # Entities can expand without end or name other files; a recording needs neither.
@@ -114,16 +104,16 @@ def read_hatt(path: Path, _: ReadingOptions) -> Decoded:
     tags = _collect_tags(_parse(content))
     axes = {tag[-1]: _only(found, tag) for tag, found in tags.items() if AXIS.fullmatch(tag)}
     if not axes and re.search(rf"\b{SENSOR}\b", " ".join(tags)):
-        raise refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
+        raise common.refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
     if not axes:
         raise ValueError(
             "the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, "
             f"got the tags {', '.join(list(tags)[:12]) or 'none'}"
         )
     units = {text for tag, found in tags.items() if UNIT.fullmatch(tag) for text in found}
-    return Decoded(
-        stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()}),
-        parse_unit(_only(sorted(units), "units")) if units else None,
+    return common.Decoded(
+        common.stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()}),
+        common.parse_unit(_only(sorted(units), "units")) if units else None,
         _rate(tags),
     )
 
@@ -131,7 +121,7 @@ def read_hatt(path: Path, _: ReadingOptions) -> Decoded:
 def _parse(content: bytes) -> Element:
     from xml.etree import ElementTree as ET
 
-    with foreign_errors("XML"):
+    with common.foreign_errors("XML"):
         steps = ET.iterparse(io.BytesIO(content), events=("start", "end"))  # noqa: S314 - entities were refused before
         root: Element = next(steps)[1]
         depth = 1
@@ -204,14 +194,14 @@ def is_lmt(path: Path) -> bool:
     return path.suffix.lower() == ".txt" and bool(NAME.fullmatch(path.stem) or _is_reduced(path))
 
 
-def read_lmt(path: Path, request: ReadingOptions) -> Decoded:
+def read_lmt(path: Path, request: common.ReadingOptions) -> common.Decoded:
     """Read one axis of a triple and its two sisters beside it.
 
     request: the rate, where it is not the documented 10 kHz.
     """
     match = NAME.fullmatch(path.stem)
     if match is None or _is_reduced(path):
-        raise refuse_reduced("a file of the folder AccelScansDFT321")
+        raise common.refuse_reduced("a file of the folder AccelScansDFT321")
     head, axis, tail = match.groups()
     letters = "XYZ" if axis.isupper() else "xyz"
     sisters = {
@@ -222,8 +212,8 @@ def read_lmt(path: Path, request: ReadingOptions) -> Decoded:
             f"there must be one file per axis x, y, z beside it, got no {' and no '.join(missing)}"
         )
     known = request.rate_hz is not None
-    return Decoded(
-        stack_axes({axis: _read_axis(sister) for axis, sister in sisters.items()}),
+    return common.Decoded(
+        common.stack_axes({axis: _read_axis(sister) for axis, sister in sisters.items()}),
         rate_hz=None if known else RATE_HZ,
         notes=() if known else (RATE_NOTE,),
         sources=tuple(sisters.values()),
@@ -236,17 +226,17 @@ def _is_reduced(path: Path) -> bool:
 
 
 def _read_axis(path: Path) -> Samples:
-    table = split_table(read_text(path))
+    table = tables.split_table(tables.read_text(path))
     if table.n_columns != 1:
         raise ValueError(f"{path.name} must hold one value per line, got {table.n_columns} columns")
-    return read_numbers(table, (0,)).ravel()
+    return tables.read_numbers(table, (0,)).ravel()
 
 
 LOST_SAMPLE = 1.5
 """An interval of so many periods means that samples were lost; less is the coarse clock of the blocks."""
 
 
-def read_ide(path: Path, _: ReadingOptions) -> Decoded:
+def read_ide(path: Path, _: common.ReadingOptions) -> common.Decoded:
     """Read the triaxial accelerometer with the highest rate."""
     try:
         from idelib import importer
@@ -254,7 +244,7 @@ def read_ide(path: Path, _: ReadingOptions) -> Decoded:
         how = "install it from feel321's source folder: pip install -c constraints.txt '.[ide]'"
         raise ValueError(f"an enDAQ recording is read by idelib, which is missing; {how}") from None
     # Opened here, because idelib leaves a file that it cannot read open.
-    with foreign_errors("an enDAQ recording"), path.open("rb") as stream:
+    with common.foreign_errors("an enDAQ recording"), path.open("rb") as stream:
         dataset = importer.openFile(stream, quiet=True)
         importer.readData(dataset)
         triaxial = [c for c in dataset.channels.values() if c.sessions and len(_axes(c)) == AXES]
@@ -266,9 +256,9 @@ def read_ide(path: Path, _: ReadingOptions) -> Decoded:
     time_s = samples[0] - samples[0, 0]
     even = bool(np.diff(time_s).max() * _rate_hz(time_s) < LOST_SAMPLE)
     return (
-        Decoded(samples[1:], unit, _rate_hz(time_s))
+        common.Decoded(samples[1:], unit, _rate_hz(time_s))
         if even
-        else Decoded(samples[1:], unit, time_s=time_s)
+        else common.Decoded(samples[1:], unit, time_s=time_s)
     )
 
 
@@ -285,7 +275,7 @@ def _axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
 def _unit(subchannel: Any) -> str | None:  # noqa: ANN401 - idelib is not typed
     """Return the unit of acceleration, or None for other quantities."""
     label_and_unit = subchannel.units or ("", "")
-    return ACCELERATION_SPELLINGS.get(normalise(str(label_and_unit[1])))
+    return common.ACCELERATION_SPELLINGS.get(common.normalise(str(label_and_unit[1])))
 
 
 def _read_channel(channel: Any) -> tuple[Samples, str | None]:  # noqa: ANN401 - idelib is not typed

@@ -186,15 +186,14 @@ def settle_sampling(
             raise ValueError("there is no sampling rate and no time column; give rate_hz=...")
         return decoded.acceleration, stated, ()
     time_s = _check_stamps(decoded, decoded.time_s)
-    irregular = _find_irregular(time_s, decoded.time_step_s)
-    if irregular.size == 0:
+    finding = _find_jitter(time_s, decoded.time_step_s)
+    if not finding:
         measured_hz = (time_s.size - 1) / float(time_s[-1] - time_s[0])
         rate_hz = _agree(stated, measured_hz, who="the time stamps") or measured_hz
         share = decoded.time_step_s * rate_hz
         steps = f"{decoded.time_step_s:g} s, {share:.0%} of the period"
         note = f"time stamps show steps of {steps}: finer jitter cannot be seen"
         return decoded.acceleration, rate_hz, (note,) if share > JITTER_LIMIT else ()
-    finding = _describe(time_s, irregular)
     if not request.resample:
         raise ValueError(
             f"sampling must be regular to {JITTER_LIMIT:.0%} of the period, got {finding}; "
@@ -237,21 +236,18 @@ def _check_stamps(decoded: Decoded, time_s: Samples) -> Samples:
     return time_s
 
 
-def _find_irregular(time_s: Samples, step_s: float) -> NDArray[np.intp]:
-    """Find the intervals that are off the median by more than the limit and the rounding of the stamps."""
+def _find_jitter(time_s: Samples, step_s: float) -> str:
+    """Describe the intervals that are off the median by more than the limit and the rounding of the stamps, if any."""
     intervals = np.diff(time_s)
     period = float(np.median(intervals))
+    jitter = np.abs(intervals - period)
     # A rounded stamp is off by half a printed place, an interval by a whole one.
     rounding = max(step_s, 2 * float(np.spacing(np.abs(time_s).max())))
-    return np.flatnonzero(np.abs(intervals - period) > JITTER_LIMIT * period + 1.001 * rounding)
-
-
-def _describe(time_s: Samples, irregular: NDArray[np.intp]) -> str:
-    intervals = np.diff(time_s)
-    period = float(np.median(intervals))
-    jitter = float(np.abs(intervals - period).max()) / period
+    irregular = np.flatnonzero(jitter > JITTER_LIMIT * period + 1.001 * rounding)
+    if not irregular.size:
+        return ""
     return (
-        f"jitter up to {jitter:.1%} of the {period * 1e3:.6g} ms period, "
+        f"jitter up to {float(jitter.max()) / period:.1%} of the {period * 1e3:.6g} ms period, "
         f"{irregular.size} of {intervals.size} intervals off, the first at {time_s[irregular[0]]:.6f} s, "
         f"the longest {intervals.max() * 1e3:.6g} ms"
     )

@@ -15,15 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from feel321.stimuli.formats.common import (
-    ACCELERATION_SPELLINGS,
-    TIME_SPELLINGS,
-    Decoded,
-    ReadingOptions,
-    parse_unit,
-    refuse_reduced,
-    split_unit,
-)
+from feel321.stimuli.formats import common
 from feel321.stimuli.recording import AXES
 from feel321.types import Samples
 
@@ -204,24 +196,18 @@ class Columns:
 
 
 def find_columns(labels: Sequence[str]) -> Columns:
-    """Find x, y, z and time by their labels.
-
-    Examples
-    --------
-    >>> find_columns(["t", "ax", "ay", "az"]).axes
-    (1, 2, 3)
-    """
+    """Find x, y, z and time by their labels."""
     time = find_time(labels)
     found: dict[str, list[int]] = {"x": [], "y": [], "z": []}
     for i, label in enumerate(labels):
-        if match := AXIS.fullmatch(split_unit(label, ACCELERATION_SPELLINGS)[0]):
+        if match := AXIS.fullmatch(common.split_unit(label, common.ACCELERATION_SPELLINGS)[0]):
             found[match[1].lower()].append(i)
     for axis, places in found.items():
         _refuse_several(labels, what=axis, places=places)
     present = [axis for axis, places in found.items() if places]
     header = ", ".join(labels)
     if len(present) < AXES and len(labels) - (time is not None) == 1:
-        raise refuse_reduced(f"a table with the columns {header}")
+        raise common.refuse_reduced(f"a table with the columns {header}")
     if len(present) < AXES:
         got = f"only the axes {', '.join(present)}" if present else "no columns named x, y, z"
         raise ValueError(
@@ -234,7 +220,7 @@ def find_columns(labels: Sequence[str]) -> Columns:
 
 def find_time(labels: Sequence[str]) -> int | None:
     """Find the time stamps by their label."""
-    names = [split_unit(label, TIME_SPELLINGS)[0] for label in labels]
+    names = [common.split_unit(label, common.TIME_SPELLINGS)[0] for label in labels]
     times = [i for i, name in enumerate(names) if TIME.fullmatch(name)]
     _refuse_several(labels, what="time", places=times)
     return times[0] if times else None
@@ -243,9 +229,9 @@ def find_time(labels: Sequence[str]) -> int | None:
 def add_units(labels: Sequence[str], *, axes: tuple[int, ...], time: int | None) -> Columns:
     """Add the units that the labels of the chosen columns name."""
     for i in axes:
-        if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
+        if unit := common.split_unit(labels[i], common.ACCELERATION_SPELLINGS)[1]:
             # A bracket that is no unit may say volts: only columns=... overrules it.
-            parse_unit(unit)
+            common.parse_unit(unit)
     return _with_units(labels, axes=axes, time=time)
 
 
@@ -254,7 +240,7 @@ def count_columns(n_columns: int) -> Columns:
     if n_columns == AXES:
         return Columns((0, 1, 2))
     if n_columns == 1:
-        raise refuse_reduced("one column without a header")
+        raise common.refuse_reduced("one column without a header")
     if n_columns < AXES:
         raise ValueError(
             f"there must be three axes x, y, z, got {n_columns} columns without a header"
@@ -304,15 +290,17 @@ def _refuse_several(labels: Sequence[str], *, what: str, places: list[int]) -> N
 
 
 def _with_units(labels: Sequence[str], *, axes: tuple[int, ...], time: int | None) -> Columns:
-    units = {split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes}
-    named = {ACCELERATION_SPELLINGS.get(unit or "") for unit in units}
+    units = {common.split_unit(labels[i], common.ACCELERATION_SPELLINGS)[1] for i in axes}
+    named = {common.ACCELERATION_SPELLINGS.get(unit or "") for unit in units}
     if len(named) > 1:
         header = ", ".join(labels[i] for i in axes)
         raise ValueError(f"the axes must be in one unit, got {header}")
-    second = None if time is None else split_unit(labels[time], TIME_SPELLINGS)[1]
-    if second is not None and second not in TIME_SPELLINGS:
+    second = None if time is None else common.split_unit(labels[time], common.TIME_SPELLINGS)[1]
+    if second is not None and second not in common.TIME_SPELLINGS:
         raise ValueError(f"the time column must be in s, ms, us or ns, got {labels[time or 0]!r}")
-    return Columns(axes, time, named.pop(), None if second is None else TIME_SPELLINGS[second])
+    return Columns(
+        axes, time, named.pop(), None if second is None else common.TIME_SPELLINGS[second]
+    )
 
 
 CLUSTER_LABELS = ("time", "X", "Y", "Z")
@@ -323,7 +311,7 @@ CLUSTER_NOTE = (
 )
 
 
-def read_table(path: Path, request: ReadingOptions) -> Decoded:
+def read_table(path: Path, request: common.ReadingOptions) -> common.Decoded:
     """Read three columns of acceleration, and time if there is a column for it."""
     table = split_table(read_text(path))
     if request.columns is not None:
@@ -331,7 +319,9 @@ def read_table(path: Path, request: ReadingOptions) -> Decoded:
     else:
         columns = find_columns(table.labels) if table.labels else count_columns(table.n_columns)
     if columns.time is None:
-        return Decoded(read_numbers(table, columns.axes), columns.unit, first_line=table.first_line)
+        return common.Decoded(
+            read_numbers(table, columns.axes), columns.unit, first_line=table.first_line
+        )
     values = read_numbers(table, (columns.time, *columns.axes))
     second = columns.time_unit_s or 1.0
     time_s = values[0] * second
@@ -346,7 +336,7 @@ def read_table(path: Path, request: ReadingOptions) -> Decoded:
     if request.unit is None and unit is None and is_cluster:
         unit = "g"
         notes.append(CLUSTER_NOTE)
-    return Decoded(
+    return common.Decoded(
         values[1:],
         unit,
         time_s=time_s,

@@ -201,13 +201,17 @@ def pca321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     array([ 5., -5.,  5., -5.])
     """
     admitted = admit(acceleration, rate_hz)
-    samples = admitted.samples
+    return admitted.restore(_project(admitted.samples)[0])
+
+
+def _project(samples: Samples) -> tuple[Samples, Samples]:
+    """Project on the principal axis, (..., n); and all axes about their means, (..., 3, n)."""
     if samples.shape[-1] == 0:
-        return np.zeros((*samples.shape[:-2], 0))
+        return samples[..., 0, :], samples
     centred = samples - samples.mean(axis=-1, keepdims=True)
     # einsum, not matmul: its result does not depend on how many threads a BLAS library happens to use.
     axes = with_sign(leading_axis(np.einsum("...in,...jn->...ij", centred, centred)))
-    return admitted.restore(np.einsum("...i,...in->...n", axes, centred))
+    return np.einsum("...i,...in->...n", axes, centred), centred
 
 
 def pca321_adaptive(
@@ -317,17 +321,17 @@ def match_energy(total: Samples, kept: Samples) -> Samples:
 
 
 def sax321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's x axis, with one gain that gives it the energy of all three axes."""
+    """Keep the sensor's x axis, with one gain, at most 10, that gives it the energy of all three axes."""
     return _match_axis(acceleration, rate_hz, 0)
 
 
 def say321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's y axis, with one gain that gives it the energy of all three axes."""
+    """Keep the sensor's y axis, with one gain, at most 10, that gives it the energy of all three axes."""
     return _match_axis(acceleration, rate_hz, 1)
 
 
 def saz321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's z axis, with one gain that gives it the energy of all three axes."""
+    """Keep the sensor's z axis, with one gain, at most 10, that gives it the energy of all three axes."""
     return _match_axis(acceleration, rate_hz, 2)
 
 
@@ -340,28 +344,24 @@ def pca321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
     array([ 6.25, -6.25,  6.25, -6.25])
     """
     admitted = admit(acceleration, rate_hz)
-    samples = admitted.samples
-    if samples.shape[-1] == 0:
-        return np.zeros((*samples.shape[:-2], 0))
-    kept = pca321(samples, rate_hz)
-    centred = samples - samples.mean(axis=-1, keepdims=True)
+    kept, centred = _project(admitted.samples)
     total = np.einsum("...in,...in->...", centred, centred)
     gain = match_energy(total, np.einsum("...n,...n->...", kept, kept))
     return admitted.restore(gain[..., None] * kept)
 
 
 def sax321_matched_running(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's x axis, with a gain that gives it the energy of all three axes in the recent past."""
+    """Keep the sensor's x axis, with a gain, at most 10, that gives it the energy of all axes in the recent past."""
     return _run_axis(acceleration, rate_hz, 0)
 
 
 def say321_matched_running(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's y axis, with a gain that gives it the energy of all three axes in the recent past."""
+    """Keep the sensor's y axis, with a gain, at most 10, that gives it the energy of all axes in the recent past."""
     return _run_axis(acceleration, rate_hz, 1)
 
 
 def saz321_matched_running(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's z axis, with a gain that gives it the energy of all three axes in the recent past."""
+    """Keep the sensor's z axis, with a gain, at most 10, that gives it the energy of all axes in the recent past."""
     return _run_axis(acceleration, rate_hz, 2)
 
 

@@ -46,11 +46,10 @@ References
    Machine Intelligence 30(9), 2008. doi:10.1109/TPAMI.2008.114
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.stimuli.recording import admit
 from feel321.stimuli.reducers.axes import (
@@ -59,15 +58,10 @@ from feel321.stimuli.reducers.axes import (
     reduce_in_frames,
     sqrt_hann,
 )
+from feel321.types import Samples
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import ArrayLike, NDArray
-
-    Bins = NDArray[np.complex128]
-    Spectra = list[Bins]
-    from feel321.types import Samples
+Bins = NDArray[np.complex128]
+Spectra = list[Bins]
 
 ROUNDING = 32 * np.finfo(np.float64).eps
 """A sum of three axes below this share of the spectrum's root mean square is the rounding error of the transforms."""

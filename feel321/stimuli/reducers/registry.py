@@ -17,13 +17,13 @@ References
    for haptic rendering", EuroHaptics 2010. doi:10.1007/978-3-642-14075-4_12
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from functools import partial
 from inspect import signature
-from typing import TYPE_CHECKING, Literal
+from typing import Literal, get_args
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import Registry, check_name, name_of
 from feel321.stimuli.recording import (
@@ -39,16 +39,10 @@ from feel321.stimuli.recording import (
     largest,
 )
 from feel321.stimuli.reducers import axes, fourier
+from feel321.types import Reducer, Samples
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import ArrayLike, NDArray
-
-    from feel321.types import Reducer, Samples
-
-    OnGap = Literal["raise", "hold", "zero"]
-
+OnGap = Literal["raise", "hold", "zero"]
+"""What can stand for a missing sample: an error, the last sample that arrived (0 before the first), or 0."""
 
 REDUCERS: Registry[Reducer] = Registry(
     "reducer",
@@ -137,9 +131,6 @@ def reduce(
     name = recording.name if isinstance(recording, Recording) else ""
     return Reduced(samples, rate, name_of(reducer), name)
 
-
-ON_GAP = ("raise", "hold", "zero")
-"""What can stand for a missing sample: an error, the last sample that arrived (0 before the first), or 0."""
 
 _NO_MEMORY = ("sax321", "say321", "saz321", "soc321", "mag321")
 _RUNNING = ("sax321_matched_running", "say321_matched_running", "saz321_matched_running")
@@ -286,7 +277,7 @@ class StreamingReducer:
         check_name(name, REDUCERS, "reducer")
         if name in WHY_NOT_STREAMING:
             raise ValueError(f"{name} cannot stream: {WHY_NOT_STREAMING[name]}")
-        check_name(on_gap, ON_GAP, "on_gap")
+        check_name(on_gap, get_args(OnGap), "on_gap")
         self._name = name
         self._rate_hz = check_rate(rate_hz)
         self._hop = axes.window_samples(window_s, rate_hz) // 2 if name in _IN_FRAMES else 0
@@ -307,7 +298,7 @@ class StreamingReducer:
 
     @property
     def gaps(self) -> int:
-        """Runs of such samples, however they were cut into blocks."""
+        """Number of gaps so far: runs of missing samples, however they were cut into blocks."""
         return self._gaps.gaps
 
     def process(self, block: ArrayLike, *, out: Samples | None = None) -> Samples:

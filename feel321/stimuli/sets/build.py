@@ -7,17 +7,16 @@ the files move in, and the new manifest comes last. So a set that has a manifest
 killed, or found the disk full, is continued by the next.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
 import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -41,13 +40,9 @@ from feel321.stimuli.sets.recipe import (
     versions,
 )
 from feel321.stimuli.wav import read_wav, write_wav
+from feel321.types import PathLike, Progress
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from feel321.types import PathLike, Progress
-
-    Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
+Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
 PARTS = ".parts"
 FINISHED = "finished"
@@ -75,9 +70,9 @@ def read_history(folder: Path) -> History:
             {name: cell for name, cell in row.items() if cell is not None}
             for row in details["stimuli"]
         ]
-        stimuli = TypeAdapter(list[Stimulus]).validate_python(known)
-        keys = TypeAdapter(dict[str, str]).validate_python(details["keys"])
-        measured = TypeAdapter(dict[str, Measured]).validate_python(details["measured"])
+        whole = TypeAdapter(tuple[list[Stimulus], dict[str, str], dict[str, Measured]])
+        given = (known, details["keys"], details["measured"])
+        stimuli, keys, measured = whole.validate_python(given)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return History()
     own = {
@@ -89,18 +84,23 @@ def read_history(folder: Path) -> History:
 
 
 @dataclass(frozen=True, slots=True)
-class _Order:
-    """A file to be written: a draft, its measurements, its level arm, and its gain."""
+class Foreseen(Draft):
+    """A stimulus as a build makes it: a draft with its measurements, its level arm and its gain."""
 
-    draft: Draft
     measured: Measured
     level: str
     gain: float
 
     @property
     def stimulus_id(self) -> str:
-        made = "reference" if self.draft.role == "reference" else self.draft.reducer
-        return f"{self.draft.recording}__{made}__{self.level}"
+        """Id, which is also the name of its file."""
+        made = "reference" if self.role == "reference" else self.reducer
+        return f"{self.recording}__{made}__{self.level}"
+
+    @property
+    def peak_m_s2(self) -> float:
+        """Largest magnitude that is played, in m/s²."""
+        return self.measured.peak * self.gain
 
     @property
     def sensation_levels_db(self) -> dict[str, float]:
@@ -192,7 +192,7 @@ def _build(
     for found in _run_jobs(jobs, workers=workers):
         measured.update(found)
         move(next(done), total)
-    orders = _place_orders(wanted, measured, recipe)
+    orders = _place(wanted, measured, recipe)
     how = {"recipe": recipe, "folder": folder, "history": history}
     written: dict[str, Stimulus] = {}
     jobs = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
@@ -203,19 +203,6 @@ def _build(
     details = _list_details(in_order, recipe, recordings)
     stimuli = [written[order.stimulus_id] for order in in_order]
     return _publish(stimuli, folder, history=history, details=details)
-
-
-@dataclass(frozen=True, slots=True)
-class Foreseen:
-    """A stimulus as a build would make it, with its sensation level by threshold curve."""
-
-    recording: str
-    reducer: str
-    role: str
-    level: str
-    gain: float
-    peak_m_s2: float
-    sensation_levels_db: dict[str, float]
 
 
 def foresee_stimuli(
@@ -233,19 +220,7 @@ def foresee_stimuli(
         measured.update(measure_recording(recording, new, recipe=recipe))
         if progress:
             progress(done, len(recordings))
-    return [
-        Foreseen(
-            order.draft.recording,
-            order.draft.reducer,
-            order.draft.role,
-            order.level,
-            order.gain,
-            order.measured.peak * order.gain,
-            order.sensation_levels_db,
-        )
-        for orders in _place_orders(wanted, measured, recipe).values()
-        for order in orders
-    ]
+    return [one for orders in _place(wanted, measured, recipe).values() for one in orders]
 
 
 def _publish(
@@ -275,16 +250,18 @@ def _make_parts_folder(folder: Path) -> Path:
     return parts
 
 
-def _place_orders(
+def _place(
     wanted: Mapping[str, Sequence[Draft]], measured: Mapping[str, Measured], recipe: Recipe
-) -> dict[str, list[_Order]]:
+) -> dict[str, list[Foreseen]]:
     keys = {name: [one.key for one in drafts] for name, drafts in wanted.items()}
     gains = choose_gains(measured, recipe, recordings=keys)
     return {
         name: [
-            _Order(draft, measured[draft.key], level, gains[level, draft.key])
+            Foreseen(
+                **asdict(one), measured=measured[one.key], level=level, gain=gains[level, one.key]
+            )
             for level in recipe.levels
-            for draft in drafts
+            for one in drafts
         ]
         for name, drafts in wanted.items()
     }
@@ -292,7 +269,7 @@ def _place_orders(
 
 def _write_recording(
     recording: Recording,
-    orders: Sequence[_Order],
+    orders: Sequence[Foreseen],
     *,
     recipe: Recipe,
     folder: Path,
@@ -305,25 +282,23 @@ def _write_recording(
         if _is_there(order, folder, history)
     }
     changed = [order for order in orders if order.stimulus_id not in kept]
-    render_recording(
-        recording, [order.draft for order in changed], recipe=recipe, parts=folder / PARTS
-    )
+    render_recording(recording, changed, recipe=recipe, parts=folder / PARTS)
     written = [_write(one, recording, recipe=recipe, parts=folder / PARTS) for one in changed]
     return [*kept.values(), *written]
 
 
-def _is_there(order: _Order, folder: Path, history: History) -> bool:
+def _is_there(order: Foreseen, folder: Path, history: History) -> bool:
     """Whether the earlier build made just this, and its file still holds it."""
     row = history.rows.get(order.stimulus_id)
     key = history.keys.get(order.stimulus_id)
-    if row is None or key != order.draft.key or row.gain != order.gain:
+    if row is None or key != order.key or row.gain != order.gain:
         return False
     path = folder / row.file
     return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == row.sha256
 
 
-def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) -> Stimulus:
-    samples, _ = read_wav(part_path(parts, order.draft.key))
+def _write(order: Foreseen, recording: Recording, *, recipe: Recipe, parts: Path) -> Stimulus:
+    samples, _ = read_wav(part_path(parts, order.key))
     samples *= order.gain / recipe.full_scale_m_s2
     clipped = int(np.count_nonzero(np.abs(samples) > 1.0))
     np.clip(samples, -1.0, 1.0, out=samples)
@@ -337,9 +312,9 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) 
     return Stimulus(
         stimulus_id=order.stimulus_id,
         recording=recording.name,
-        reducer=order.draft.reducer,
+        reducer=order.reducer,
         level=order.level,
-        role=order.draft.role,
+        role=order.role,
         file=path.name,
         rate_hz=recipe.rate_hz,
         n_samples=int(samples.shape[-1]),
@@ -358,7 +333,7 @@ def _write(order: _Order, recording: Recording, *, recipe: Recipe, parts: Path) 
 
 
 def _list_details(
-    orders: Sequence[_Order], recipe: Recipe, recordings: Sequence[Recording]
+    orders: Sequence[Foreseen], recipe: Recipe, recordings: Sequence[Recording]
 ) -> dict[str, Any]:
     """List the other entries of `manifest.json`: enough to rebuild the set and to find what has changed."""
     return {
@@ -372,8 +347,8 @@ def _list_details(
             }
             for order in orders
         },
-        "keys": {order.stimulus_id: order.draft.key for order in orders},
-        "measured": {order.draft.key: asdict(order.measured) for order in orders},
+        "keys": {order.stimulus_id: order.key for order in orders},
+        "measured": {order.key: asdict(order.measured) for order in orders},
     }
 
 

@@ -12,43 +12,19 @@ import io
 import json
 import math
 from collections import defaultdict
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from feel321.doors import Registry, as_path
 from feel321.files import write_text
 from feel321.records import Result
 from feel321.stimuli.wav import read_wav
+from feel321.types import PathLike, Samples
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from pandas import DataFrame
-
-    from feel321.types import PathLike, Samples
-
-COLUMN_UNITS = {
-    "stimulus_id": "name, unique in the set",
-    "recording": "name",
-    "reducer": "name of a reducer, 'original' for the three-axis recording, or name of an anchor",
-    "level": "name of the level arm",
-    "role": "test, reference or anchor",
-    "file": "path relative to the manifest",
-    "rate_hz": "Hz",
-    "n_samples": "samples per channel",
-    "duration_s": "s",
-    "peak": "largest magnitude in the file, 1 = full scale",
-    "rms_m_s2": "m/s^2, root mean square that the actuators are to give (of all channels together)",
-    "gain": "m/s^2 played per m/s^2 recorded; per m/s^2 of an anchor that was made as strong as its recording",
-    "spectral_match": "1 = identical energy spectra; conditioned recording and reduced signal, before level and rate",
-    "temporal_match": "1 = perfectly correlated with every axis (as for spectral_match)",
-    "clipped": "samples limited at full scale",
-    "sha256": "digest of the file",
-    "recording_sha256": "digest of the recording's source",
-    "spectral_match_bounded": "0 to 1, 1 = identical energy spectra; deviations relative to the stronger of the two",
-    "sensation_level_db": "dB over the detection threshold of the recipe, as it will be played, in its loudest 200 ms",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,27 +51,49 @@ class Stimulus:
         How strong it is felt; NaN for silence, and in a set that an earlier version built.
     """
 
-    stimulus_id: str
-    recording: str
-    reducer: str
-    level: str
-    role: str
-    file: str
-    rate_hz: float
-    n_samples: int
-    duration_s: float
-    peak: float
-    rms_m_s2: float
-    gain: float
-    spectral_match: float
-    temporal_match: float
-    clipped: int
-    sha256: str
-    recording_sha256: str
-    spectral_match_bounded: float = math.nan
-    sensation_level_db: float = math.nan
+    stimulus_id: Annotated[str, "name, unique in the set"]
+    recording: Annotated[str, "name"]
+    reducer: Annotated[
+        str, "name of a reducer, 'original' for the three-axis recording, or name of an anchor"
+    ]
+    level: Annotated[str, "name of the level arm"]
+    role: Annotated[str, "test, reference or anchor"]
+    file: Annotated[str, "path relative to the manifest"]
+    rate_hz: Annotated[float, "Hz"]
+    n_samples: Annotated[int, "samples per channel"]
+    duration_s: Annotated[float, "s"]
+    peak: Annotated[float, "largest magnitude in the file, 1 = full scale"]
+    rms_m_s2: Annotated[
+        float, "m/s^2, root mean square that the actuators are to give (of all channels together)"
+    ]
+    gain: Annotated[
+        float,
+        "m/s^2 played per m/s^2 recorded; per m/s^2 of an anchor that was made as strong as its recording",
+    ]
+    spectral_match: Annotated[
+        float,
+        "1 = identical energy spectra; conditioned recording and reduced signal, before level and rate",
+    ]
+    temporal_match: Annotated[
+        float, "1 = perfectly correlated with every axis (as for spectral_match)"
+    ]
+    clipped: Annotated[int, "samples limited at full scale"]
+    sha256: Annotated[str, "digest of the file"]
+    recording_sha256: Annotated[str, "digest of the recording's source"]
+    spectral_match_bounded: Annotated[
+        float,
+        "0 to 1, 1 = identical energy spectra; deviations relative to the stronger of the two",
+    ] = math.nan
+    sensation_level_db: Annotated[
+        float,
+        "dB over the detection threshold of the recipe, as it will be played, in its loudest 200 ms",
+    ] = math.nan
 
 
+COLUMN_UNITS: dict[str, str] = {
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(Stimulus, include_extras=True).items()
+}
 COLUMNS = tuple(COLUMN_UNITS)
 FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]
 """Columns of further metrics: a set that an earlier version built may lack them, and a cell may be empty."""
@@ -105,10 +103,7 @@ STRONG_GAIN = 100.0
 
 # The temporal match of an anchor is 0 but for rounding; so may be that of a silent test stimulus.
 _ROUNDING = 1e-9
-_READ_AS = {
-    field.name: {"float": float, "int": int, "str": str}[str(field.type)]
-    for field in fields(Stimulus)
-}
+_READ_AS = get_type_hints(Stimulus)
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)

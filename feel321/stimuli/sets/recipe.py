@@ -19,7 +19,6 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -139,18 +138,6 @@ class Recipe:
         if not 0 <= self.fade_s < float("inf"):
             raise ValueError(f"fade_s must be 0 s or more, got {self.fade_s}")
 
-    def rendering(self) -> dict[str, Any]:
-        """Return the settings that determine a file besides its gain, for the key under which it is cached.
-
-        Returns
-        -------
-        dict
-            Conditioning, rate, fade and full scale, ready for JSON.
-        """
-        # Anchors are made as strong as their recording, by the threshold.
-        own = ("rate_hz", "fade_s", "full_scale_m_s2", "threshold")
-        return asdict(self.conditioning) | {name: getattr(self, name) for name in own}
-
 
 def check_names(names: Sequence[str]) -> None:
     """Refuse names of recordings that are there twice, or cannot be part of a file name on every system."""
@@ -219,7 +206,10 @@ def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
         wanted += [(name, "anchor") for name in ANCHORS]
     # The samples, not the file: the same file read in another unit or at another rate is another recording.
     basis = {"version": __version__, "recording": digest_samples(recording)}
-    basis |= versions() | recipe.rendering()
+    # What determines a file besides its gain; anchors are made as strong as their recording, by the threshold.
+    settings = ("rate_hz", "fade_s", "full_scale_m_s2", "threshold")
+    basis |= versions() | asdict(recipe.conditioning)
+    basis |= {name: getattr(recipe, name) for name in settings}
     keys = [json.dumps({**basis, "reducer": reducer}, sort_keys=True) for reducer, _ in wanted]
     return tuple(
         Draft(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())

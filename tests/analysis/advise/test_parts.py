@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, nan
 
 import numpy as np
@@ -428,6 +429,12 @@ def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
     assert describe_doubt(good, [leading, good]).endswith(
         "could reverse it: pca321@20ms suffices in 1 of 2 segments"
     )
+    both = [
+        replace(leading, segments=3),
+        leading,
+        good,
+    ]  # the last, which is the least simple, is named
+    assert describe_doubt(good, both).endswith(": pca321@20ms suffices in 1 of 2 segments")
     bad = judged(Shortfall(2, 0, 0, 0), Scores(-2.0, 1, 1, 0, 1, 1))
     assert explain_closest(bad, [bad]).endswith(
         "no reducer is within tolerance of the best in everything"

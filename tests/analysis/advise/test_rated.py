@@ -73,6 +73,14 @@ def test_a_reducer_must_pass_on_every_scale() -> None:
     assert not said["pca321"].suffices
 
 
+def test_the_best_on_one_scale_must_pass_on_the_others_too() -> None:
+    table = make_table(ALIKE, people=40, scales=2)
+    more = np.where(table.rows["scale"] == "scale0", 15.0, -25.0)
+    shift = np.where(table.rows["reducer"] == "pca321", more, 0.0)
+    said = judge_ratings(Table(table.rows.assign(rating=table.rows["rating"] + shift), (), ()))
+    assert not any(rated.suffices for rated in said["oak"].values())
+
+
 def test_without_repeats_the_margin_must_be_fixed_beforehand() -> None:
     table = make_table(ALIKE, people=40)
     once = Table(table.rows[table.rows["repeat"] == "1"], (), ())
@@ -89,6 +97,12 @@ def test_one_reducer_is_like_no_other() -> None:
 def test_one_judge_of_one_reducer_each_leaves_nothing_to_test() -> None:
     said = judge_ratings(make_table(ALIKE, people=1))["oak"]
     assert sum(rated.suffices for rated in said.values()) == 1
+
+
+def test_ratings_without_any_spread_leave_no_error_to_test_with() -> None:
+    said = judge_ratings(make_table(ALIKE, spread=0.0), margin=5.0)["oak"]
+    assert np.isnan([rated.p for rated in said.values()]).all()
+    assert [name for name, rated in said.items() if rated.suffices] == ["dft321"]
 
 
 def test_ratings_overrule_metrics_that_let_pass(

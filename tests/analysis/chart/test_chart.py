@@ -170,6 +170,21 @@ def test_answers_name_the_front_and_the_dominated(rated: Chart) -> None:
     assert "is not clearly worse than" in unclear.summary()
 
 
+def test_of_dissimilarities_the_lowest_is_best(rated: Chart) -> None:
+    apart = replace(rated, rated=rated.rated.assign(scale="dissimilarity"))
+    assert "Best mean dissimilarity from the reference (as is): soc321, 62.5" in apart.summary()
+    assert [list_axes(one.to_frames())[-1]["better"] for one in (apart, rated)] == ["low", "high"]
+
+
+def test_spreads_of_a_group_are_merged_as_variances() -> None:
+    rows = [
+        {"method": name, "reducer": name, "scene": "oak", "sd": sd, "mean": sd}
+        for name, sd in zip(GROUPS["sax/say/saz321"], (3.0, 4.0, 5.0), strict=True)
+    ]
+    (merged,) = merge_rows(pd.DataFrame(rows)).to_dict("records")
+    assert (merged["mean"], merged["sd"]) == pytest.approx((4.0, np.sqrt(50 / 3)))
+
+
 def test_notes_tell_what_was_cut_and_a_busy_machine(
     tiny: Chart, make_recording: Callable[[str], Recording]
 ) -> None:

@@ -9,16 +9,22 @@ import pytest
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant
 from feel321.analysis.tradeoff.chart.compute import describe_machine
 from feel321.analysis.tradeoff.chart.cost import (
+    BLOCKS_PER_ROUND,
+    REFERENCE_N,
+    WARM_UP,
     Job,
     choose_clock,
     compare_precision,
     fit_all,
     list_lengths,
+    list_resources,
     measure_memory,
+    time_blocks,
     time_in_turn,
     time_jobs,
 )
 from feel321.analysis.tradeoff.chart.points import make_table
+from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -125,6 +131,22 @@ def test_the_clock_is_the_threads_own_where_that_is_fine(monkeypatch: pytest.Mon
     name, clock = choose_clock()
     assert name == "perf_counter"
     assert clock() <= clock()
+
+
+def test_blocks_are_timed_one_by_one_once_the_stream_is_warm() -> None:
+    seconds = [1.0] * WARM_UP + [1e-6 * number for number in range(BLOCKS_PER_ROUND, 0, -1)]
+    now = iter(np.cumsum([0.0, *(step for one in seconds for step in (one, 0.0))]))
+    row = time_blocks("soc321", rounds=1, clock=lambda: next(now), rng=np.random.default_rng(0))
+    times = row["median_us"], row["p99_us"], row["worst_us"]
+    assert times == pytest.approx((100.5, 198.01, 200.0), abs=1e-3)
+    assert (row["blocks"], row["deadline_us"]) == (200, pytest.approx(1333.3, abs=0.1))
+
+
+def test_state_is_in_bytes_of_64_bit_numbers() -> None:
+    rows = {row["reducer"]: row for row in list_resources()}
+    assert list(rows) == list(REDUCERS)
+    assert rows["pca321"]["state_bytes"] == 8 * 3 * REFERENCE_N
+    assert rows["soc321"]["state_bytes"] == 0
 
 
 def test_memory_is_that_of_the_arrays() -> None:

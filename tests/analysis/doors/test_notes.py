@@ -13,12 +13,7 @@ from feel321.analysis.association.correlate import correlate
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.reading import ROSTER, read_table
-from feel321.analysis.table.schema import (
-    RATINGS,
-    describe_further,
-    describe_manifest,
-    describe_ratings,
-)
+from feel321.analysis.table.schema import RATINGS, describe_further, describe_manifest
 from feel321.stimuli.sets.manifest import COLUMN_UNITS
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.settings.read import list_origins, read_settings
@@ -128,7 +123,6 @@ def test_ways_of_writing_the_same_table(
 def test_the_schema_knows_every_column_that_feel321_writes() -> None:
     assert list(RATINGS) == list(RATING_COLUMNS)
     assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *describe_further()}
-    assert set(describe_ratings()) == {*RATING_COLUMNS, *describe_further()}
     assert {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS} == ROSTER | {"participant"}
 
 

@@ -371,3 +371,43 @@ def test_without_repeats_only_agreement_is_gauged() -> None:
     gauge = screen_raters(panel(repeats=1), rules=[EXPERTISE], rng=np.random.default_rng(0)).gauge
     assert gauge.loc[gauge["value"].notna(), "measure"].unique().tolist() == ["agreement"]
     assert gauge.loc[gauge["value"].isna(), ["floor", "p"]].isna().all(axis=None)
+
+
+def test_repeats_are_counted_not_spelt() -> None:
+    """As `read_table` gives them they are text, in which 10 comes before 2."""
+    table = panel(people=5, repeats=10).sample(frac=1, random_state=1)
+    spelt = table.assign(repeat=table["repeat"].astype(str))
+    rules = ["test_retest", "repeat_sd"]
+    one, other = (screen_raters(rows, rules).table for rows in (table, spelt))
+    pd.testing.assert_frame_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("rule", "repeats"),
+    [("straight_lining", 1), ("test_retest", 2), ("repeat_sd", 2), ("reversed_scale", 2)],
+)
+def test_eight_are_enough_and_seven_are_not(rule: str, repeats: int) -> None:
+    table = panel(people=5)
+    tests = table[(table["role"] == "test") & (table["repeat"] <= repeats)]
+    items = tests[["recording", "reducer"]].drop_duplicates()
+    for number, known in ((8, True), (7, False)):
+        found = screen_raters(tests.merge(items.head(number)), [rule])
+        assert found.share[rule].notna().tolist() == [known] * 5
+
+
+@pytest.mark.parametrize(
+    ("rule", "which", "allowed", "beyond"),
+    [
+        ("hidden_reference", "original", 90.0, 89.9),
+        ("mid_anchor", "anchor_mid", 90.0, 90.1),
+        ("low_anchor", "anchor_low", 50.0, 50.1),
+        ("too_fast", "", 0.5, 0.49),
+    ],
+)
+def test_the_limit_itself_is_allowed(rule: str, which: str, allowed: float, beyond: float) -> None:
+    table = panel(people=5)
+    column = "rating" if which else "response_time_s"
+    at = (table["participant"] == "p03") & (table["reducer"].eq(which) if which else True)
+    for value, hits in ((allowed, ()), (beyond, ("p03",))):
+        screening = screen_raters(table.assign(**{column: table[column].mask(at, value)}), [rule])
+        assert screening.hits[rule] == hits

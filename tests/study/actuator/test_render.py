@@ -199,6 +199,20 @@ def test_what_cannot_be_played_gets_one_line_per_kind(tmp_path: Path) -> None:
     assert lines[2] == "gone.wav: No such file or directory; build the set again"
 
 
+def test_a_little_above_a_limit_is_above_it(tmp_path: Path) -> None:
+    stimulus = store(tmp_path, 0.5 * np.resize([1, -1], 3000))
+    limits = LimitsTable(peak_m_s2=49.999, rms_m_s2=49.999, duration_s=2.999)
+    lines = problems(tmp_path, [stimulus], make_rig(coil("one", 1), limits=limits))
+    assert [line.split("above ")[1].split()[0] for line in lines] == [
+        "limits.duration_s", "limits.peak_m_s2", "limits.rms_m_s2",
+    ]  # fmt: skip
+
+
+def test_a_stimulus_at_a_lower_rate_is_a_problem_too(tmp_path: Path) -> None:
+    (line,) = problems(tmp_path, [store(tmp_path, noise(50), rate=500)], make_rig())
+    assert "got a rate of 500 Hz, the study plays at 1000 Hz" in line
+
+
 def test_sliding_rms_is_that_of_every_window() -> None:
     samples = noise(300).astype(np.float64)
     padded = np.concatenate([np.zeros(99), samples])

@@ -39,9 +39,16 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=5000, rounds=3
     )
     monkeypatch.setattr(compute, "QUICK", tiny)
-    for name, short in (("REFERENCE_N", 5000), ("RATE_DURATION_S", 0.1), ("CALLS", 20)):
+    for name, short in (("REFERENCE_N", 5000), ("RATE_DURATION_S", 0.1), ("CALLS", 5)):
         monkeypatch.setattr(cost, name, short)
+    # Whole figures are saved in tests/analysis/chart.
+    monkeypatch.setattr("feel321.analysis.report.folder.save_figure", save_nothing)
     return folder
+
+
+def save_nothing(_figure: object, stem: Path) -> None:
+    for suffix, text in ((".svg", '<svg xmlns="http://www.w3.org/2000/svg"></svg>'), (".png", "")):
+        stem.with_name(f"{stem.name}{suffix}").write_text(text, encoding="utf-8")
 
 
 def write_ratings(study: Path) -> None:

@@ -1,9 +1,14 @@
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
+from feel321.protocols.texts import read_scales
+from feel321.study.screen.drawing import Box, Target
 from feel321.study.screen.input import (
     COARSE_SPEEDS,
+    Answer,
     Digits,
     Held,
     InputEvent,
@@ -86,3 +91,25 @@ def test_markers_report_where_they_rest() -> None:
     (move,) = markers.settle(0.4)
     assert (move.part, move.value, move.time_s) == ("1", 100.0, 0.1)
     assert markers.settle(9.0) == []
+
+
+def make_answer(gallery: dict[str, Any]) -> Answer:
+    trial = gallery["make_trial"]("realism")
+    return Answer(trial, read_scales()[trial.scale])
+
+
+@pytest.mark.parametrize(("key", "value"), [("left", 43.0), ("down", 40.0), ("pagedown", 40.0)])
+def test_keys_that_move_far_repeat_slowly(gallery: dict[str, Any], key: str, value: float) -> None:
+    answer = make_answer(gallery)
+    answer.take(InputEvent("press", 0.0, key), None, can_answer=True)
+    answer.tick(0.7, can_answer=True)
+    assert answer.values == {"test": value}
+
+
+def test_what_was_typed_does_not_take_a_click_back(gallery: dict[str, Any]) -> None:
+    answer, track = make_answer(gallery), Box(0.0, 0.0, 200.0, 10.0)
+    answer.take(InputEvent("press", 0.0, "8"), None, can_answer=True)
+    target = Target(track, "mark", "test", track)
+    answer.take(InputEvent("click", 0.1, x=50.0, y=5.0), target, can_answer=True)
+    answer.tick(2.0, can_answer=True)
+    assert answer.values == {"test": 25.0}

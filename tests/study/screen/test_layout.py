@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.texts import list_languages, read_scales, read_texts
+from feel321.protocols.texts import PageText, list_languages, read_scales, read_texts
 from feel321.protocols.trial import Page
 from feel321.study.screen import layout
 from feel321.study.screen.drawing import (
@@ -24,7 +25,7 @@ from feel321.study.screen.drawing import (
     measure,
     round_corners,
 )
-from feel321.study.screen.layout import BODY, View, compose, make_screen_texts
+from feel321.study.screen.layout import BODY, View, compose, find_overflows, make_screen_texts
 from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
@@ -194,6 +195,44 @@ def test_texts_break_where_they_are_too_wide() -> None:
     sheet = Sheet(1580.0, 1000.0)
     assert sheet.wrap("one two three\nfour", 70.0, 1.0) == ["one two", "three", "four"]
     assert measure("Continue", 100.0) == pytest.approx(468, abs=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "is_named"),
+    [("similarity feeling", False), ("similarity fresh", True), ("mushra feeling", True)],
+)
+def test_keys_are_named_as_long_as_they_do_something(
+    gallery: dict[str, Any], name: str, is_named: bool
+) -> None:
+    tables = read_texts()
+    view = gallery["make_views"](read_scales(), tables)[name]
+    items = compose(view, make_screen_texts(tables), size=(1920, 1080)).items
+    words = {item.words for item in items if isinstance(item, Text)}
+    assert view.can_answer is is_named
+    assert ("move the marker" in words) is is_named
+
+
+def test_a_page_is_too_long_as_soon_as_it_leaves_its_strip() -> None:
+    texts = make_screen_texts(read_texts())
+    bottom = Sheet(1920, 1080).find_strip("body").bottom
+    told = []
+    for n_lines in range(5, 30):
+        pages = {"consent": PageText("consent", "Consent", "\n".join("w" * n_lines))}
+        long = replace(texts, pages=pages)
+        view = View("page", "reading", 0, Place(0, 80), page=Page("consent"))
+        items = compose(view, long, size=(1920, 1080)).items
+        last = max(item.box.bottom for item in items if getattr(item, "words", "") == "w")
+        told.append(bool(find_overflows(long, [])))
+        assert told[-1] == (last > bottom + 1e-6)
+    assert set(told) == {False, True}
+
+
+@pytest.mark.parametrize(("name", "most"), [("question", 3), ("low_label", 2), ("high_label", 2)])
+def test_a_line_too_many_is_told(name: str, most: int) -> None:
+    texts = make_screen_texts(read_texts())
+    for n_lines in (most, most + 1):
+        scale = replace(read_scales()["realism"], **{name: "\n".join("w" * n_lines)})
+        assert len(find_overflows(texts, [scale])) == n_lines - most
 
 
 SHOWN = {"de": (1024, 768), "en": (1920, 1080)}

@@ -11,6 +11,7 @@ energies' sum, and the share of the motion's energy that the output carries is t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import inf, isinf, isnan
@@ -44,12 +45,10 @@ from feel321.analysis.tradeoff.advise.scene import (
 from feel321.stimuli.match import LOWEST_HZ
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import felt_level
+from feel321.types import Reducer, Samples
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from feel321.stimuli.recording import Recording
-    from feel321.types import Reducer, Samples
 
 CLOSE = 0.2
 """A reducer that is nearer to the limit than this share of the tolerance makes a close call. In eight takes of every

@@ -32,6 +32,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from inspect import signature
 from math import inf, isfinite, log2
@@ -39,6 +40,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.stimuli.match import (
     HIGHEST_HZ,
@@ -51,14 +53,10 @@ from feel321.stimuli.match import (
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import WHY_NOT_STREAMING, StreamingReducer
 from feel321.stimuli.sets.anchors import acceleration_threshold
+from feel321.types import Reducer, Samples
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from numpy.typing import NDArray
-
     from feel321.stimuli.recording import Recording
-    from feel321.types import Reducer, Samples
 
 MS_PER_S = 1000.0
 WINDOWS_MS = (10.0, 15.0, 20.0, 25.0, 35.0, 50.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any
@@ -14,15 +15,13 @@ from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings
 from feel321.records import to_json_value
+from feel321.types import PathLike
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from feel321.stimuli.recording import Recording
-    from feel321.types import PathLike
 
 ROW_CM, LETTER_CM, REST_CM = 0.42, 0.15, 2.0
 """Height of a row, of a letter of an upright label, and of key and gaps."""

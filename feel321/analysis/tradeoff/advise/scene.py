@@ -39,12 +39,14 @@ References
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.analysis.contrasts.compare import equivalence, find_repeat_sd
 from feel321.analysis.mixed.model import contrast, fit_mixed
@@ -53,9 +55,6 @@ from feel321.analysis.tradeoff.advise.measures import TURNS_ALONG, Complexity, S
 from feel321.analysis.tradeoff.results import as_table
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import NDArray
     from pandas import DataFrame
 
     from feel321.analysis.table.items import Table

@@ -17,11 +17,13 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from feel321.analysis.tradeoff.chart.points import MEASURES, TABLES
 from feel321.stimuli.condition import resample
@@ -36,14 +38,10 @@ from feel321.stimuli.match import (
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING, StreamingReducer
 from feel321.stimuli.rotation import random_rotations, temporal_match_invariant
+from feel321.types import Samples
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from numpy.typing import ArrayLike
-
     from feel321.stimuli.recording import Recording
-    from feel321.types import Samples
 
 WINDOWS_S = (0.01, 0.02, 0.035, 0.05, 0.1, 0.2)
 FAMILIES = (1, 2, 4)

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import platform
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from importlib.metadata import version
 from itertools import count
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321 import __version__
 from feel321.analysis.arrays import CONFIDENCE
@@ -34,16 +36,13 @@ from feel321.analysis.tradeoff.chart.points import (
 )
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings, as_table
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
+from feel321.types import PathLike
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
     from pandas import DataFrame
 
     from feel321.analysis.tradeoff.chart.cost import Clock
     from feel321.stimuli.recording import Recording
-    from feel321.types import PathLike
 
 THREADS = 1
 """Of linear algebra while times are taken."""

@@ -18,12 +18,15 @@ from __future__ import annotations
 import math
 import time
 import tracemalloc
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.util import find_spec, module_from_spec
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from feel321.analysis.tradeoff.advise.measures import find_complexity
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, list_variants
@@ -34,16 +37,12 @@ from feel321.stimuli import recording
 from feel321.stimuli.reducers import axes, fourier
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING, StreamingReducer
+from feel321.types import Samples
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from types import ModuleType
-
-    from numpy.typing import ArrayLike
     from pandas import DataFrame
 
     from feel321.stimuli.recording import Recording
-    from feel321.types import Samples
 
     Clock = Callable[[], float]
     Row = dict[str, Any]

@@ -7,6 +7,7 @@ scenes, a small dot one scene, so that no median hides its spread. Tables come w
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,8 +26,6 @@ from feel321.analysis.tradeoff.chart.points import (
 from feel321.analysis.words import capitalise, format_measure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure

@@ -7,6 +7,7 @@ window's own mean.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
@@ -16,12 +17,10 @@ import numpy as np
 from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.analysis.tradeoff.stress.measures import MEASURES, StressCell
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
+from feel321.types import Samples
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from feel321.stimuli.recording import Recording
-    from feel321.types import Samples
 
 CANCELLED = 0.1
 """Where |sum of axes| is below this part of the root of the summed energies, noise meets a gain above 10."""

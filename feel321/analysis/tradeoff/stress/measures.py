@@ -24,25 +24,23 @@ References
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.stimuli.match import METRICS, OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.rotation import INVARIANTS, random_rotations
+from feel321.types import Reducer, Samples
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from feel321.stimuli.recording import Recording
-    from feel321.types import Reducer, Samples
 
     Grade = Literal["good", "caution", "fails", "undefined"]
 

@@ -19,11 +19,10 @@ from feel321.analysis.tradeoff.stress.measures import (
 from feel321.analysis.tradeoff.stress.page import Stress
 from feel321.doors import describe
 from feel321.stimuli.reducers.registry import REDUCERS, reduce
-from feel321.types import PathLike, Reducer
+from feel321.types import PathLike, Reducer, Samples
 
 if TYPE_CHECKING:
     from feel321.stimuli.recording import Recording
-    from feel321.types import Samples
 
 EXCERPT_S, METRICS_S = 2.0, 1.0
 """Longest part of a recording whose gains are measured, and whose metrics are, in s."""
