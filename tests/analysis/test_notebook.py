@@ -199,8 +199,14 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
     axes = Figure().subplots(2, 3).ravel()
     analysis.plot_scatter(realism, "temporal_match", ax=axes[0])
     assert len(axes[0].get_legend().get_texts()) == 9
+    drawn = np.sort(np.concatenate([line.get_xydata() for line in axes[0].get_lines()]), axis=0)
+    tests = realism.items().query("role == 'test'")[["temporal_match", "rating"]]
+    np.testing.assert_allclose(drawn, np.sort(tests.to_numpy(), axis=0))
     analysis.plot_profile(table, ax=axes[1])
     assert len(axes[1].get_yticklabels()) == 12
+    bars = [bar[:, 0] for part in axes[1].collections for bar in part.get_segments()]
+    ends = analysis.profile_reducers(table)[["low", "high"]].to_numpy()
+    np.testing.assert_allclose(np.sort(bars, axis=0), np.sort(ends, axis=0))
     models = analysis.fit_attributes(table.rows, table.metrics)
     analysis.plot_slopes(models, ax=axes[2])
     assert len(axes[2].get_legend().get_texts()) == 2

@@ -13,6 +13,7 @@ import pytest
 
 from feel321.analysis.association.correlate import tabulate_correlations
 from feel321.analysis.contrasts.compare import profile_reducers
+from feel321.analysis.report import pairs
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.write import write_report
 from feel321.analysis.table.reading import Table, read_table
@@ -350,3 +351,10 @@ def test_groups_that_felt_different_levels_are_counted_apart(
         "association.realism.as_is.spectral_match.pearson.n_participants": 4,
     }
     assert found["association.realism.as_is.spectral_match.pearson.n_missing"] == 0
+
+
+def test_both_orders_of_a_pair_count_alike(write: Callable[..., tuple[Path, Path]]) -> None:
+    orders = (("mag321", "dft321", 20), ("dft321", "mag321", 40))
+    table = read_table(*write([("p", "dissimilarity", *order) for order in orders]))
+    arm = pairs._gather(table, table.rows, "as_is")
+    assert arm.matrices.tolist() == [[[0, 30], [30, 0]]]

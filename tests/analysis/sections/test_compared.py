@@ -85,6 +85,8 @@ def make_arms(tidy: Callable[..., pd.DataFrame], **changes: object) -> pd.DataFr
 def test_levels_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     rows = make_arms(tidy, participants=8, recordings=6)
     section = reducers.compute_levels(Table(rows, METRICS, ()), CHOICES)
+    found = section.tables["levels"]
+    assert found["p_holm"].tolist() == pytest.approx(adjust_holm(found["p"].tolist()))
     table = section.tables["levels"].set_index("of")
     means = rows.groupby("level")["rating"].mean()
     assert table.loc["rating", "estimate"] == pytest.approx(
