@@ -78,8 +78,10 @@ def describe_gains(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
     lines = [f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how]
     if recipe.gain != ONE_GAIN:
         return lines
-    loudest = {name: max(own, key=_unit_peak) for name, own in _group(foreseen).items()}
-    peaks = {name: _unit_peak(one) for name, one in loudest.items()}
+    loudest = {
+        name: max(own, key=lambda one: one.measured.peak) for name, own in _group(foreseen).items()
+    }
+    peaks = {name: one.measured.peak for name, one in loudest.items()}
     recording, cost_db = find_headroom_cost(peaks)
     if cost_db >= COSTLY_DB:
         lines.append(
@@ -130,10 +132,6 @@ def _group(foreseen: Sequence[Foreseen]) -> dict[str, list[Foreseen]]:
     for one in foreseen:
         groups.setdefault(one.recording, []).append(one)
     return groups
-
-
-def _unit_peak(one: Foreseen) -> float:
-    return one.peak_m_s2 / one.gain
 
 
 def _own_level(one: Foreseen, recipe: Recipe) -> float:

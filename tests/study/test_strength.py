@@ -15,7 +15,7 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.sets.anchors import THRESHOLDS
 from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.recipe import Measured, Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import write_wav
 from feel321.study.actuator.render import find_mix
@@ -212,8 +212,9 @@ def test_real_recordings_below_threshold_are_found_and_a_gain_of_their_own_helps
 
 def foresee(recording: str = "oak", reducer: str = "dft321", **own: float) -> Foreseen:
     """A stimulus without samples."""
-    levels = dict.fromkeys(THRESHOLDS, own.get("level_db", 20.0))
-    return Foreseen(recording, reducer, "test", "as_is", 1.0, own.get("peak_m_s2", 1.0), levels)
+    levels = dict.fromkeys(THRESHOLDS, 10 ** (own.get("level_db", 20.0) / 20))
+    measured = Measured(own.get("peak_m_s2", 1.0), levels, 1.0, 1.0, 1.0)
+    return Foreseen(recording, reducer, "test", "", measured, "as_is", gain=1.0)
 
 
 @pytest.mark.parametrize(("louder_db", "count"), [(1.2, 1), (0.8, 0)])
