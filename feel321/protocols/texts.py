@@ -4,6 +4,8 @@ Every language has the keys, lists and {placeholders} of the English one; a lab'
 it is read, so that no gap turns up in the middle of a session.
 """
 
+from __future__ import annotations
+
 import os
 import tomllib
 from collections.abc import Iterator
@@ -11,11 +13,13 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from string import Formatter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from feel321.doors import check_name
 from feel321.protocols.trial import Scale
-from feel321.types import PathLike
+
+if TYPE_CHECKING:
+    from feel321.types import PathLike
 
 CATALOG = files("feel321.protocols") / "catalog"
 

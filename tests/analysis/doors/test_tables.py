@@ -80,8 +80,8 @@ INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
 OTHERS = {"bradley_terry by rater", "find_sources"}
 """Further forms, and functions that are not on the face."""
 
-ELSEWHERE = {"advise", "chart", "read_table"}
-"""What is tried with ratings in `test_tradeoff_doors` and `test_table`."""
+ELSEWHERE = {"advise", "chart", "read_table", "write_report"}
+"""What is tried with ratings in `test_tradeoff_doors`, `test_table` and `test_notebook`."""
 
 PAIRS = {"bradley_terry by rater", "bradley_terry", "discriminate"}
 """What takes pairs, here made of neighbouring rows."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -300,12 +300,11 @@ def test_a_plan_that_cannot_be_worked_through_is_named(
 def test_a_new_event_is_a_type_and_a_line_where_it_happens(
     finished: list[Record], find: Find, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    @dataclass(frozen=True)
-    class MarkerHidden(events.AttemptEvent):
+    monkeypatch.setitem(events.EVENTS, "hidden", events.AttemptEvent)  # forgotten after the test
+
+    class MarkerHidden(events.AttemptEvent, event="hidden"):
         part: str
 
-    monkeypatch.setattr(MarkerHidden, "event", "hidden")
-    monkeypatch.setitem(events.EVENTS, "hidden", MarkerHidden)
     place = find_place(finished, "rated")
     data = {"trial": 1, "attempt": 1, "part": "test"}
     assert find(put(finished, place, "hidden", **data)) == []
