@@ -1,0 +1,408 @@
+"""From samples sent to acceleration felt: sweeps, the response of a coil, its inverse filter, and its verification.
+
+Pure functions on arrays. Sent samples are in units of full scale, recorded ones in m/s², responses in m/s² per full
+scale, frequencies in Hz. Bands are given, never guessed from where a sweep fades.
+
+References
+----------
+Farina A (2000). Simultaneous measurement of impulse response and distortion with a swept-sine technique. 108th AES
+Convention. Novak A, Lotton P, Simon L (2015). Synchronized swept-sine: theory, application, and implementation. J
+Audio Eng Soc 63(10), 786-798, doi:10.17743/jaes.2015.0071. Bendat JS, Piersol AG (2010). Random data, chapters 6 and
+9, doi:10.1002/9781118032428. Knapp C, Carter G (1976). The generalized correlation method for estimation of time
+delay. doi:10.1109/TASSP.1976.1162830. Kirkeby O, Nelson PA (1999). Digital filter design for inversion problems in
+sound reproduction. J Audio Eng Soc 47(7/8), 583-595.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage, signal
+
+from feel321.types import Samples
+
+Spectrum = NDArray[np.complex128]
+Band = tuple[float, float]
+
+BAND_HZ = (20.0, 1000.0)
+BELOW, ABOVE = 2.0, 1.25  # how far a sweep goes beyond its band; its ramps lie there
+ORDERS = (2, 3, 4, 5)  # harmonics that count as distortion
+SMOOTH_HZ = 1.0  # spectra of sweeps, which are finer, are averaged over so many Hz
+TINY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sweep:
+    """Several equal exponential sine sweeps, each with a pause in which the coil comes to rest.
+
+    peak: no sample is larger. pause_s must exceed latency and ringing. duration_s is rounded so that harmonics are in
+    phase (Novak et al.).
+    """
+
+    rate_hz: float
+    band_hz: Band = BAND_HZ
+    duration_s: float = 4.0
+    pause_s: float = 1.0
+    n_repeats: int = 4
+    peak: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse sweeps that cannot be made, or from which nothing could be learned."""
+        check_band(self.band_hz, rate_hz=self.rate_hz, above=ABOVE)
+        if not 0 < self.peak <= 1:
+            raise ValueError(f"peak must be above 0 and at most 1 (full scale), got {self.peak}")
+        if self.n_repeats < 2:  # noqa: PLR2004 - coherence is 1 for one sweep, whatever was recorded
+            raise ValueError(f"n_repeats must be 2 or more for coherence, got {self.n_repeats}")
+        if self.time_constant_s <= 0 or self.pause_s <= 0:
+            raise ValueError(
+                f"duration_s and pause_s must be longer, got {self.duration_s} and {self.pause_s}"
+            )
+
+    @property
+    def ends_hz(self) -> Band:
+        """First and last frequency."""
+        return self.band_hz[0] / BELOW, self.band_hz[1] * ABOVE
+
+    @property
+    def time_constant_s(self) -> float:
+        """Time in which frequency grows by the factor e: whole periods of the first frequency."""
+        first, last = self.ends_hz
+        return round(first * self.duration_s / math.log(last / first)) / first
+
+    @property
+    def period(self) -> int:
+        """Samples from the start of one sweep to the start of the next."""
+        first, last = self.ends_hz
+        sweep_s = self.time_constant_s * math.log(last / first)
+        return math.ceil((sweep_s + self.pause_s) * self.rate_hz)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Response:
+    """What a coil makes of the samples sent to it.
+
+    frequency_hz, response (along `direction`, latency removed), coherence, noise_psd ((m/s²)²/Hz) have shape (k,);
+    distortion too: harmonics 2 to 5 over the fundamental at each fundamental, NaN where it was not measured.
+    latency: samples. direction: unit vector, shape (axes,). cross_talk_db: motion across the direction over motion
+    along it, in the band.
+    """
+
+    rate_hz: float
+    band_hz: Band
+    frequency_hz: Samples
+    response: Spectrum
+    coherence: Samples
+    noise_psd: Samples
+    distortion: Samples
+    latency: int
+    direction: Samples
+    cross_talk_db: float
+
+    @property
+    def noise_rms_m_s2(self) -> float:
+        """RMS of the noise, summed over frequencies."""
+        return float(np.sqrt(self.noise_psd.sum() * self.frequency_hz[1]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InverseFilter:
+    """An FIR filter, shape (n,), that gives a coil the response `target` (m/s² per full scale) in a band.
+
+    delay: samples by which it is late. gain_db: its largest gain; what is played must be that much below full scale.
+    """
+
+    fir: Samples
+    rate_hz: float
+    band_hz: Band
+    target: float
+    delay: int
+    gain_db: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """How far a response is from its target in a band: deviation_db, shape (k,); its largest size; least coherence."""
+
+    frequency_hz: Samples
+    deviation_db: Samples
+    largest_db: float
+    least_coherence: float
+
+
+def check_band(band_hz: Band, *, rate_hz: float, above: float = 1.0) -> None:
+    """Refuse a band that is empty, or that comes, `above` times as high, to half the rate."""
+    low, high = band_hz
+    if not 0 < low < high * above < rate_hz / 2:
+        raise ValueError(
+            f"band_hz must rise within 0 to {rate_hz / 2 / above:g} Hz at {rate_hz:g} Hz, got {low:g} to {high:g}"
+        )
+
+
+def find_inside(frequency_hz: Samples, *, band_hz: Band) -> NDArray[np.bool_]:
+    """Say which frequencies lie in a band, its ends included."""
+    return (frequency_hz >= band_hz[0]) & (frequency_hz <= band_hz[1])
+
+
+def make_sweep(sweep: Sweep) -> Samples:
+    """Make the samples of a sweep, `sin(2π f₁ L exp(t / L))`, shape (period * n_repeats,).
+
+    Raised-cosine ramps lie where the frequency is outside the band; within it the amplitude is `peak`.
+    """
+    first, last = sweep.ends_hz
+    constant_s = sweep.time_constant_s
+    time_s = np.arange(sweep.period) / sweep.rate_hz
+    length_s = constant_s * math.log(last / first)
+    phase = 2 * math.pi * first * constant_s * np.exp(np.minimum(time_s, length_s) / constant_s)
+    rise = np.clip(time_s / (constant_s * math.log(BELOW)), 0, 1)
+    fall = np.clip((length_s - time_s) / (constant_s * math.log(ABOVE)), 0, 1)
+    ramps = np.sin(math.pi / 2 * rise) ** 2 * np.sin(math.pi / 2 * fall) ** 2
+    return np.tile(sweep.peak * ramps * np.sin(phase), sweep.n_repeats)
+
+
+def measure_sweep(sweep: Sweep, recorded: Samples, *, sent: Samples | None = None) -> Response:
+    """Measure a response from recorded sweeps, with its distortion; recorded: shape (n,) or (axes, n).
+
+    sent: what was asked for, if it is not the sweep at its own peak (as when a sweep goes through an inverse filter).
+    """
+    asked = make_sweep(sweep) if sent is None else sent
+    found = measure_response(
+        asked,
+        recorded,
+        rate_hz=sweep.rate_hz,
+        band_hz=sweep.band_hz,
+        segment=sweep.period,
+        window="boxcar",
+    )
+    along = found.direction @ np.atleast_2d(recorded)
+    mean = along.reshape(sweep.n_repeats, sweep.period).mean(axis=0)
+    distortion = measure_distortion(
+        sweep, np.roll(mean, -found.latency), frequency_hz=found.frequency_hz
+    )
+    return replace(found, distortion=distortion)
+
+
+def measure_response(
+    sent: Samples,
+    recorded: Samples,
+    *,
+    rate_hz: float,
+    band_hz: Band = BAND_HZ,
+    segment: int,
+    window: Literal["hann", "boxcar"] = "hann",
+) -> Response:
+    """Measure a response by H1 = Sxy / Sxx, averaged over segments; recorded: shape (n,) or (axes, n).
+
+    "hann": overlapping segments (Welch), for noise. "boxcar": whole periods one after another, for repeated sweeps;
+    their spectra are averaged over 1 Hz too.
+    Coherence is |Sxy|² / (Sxx Syy); its share of noise is (1 - coherence) Syy K / (K - 1) with K segments.
+    """
+    axes = np.atleast_2d(recorded)
+    check_band(band_hz, rate_hz=rate_hz)
+    _check_signals(sent, axes, segment=segment)
+    # Welch's segments must hold the same stretch of both signals. Periods do already; they are not moved.
+    is_welch = window == "hann"
+    coarse, overlap = (_find_shift(sent, axes), segment // 2) if is_welch else (0, 0)
+    sent, axes = sent[: len(sent) - coarse], axes[:, coarse:]
+
+    def average(x: Samples, y: Samples) -> tuple[Samples, Spectrum]:
+        return signal.csd(x, y, rate_hz, window, segment, overlap, detrend=False)
+
+    frequency_hz, sxx = average(sent, sent)
+    sxy = average(sent, axes)[1]
+    inside = find_inside(frequency_hz, band_hz=band_hz)
+    direction, cross_talk_db, fine = _find_path(sxy / np.maximum(sxx.real, TINY), inside=inside)
+    turned = direction @ sxy * np.exp(2j * math.pi * frequency_hz * fine / rate_hz)
+    along = average(direction @ axes, direction @ axes)[1].real
+    n_bins = 1 if is_welch else max(round(SMOOTH_HZ / frequency_hz[1]), 1)
+    share = np.abs(turned) ** 2 / np.maximum(sxx.real, TINY)  # what of Syy comes from the coil
+    spectra = (sxx.real, turned, share, along)
+    sxx, turned, share, syy = (ndimage.uniform_filter1d(one, n_bins) for one in spectra)
+    n_segments = (len(sent) - overlap) // (segment - overlap)
+    return Response(
+        rate_hz=rate_hz,
+        band_hz=band_hz,
+        frequency_hz=frequency_hz,
+        response=turned / np.maximum(sxx, TINY),
+        coherence=np.clip(share / np.maximum(syy, TINY), 0, 1),
+        noise_psd=np.maximum(syy - share, 0) * n_segments / (n_segments - 1),
+        distortion=np.full(len(frequency_hz), np.nan),
+        latency=coarse + fine,
+        direction=direction,
+        cross_talk_db=cross_talk_db,
+    )
+
+
+def find_direction(responses: Spectrum) -> tuple[Samples, float]:
+    """Find the direction in which most of the response lies, shape (axes,), and what lies across it, in dB.
+
+    responses: shape (axes, k). The direction is the first principal axis of the real part of their cross-spectra.
+    """
+    values, vectors = np.linalg.eigh((responses @ responses.conj().T).real)
+    across = max(float(values[:-1].sum()), TINY) / max(values[-1], TINY)
+    return vectors[:, -1], 10 * math.log10(across)
+
+
+def find_latency(response: Spectrum, *, inside: NDArray[np.bool_]) -> tuple[int, int]:
+    """Find the latency in whole samples, and the polarity (1 or -1), of a response from 0 to half the rate.
+
+    A coil is a minimum-phase filter, whose phase follows from its magnitude; what phase is left is delay. Its
+    phases are summed with equal weight over the band (Knapp & Carter's phase transform), and the peak is the delay.
+    """
+    bins = np.log(np.maximum(np.arange(len(response)), 1))
+    log_magnitude = np.log(np.maximum(np.abs(response), TINY))
+    # Outside the band is noise: there the magnitude stays as at the upper end, and falls on as at the lower.
+    lowest = bins[inside][0]
+    half_octave = inside & (bins <= lowest + math.log(2) / 2)
+    slope = np.polyfit(bins[half_octave], log_magnitude[half_octave], 1)[0]
+    smooth = np.interp(bins, bins[inside], log_magnitude[inside])
+    smooth += slope * np.minimum(bins - lowest, 0)
+    excess = inside * response / _make_minimum_phase(smooth)
+    pulse = fft.irfft(excess / np.maximum(np.abs(excess), TINY))
+    peak = int(np.argmax(np.abs(pulse)))
+    return (peak if peak < len(pulse) // 2 else peak - len(pulse)), int(np.sign(pulse[peak]))
+
+
+def measure_distortion(sweep: Sweep, recorded: Samples, *, frequency_hz: Samples) -> Samples:
+    """Measure harmonics 2 to 5 over the fundamental, at given fundamentals, from one recorded period without latency.
+
+    Deconvolved by `2 √(f / L) exp(-2πi f L (1 - ln(f / f₁)) + iπ/4)` (Novak et al.), the response to the
+    n-th harmonic comes `L ln n` before that of the fundamental, and is cut out there.
+    """
+    n, constant_s = 2 * sweep.period, sweep.time_constant_s
+    grid_hz = fft.rfftfreq(n, 1 / sweep.rate_hz)
+    positive = np.maximum(grid_hz, grid_hz[1])
+    turns = positive * constant_s * (1 - np.log(positive / sweep.ends_hz[0]))
+    inverse = 2 * np.sqrt(positive / constant_s) * np.exp(-2j * math.pi * turns + 0.25j * math.pi)
+    impulses = fft.irfft(fft.rfft(recorded, n) * inverse * (grid_hz > 0), n)
+    lines = [_cut_harmonic(impulses, order, sweep=sweep) for order in (1, *ORDERS)]
+    sizes = [
+        np.interp(order * frequency_hz, grid_hz, np.abs(fft.rfft(line, n)))
+        for order, line in zip((1, *ORDERS), lines, strict=True)
+    ]
+    reached = [order * frequency_hz < sweep.rate_hz / 2 for order in ORDERS]
+    above = np.linalg.norm(np.array(sizes[1:]) * reached, axis=0)
+    inside = find_inside(frequency_hz, band_hz=sweep.band_hz)
+    return np.where(inside, above / np.maximum(sizes[0], TINY), np.nan)
+
+
+def make_inverse(
+    response: Response,
+    *,
+    band_hz: Band = BAND_HZ,
+    max_gain_db: float = 20.0,
+    n_taps: int,
+    phase: Literal["minimum", "linear"] = "minimum",
+    min_coherence: float = 0.95,
+) -> InverseFilter:
+    """Make the filter that brings a response to its median magnitude in the band.
+
+    It is `T |H| / (|H|² + β)` with Kirkeby's regularisation β, at each frequency the least that keeps the gain at
+    or below the bound, so 0 wherever it can. Where coherence is below its minimum, and outside the band, the gain is
+    1; at the band's edges it goes there within half an octave.
+    """
+    check_band(band_hz, rate_hz=response.rate_hz)
+    inside = find_inside(response.frequency_hz, band_hz=band_hz)
+    good = inside & (response.coherence >= min_coherence)
+    if not good.any():
+        raise ValueError(
+            f"no frequency from {band_hz[0]:g} to {band_hz[1]:g} Hz has coherence {min_coherence} or more; "
+            "check that the coil moves and the sensor measures"
+        )
+    target = float(np.median(np.abs(response.response[good])))
+    bound = 10 ** (max_gain_db / 20)
+    wanted = target / np.maximum(np.abs(response.response), target / bound)
+    n_grid = fft.next_fast_len(8 * n_taps, real=True) // 2 * 2
+    grid_hz = fft.rfftfreq(n_grid, 1 / response.rate_hz)
+    poor = inside & ~good
+    weight = np.interp(grid_hz, response.frequency_hz, np.where(poor, 0.0, 1.0))
+    weight *= _fade(grid_hz, band_hz=band_hz)
+    log_gain = weight * np.interp(grid_hz, response.frequency_hz, np.log(wanted))
+    fir, delay = _make_fir(log_gain, n_taps=n_taps, phase=phase)
+    largest = float(np.abs(fft.rfft(fir, n_grid)).max())
+    within = min(1.0, bound / largest)  # cutting a filter to its length ripples; the bound holds
+    return InverseFilter(
+        fir=within * fir,
+        rate_hz=response.rate_hz,
+        band_hz=band_hz,
+        target=within * target,
+        delay=delay,
+        gain_db=20 * math.log10(within * largest),
+    )
+
+
+def verify(response: Response, *, target: float, band_hz: Band) -> Verification:
+    """Compare a response with its target (m/s² per full scale) in a band."""
+    check_band(band_hz, rate_hz=response.rate_hz)
+    inside = find_inside(response.frequency_hz, band_hz=band_hz)
+    size = np.maximum(np.abs(response.response[inside]), TINY)
+    deviation_db = 20 * np.log10(size / target)
+    return Verification(
+        frequency_hz=response.frequency_hz[inside],
+        deviation_db=deviation_db,
+        largest_db=float(np.abs(deviation_db).max()),
+        least_coherence=float(response.coherence[inside].min()),
+    )
+
+
+def _check_signals(sent: Samples, recorded: Samples, *, segment: int) -> None:
+    if sent.ndim != 1 or recorded.shape != (len(recorded), len(sent)):
+        raise ValueError(
+            f"sent and recorded must have shapes (n,) and (n,) or (axes, n), got {sent.shape} and {recorded.shape}"
+        )
+    if not (np.isfinite(sent).all() and np.isfinite(recorded).all()):
+        raise ValueError("sent and recorded must be finite numbers; record again")
+    if not (sent.any() and recorded.any()):
+        raise ValueError("sent or recorded samples are all 0; check that the sensor is connected")
+    if not 1 < segment <= len(sent) // 2:
+        raise ValueError(f"segment must be 2 to {len(sent) // 2} samples, got {segment}")
+
+
+def _find_path(responses: Spectrum, *, inside: NDArray[np.bool_]) -> tuple[Samples, float, int]:
+    """Find direction (for positive drive), cross-talk and latency of responses, shape (axes, k)."""
+    direction, cross_talk_db = find_direction(responses[:, inside])
+    latency, sign = find_latency(direction @ responses, inside=inside)
+    return sign * direction, cross_talk_db, latency
+
+
+def _find_shift(sent: Samples, axes: Samples) -> int:
+    """Find roughly how late the recorded samples are: where their correlation with those sent is largest."""
+    size = sum(np.abs(signal.correlate(axis, sent, method="fft")) ** 2 for axis in axes)
+    return max(int(np.argmax(size)) - (len(sent) - 1), 0)
+
+
+def _make_minimum_phase(log_magnitude: Samples) -> Spectrum:
+    """Make a minimum-phase spectrum of its log magnitude, of which minus the Hilbert transform is the phase."""
+    whole = np.concatenate([log_magnitude, log_magnitude[-2:0:-1]])
+    analytic: Spectrum = signal.hilbert(whole)
+    spectrum: Spectrum = np.exp(np.conj(analytic)[: len(log_magnitude)])
+    return spectrum
+
+
+def _cut_harmonic(impulses: Samples, order: int, *, sweep: Sweep) -> Samples:
+    """Cut out the impulse response of one harmonic: from a little before it to a little before the one it precedes."""
+    samples = sweep.time_constant_s * sweep.rate_hz
+    gap = samples * math.log((ORDERS[-1] + 1) / ORDERS[-1])
+    before, after = round(0.2 * gap), round(0.7 * gap)
+    start = round(-samples * math.log(order)) - before
+    line = np.roll(impulses, -start)[: before + after]
+    return line * signal.windows.tukey(len(line), 0.2)
+
+
+def _fade(grid_hz: Samples, *, band_hz: Band) -> Samples:
+    """Make weights: 1 in the band, 0 beyond half an octave outside it, a raised cosine in between."""
+    octaves = np.log2(np.maximum(grid_hz, grid_hz[1] / 2))
+    outside = np.maximum(math.log2(band_hz[0]) - octaves, octaves - math.log2(band_hz[1]))
+    weights: Samples = np.cos(math.pi / 2 * np.clip(2 * outside, 0, 1)) ** 2
+    return weights
+
+
+def _make_fir(log_gain: Samples, *, n_taps: int, phase: str) -> tuple[Samples, int]:
+    """Make the taps of a filter of given log gain from 0 to half the rate, and its delay in samples."""
+    if phase == "minimum":
+        taper = signal.windows.tukey(2 * n_taps, 0.5)[n_taps:]
+        return fft.irfft(_make_minimum_phase(log_gain))[:n_taps] * taper, 0
+    delay = (n_taps - 1) // 2
+    line = np.roll(fft.irfft(np.exp(log_gain)), delay)[: 2 * delay + 1]
+    return line * signal.windows.tukey(len(line), 0.5), delay
