@@ -786,3 +786,31 @@ def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
     monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
     assert main(["doctor", "--device", "coil"]) == code
     assert f"pulses 10, failed {failed}, underruns {underruns}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("estimated", "told"),
+    [
+        (0, "; onset times are the device's own\n"),
+        (4, "; 4 of 10 onset times are estimated from the latency: the device gives none\n"),
+    ],
+)
+@pytest.mark.parametrize("as_json", [[], ["--json"]])
+def test_doctor_says_how_onset_times_were_got_and_fails_on_a_faulty_sensor(
+    estimated: int, told: str, as_json: list[str], monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    sensor = doctor.SensorCheck((), 10, 0.01, 0.01, fault="sensor on channel 3: got no pulse")
+    found = doctor.Examination(
+        "coil", "ALSA", 48000.0, 20.0, 10, 0, 0, 30.0, 0.1, 0.2, None, None, None, None, 1.0,
+        is_program=False, error="", n_estimated=estimated, sensor=sensor,
+    )  # fmt: skip
+    monkeypatch.setattr(doctor, "survey_devices", list)
+    monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
+    assert main(["doctor", "--device", "coil", *as_json]) == 1
+    printed = capsys.readouterr()
+    assert printed.err == "feel321: sensor on channel 3: got no pulse\n"
+    if as_json:
+        assert json.loads(printed.out)["examination"]["sensor"]["lags_ms"] == []
+    else:
+        assert told in printed.out
+        assert "sensor: pulse found in 0 of 10 recordings, 0.01 m/s² RMS" in printed.out

@@ -345,6 +345,7 @@ class StreamOutput:
             completed=cue.is_complete and take.is_out,
             error=self._error,
             measured=measured | {"latency_s": self._latency_s},
+            dac_source=take.dac_source,
         )
 
     def _write_sensed(self, take: Take) -> dict[str, float]:

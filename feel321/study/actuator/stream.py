@@ -207,18 +207,20 @@ def join(thread: Thread, *, patience_s: float) -> bool:
 
 # One playback as the stream sees it, block by block: when it really began and ended, and what went wrong.
 
+FROM_DEVICE, FROM_LATENCY = "device", "latency"  # ways to get the time of an onset
 SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
 
 @dataclass(frozen=True, slots=True)
 class BlockTimes:
-    """Times and flags that a stream gives with a block."""
+    """Times and flags that a stream gives with a block; dac_source: how `dac_s` was got."""
 
     now_s: float
     dac_s: float
     adc_s: float = 0.0
     has_run_dry: bool = False
     has_lost_input: bool = False
+    dac_source: str = FROM_DEVICE
 
 
 @dataclass(slots=True)
@@ -233,6 +235,7 @@ class Take:
     sensor: Frames | None = None
     cue: Cue | None = None
     onset_s: float | None = None
+    dac_source: str = ""
     end_s: float | None = None
     is_out: bool = False
     n_blocks: int = 0
@@ -261,6 +264,7 @@ class Take:
             return
         if self.onset_s is None and self.cue.n_played:
             self.onset_s = block.dac_s + (self.cue.onset_frame - frame) / self.rate_hz
+            self.dac_source = block.dac_source
             self.sensor_latency_s = block.dac_s - block.adc_s
         if self.cue.is_over:
             n_played = self.cue.n_played
@@ -302,6 +306,9 @@ class DeviceStream:
         self._held_s = OPENED_S
         self._is_closed = False
         self._seen_s, self._patience = 0.0, Patience()
+        self._untimed_s = float(
+            "nan"
+        )  # time of the last call that did not say when its samples leave
         try:
             with _silence_stderr():
                 self._stream = self._open(rig, rate_hz=rate_hz)
@@ -384,17 +391,33 @@ class DeviceStream:
             return
         n, times, status = given
         self._last_s, before_s = perf_counter(), self._last_s
-        # Interfaces that give no times say 0.
-        dac_s = times.outputBufferDacTime or times.currentTime + self.latency_s
+        dac_s, dac_source = self._find_dac_time(times)
         is_empty = self._refill(self._last_s - before_s, block_s=n / self._rate_hz)
         block = BlockTimes(
             now_s=times.currentTime,
             dac_s=dac_s,
-            adc_s=times.inputBufferAdcTime,
+            # DirectSound never says when its input was measured (PortAudio#121).
+            adc_s=times.inputBufferAdcTime
+            or times.currentTime - (self.there_and_back_s - self.latency_s),
             has_run_dry=bool(status.output_underflow) or is_empty,
             has_lost_input=bool(status.input_overflow or status.input_underflow),
+            dac_source=dac_source,
         )
         self._fill(out, block, None if sensed is None else sensed[:, self._column])
+
+    def _find_dac_time(self, times: Foreign) -> tuple[float, str]:
+        """Find when the first sample of a block leaves the converter, and how that was got.
+
+        Nothing leaves in the moment in which it is asked for: a DAC time that is not after now only says that the
+        interface does not know. DirectSound gives now itself (PortAudio#530), WDM-KS gives 0 (PortAudio#531).
+        """
+        now_s, dac_s = times.currentTime, times.outputBufferDacTime
+        # PortAudio splits a buffer that wraps around: its second part has the same now, and a DAC time that is later
+        # by the length of the first.
+        if dac_s > now_s and now_s != self._untimed_s:
+            return dac_s, FROM_DEVICE
+        self._untimed_s = now_s
+        return max(dac_s, now_s) + self.latency_s, FROM_LATENCY
 
     def _refill(self, waited_s: float, *, block_s: float) -> bool:
         """Count a block, and return whether the device had waited for it longer than it had samples for."""

@@ -170,6 +170,8 @@ def doctor(
         for one in devices:
             click.echo(_describe_device(one))
         _print_examination(found)
+    if found is not None and found.sensor is not None and found.sensor.fault:
+        raise OSError(found.sensor.fault)
     if found is not None and (found.n_failed or found.n_underruns):
         context.exit(1)
 
@@ -198,6 +200,15 @@ def _describe_device(device: Mapping[str, Any]) -> str:
     return f"{device['name']} ({device['host_api']}): {channels}; plays at {rates} Hz{program}"
 
 
+def _describe_times(found: Examination) -> str:
+    if not found.n_estimated:
+        return "onset times are the device's own"
+    return (
+        f"{found.n_estimated} of {found.n_pulses} onset times are estimated from the latency: "
+        "the device gives none"
+    )
+
+
 def _print_examination(found: Examination | None) -> None:
     if found is None:
         click.echo("nothing was played; name a device with --device, or in the study's rig.toml")
@@ -206,8 +217,14 @@ def _print_examination(found: Examination | None) -> None:
         f"{found.device} ({found.host_api}) played at {found.rate_hz:g} Hz; latency {found.latency_ms:.1f} ms",
         f"pulses {found.n_pulses}, failed {found.n_failed}, underruns {found.n_underruns}",
         f"requested to onset {found.onset_ms:.1f} ms, jitter {found.jitter_ms:.2f} ms (median), "
-        f"{found.jitter_99_ms:.2f} ms (99 %); longest block {found.callback_ms_max:.2f} ms",
+        f"{found.jitter_99_ms:.2f} ms (99 %); longest block {found.callback_ms_max:.2f} ms; "
+        + _describe_times(found),
     ]
+    if found.sensor is not None:
+        lines.append(
+            f"sensor: pulse found in {len(found.sensor.lags_ms)} of {found.sensor.n_recorded} recordings, "
+            f"{found.sensor.level_m_s2:.2g} m/s² RMS; noise before it {found.sensor.noise_m_s2:.2g} m/s²"
+        )
     if found.sensed_ms is not None:
         lines.append(
             f"onset's block to sensor {found.sensed_ms:.1f} ms, jitter {found.sensed_jitter_ms:.2f} ms (median), "

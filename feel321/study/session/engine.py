@@ -303,6 +303,7 @@ def _describe_playback(playback: ports.Playback) -> dict[str, Any]:
         "completed": bool(playback.completed),
         "error": playback.error,
         "measured": {name: float(value) for name, value in measured if isfinite(value)},
+        "dac_source": playback.dac_source,
     }
 
 

@@ -146,11 +146,12 @@ class PartPlayed(AttemptEvent, event="played"):
     completed: bool
     error: str
     measured: dict[str, float] = field(default_factory=dict)
+    dac_source: str = ""
 
     def to_data(self) -> dict[str, Any]:
-        """Return the fields; `measured` is left out where the device measures nothing."""
-        data = super().to_data()
-        return data if self.measured else {k: v for k, v in data.items() if k != "measured"}
+        """Return the fields; what only some devices give is left out where it is empty."""
+        optional = {"measured": self.measured, "dac_source": self.dac_source}
+        return {k: v for k, v in super().to_data().items() if optional.get(k, True)}
 
 
 class SurfaceStroked(PartPlayed, event="prompted"):

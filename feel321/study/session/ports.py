@@ -51,6 +51,9 @@ class Playback:
         Act of the participant that ended it before its time, beyond stopping it.
     measured : mapping of str to float
         Measurements of the device, such as its own time of the onset; empty where it measures nothing.
+    dac_source : str
+        How `onset_s` was got: `device` by its own clock, or `latency` where it gives no such time and its latency was
+        added to the time at which it asked for the samples; empty where no device played.
     """
 
     requested_s: float
@@ -61,6 +64,7 @@ class Playback:
     error: str = ""
     act: Pause | Abort | None = None
     measured: Mapping[str, float] = field(default_factory=dict)
+    dac_source: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,12 +60,19 @@ class StandIn:
         assert ignore_errors
         self.active = False
 
-    def ask(self, *, dac_s: float | None = None, sensed: float = 0.0, **flags: bool) -> np.ndarray:
+    def ask(
+        self,
+        *,
+        dac_s: float | None = None,
+        adc_s: float | None = None,
+        sensed: float = 0.0,
+        **flags: bool,
+    ) -> np.ndarray:
         out = np.ones((N, 2), dtype=np.float32)
         times = SimpleNamespace(
             currentTime=self.time_s,
             outputBufferDacTime=self.time_s + 0.1 if dac_s is None else dac_s,
-            inputBufferAdcTime=self.time_s - 0.02,
+            inputBufferAdcTime=self.time_s - 0.02 if adc_s is None else adc_s,
         )
         known = {
             "output_underflow": False,
@@ -144,6 +151,29 @@ def test_flags_and_times_are_passed_on(blocks: list[BlockTimes]) -> None:
     assert [block.has_lost_input for block in blocks] == [False, False, True, True]
     assert blocks[0].dac_s - blocks[0].adc_s == pytest.approx(0.12)
     assert line.there_and_back_s == pytest.approx(0.12)
+
+
+@pytest.mark.usefixtures("sounddevice")
+@pytest.mark.parametrize("now_s", [50.0, 0.0])
+def test_a_device_that_gives_no_times_is_recognised_and_its_latency_counts(
+    blocks: list[BlockTimes], now_s: float
+) -> None:
+    _line, stream = open_line(blocks)
+    stream.time_s = now_s
+    stream.ask(dac_s=now_s)  # DirectSound says now (PortAudio#530), WDM-KS 0
+    stream.time_s = now_s
+    stream.ask(dac_s=now_s + 0.06)  # the second part of a buffer that wraps around
+    stream.time_s = now_s + 1
+    stream.ask(dac_s=now_s + 1.03)
+    assert [block.dac_source for block in blocks] == ["latency", "latency", "device"]
+    assert [block.dac_s - now_s for block in blocks] == pytest.approx([0.1, 0.16, 1.03])
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_an_input_without_times_is_late_by_its_latency(blocks: list[BlockTimes]) -> None:
+    _line, stream = open_line(blocks, SENSING)
+    stream.ask(adc_s=0.0)  # PortAudio#121
+    assert blocks[0].now_s - blocks[0].adc_s == pytest.approx(0.02)
 
 
 @pytest.mark.usefixtures("sounddevice")
@@ -293,6 +323,22 @@ def test_a_playback_is_played_and_sensed(monkeypatch: pytest.MonkeyPatch, tmp_pa
     samples, _ = read_wav(tmp_path / "delivered" / "0001.wav")
     assert np.unique(samples) == pytest.approx(5.0)  # half of the sensor's full scale
     assert delivery.measured["sensor_onset_sample"] == 120
+    assert delivery.dac_source == "device"
+
+
+@pytest.mark.usefixtures("sounddevice")
+def test_an_onset_of_a_device_without_times_is_told_as_estimated(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    output, stream = open_output(monkeypatch, tmp_path)
+    output.start("a", gap_s=0.03)
+    begin_s = stream.time_s
+    while output.is_playing:
+        stream.ask(dac_s=stream.time_s)
+    delivery = output.collect()
+    assert delivery.completed
+    assert delivery.dac_source == "latency"
+    assert delivery.measured["dac_time_s"] == pytest.approx(begin_s + 0.03 + 0.1)
 
 
 @pytest.mark.usefixtures("sounddevice")

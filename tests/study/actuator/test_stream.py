@@ -430,5 +430,6 @@ def test_what_the_sensor_measures_is_kept_from_the_onset_on(
     for delivery in deliveries:
         assert delivery["measured"]["sensor_gaps"] == 0
         assert delivery["measured"]["sensor_onset_sample"] > 0
+        assert delivery["dac_source"] == "device"
     assert 0 < lags[0] < 0.45 * RATE_HZ
     assert lags[0] == lags[1]  # to the sample
