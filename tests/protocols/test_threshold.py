@@ -292,6 +292,15 @@ def test_an_ordinary_measurement_has_no_notes(name: str) -> None:
     assert estimate_threshold(conduct(name, Observer(-30))).notes == ()
 
 
+def test_a_preferred_interval_is_noted_from_5_percent_on() -> None:
+    """Two-sided binomial test of 66 answers: p = 0.064 for 41 to one side, 0.036 for 42."""
+    for side, other in ((1, 2), (2, 1)):
+        for count, noted in ((41, False), (42, True)):
+            procedure = resume("staircase", PLAN, answers=[side] * count + [other] * (66 - count))
+            notes = " ".join(estimate_threshold(procedure).notes)
+            assert ("interval 1 answered in" in notes) == noted
+
+
 def test_notes_name_one_interval_and_a_break() -> None:
     estimate = estimate_threshold(resume("staircase", PLAN, answers=[1] * 20))
     assert "broken off: 46 trials not answered" in estimate.notes
@@ -340,7 +349,7 @@ def test_refused_answers() -> None:
     procedure = resume("staircase", ThresholdPlan(-60, 0, -10, trials=1, catch_every=0))
     for wrong in (0, 3, True, "1"):
         with pytest.raises(ValueError, match="answer must be the interval 1 or 2"):
-            procedure.update(wrong)  # type: ignore[arg-type]
+            procedure.update(wrong)  # type: ignore[arg-type]  # not only whole numbers come
     procedure.update(2)
     assert procedure.next() is None
     with pytest.raises(ValueError, match="all 1 trials are answered"):
