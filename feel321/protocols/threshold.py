@@ -1,0 +1,394 @@
+"""Detection threshold of vibration by two-alternative forced choice: a staircase and a Bayesian procedure.
+
+Of two intervals one holds the vibration; the participant says which. Both procedures are used alike: `next` gives the
+trial to present (None when all are done), `update` takes the interval that was answered. Nothing else moves them, so
+answers fed again into `resume` give the same next trial. `estimate_threshold` reads a procedure at any time.
+
+The threshold is the level of 79.4 % correct answers (three down, one up), lapses included. Levels are in dB relative to
+whatever the caller's levels are relative to. The psychometric function is a Weibull function of amplitude,
+
+    P(x) = 1/2 + (1/2 - lapse) (1 - exp(-k 10^(slope (x - threshold) / 20))),
+
+k such that P(threshold) = 2^(-1/n_down). Why not the package `questplus`: it is under the GPL.
+
+References
+----------
+.. [1] Levitt, H. (1971). Transformed up-down methods in psychoacoustics. Journal of the Acoustical Society of America,
+   49, 467-477. doi:10.1121/1.1912375
+.. [2] Kontsevich, L. L., & Tyler, C. W. (1999). Bayesian adaptive estimation of psychometric slope and threshold.
+   Vision Research, 39, 2729-2737. doi:10.1016/S0042-6989(98)00285-5
+.. [3] Watson, A. B. (2017). QUEST+: A general multidimensional Bayesian adaptive psychometric method. Journal of
+   Vision, 17(3):10. doi:10.1167/17.3.10
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from feel321.doors import Registry, as_rng, describe
+from feel321.records import Result
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from feel321.types import Samples
+
+GUESS = 0.5
+"""Share of correct answers without any vibration."""
+
+SLOPES = (1.0, 8.0, 16)
+"""Weibull slopes thought possible: lowest, highest, number; all equally likely, in equal steps of the logarithm."""
+
+MARGIN_DB = 6.0
+"""How far beyond the rig's levels a threshold is thought possible, so that one at a limit shows as such."""
+
+THRESHOLD_STEP_DB, LEVEL_STEP_DB = 0.5, 1.0
+"""Resolution of the thresholds thought possible, and of the levels that the Bayesian procedure presents."""
+
+DESCENT = 2
+"""Correct answers in a row before a staircase goes down, until the first wrong one: one would dive on lucky guesses."""
+
+MOST_DB = 200
+"""Widest range of levels."""
+
+UNLIKELY = 0.05
+"""Probability under guessing below which answers are remarked on."""
+
+
+@dataclass(frozen=True, slots=True)
+class ThresholdPlan:
+    """Settings of a threshold measurement.
+
+    lowest_db, highest_db: the rig's limits, never passed. start_db: first level of a staircase. trials: with vibration;
+    one silent catch trial comes within every `catch_every` of them (0: none). n_down: correct answers in a row before a
+    staircase goes down. steps_db: a staircase's steps, the next one after each reversal, the last one until the end.
+    lapse: assumed share of wrong answers to the strongest vibration. seed: of intervals and catch trials.
+    """
+
+    lowest_db: float
+    highest_db: float
+    start_db: float
+    trials: int = 60
+    catch_every: int = 10
+    n_down: int = 3
+    steps_db: tuple[float, ...] = (8.0, 4.0, 2.0)
+    lapse: float = 0.04
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be run."""
+        low, start, high = self.lowest_db, self.start_db, self.highest_db
+        if not (0 < high - low <= MOST_DB and low <= start <= high):
+            raise ValueError(
+                f"highest_db must be above lowest_db, by {MOST_DB} dB at most, and start_db between "
+                f"them; got {high}, {low} and {start}"
+            )
+        if not self.steps_db or not all(0 < step < math.inf for step in self.steps_db):
+            raise ValueError(f"steps_db must be one or more positive steps, got {self.steps_db}")
+        for name, least, most in (("n_down", 2, 4), ("lapse", 0, 0.1), ("trials", 1, 1000)):
+            value = getattr(self, name)
+            if not least <= value <= most:
+                raise ValueError(f"{name} must be from {least} to {most}, got {value}")
+        if self.catch_every < 0:
+            raise ValueError(f"catch_every must be 0 (none) or more, got {self.catch_every}")
+
+    @property
+    def proportion(self) -> float:
+        """Share of correct answers at the threshold, 2^(-1/n_down) [1]_."""
+        return math.pow(0.5, 1 / self.n_down)
+
+
+@dataclass(frozen=True, slots=True)
+class Presentation:
+    """A trial to present: the interval (1 or 2) that holds the vibration, and its level; None is silence in both."""
+
+    interval: int
+    level_db: float | None
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class ThresholdEstimate(Result):
+    """A person's detection threshold in dB and Weibull slope, with 95 % intervals; NaN where there is no estimate.
+
+    trials: answered, with vibration. at_limit: those at the rig's lowest or highest level. reversals: of a staircase
+    that entered its estimate. catch_correct: of `catch_trials`; by guessing, half.
+    """
+
+    procedure: str
+    threshold_db: float
+    threshold_low_db: float
+    threshold_high_db: float
+    slope: float
+    slope_low: float
+    slope_high: float
+    proportion: float
+    trials: int
+    at_limit: int
+    reversals: int
+    catch_trials: int
+    catch_correct: int
+    notes: tuple[str, ...]
+
+
+def predict_correct(
+    level_db: Samples | float,
+    plan: ThresholdPlan,
+    *,
+    threshold_db: Samples | float,
+    slope: Samples | float,
+    lapse: float | None = None,
+) -> Samples:
+    """Predict the share of correct answers, P(x) of this module's equation; arguments broadcast."""
+    import numpy as np
+
+    height = 1 - GUESS - (plan.lapse if lapse is None else lapse)
+    scale = -math.log1p(-(plan.proportion - GUESS) / height)
+    chances: Samples = GUESS - height * np.expm1(
+        -scale * np.power(10.0, slope * (level_db - threshold_db) / 20)
+    )
+    return chances
+
+
+class Procedure:
+    """Ask/tell form of both procedures: the trials' order, what was answered, and the posterior given that."""
+
+    def __init__(self, plan: ThresholdPlan) -> None:
+        import numpy as np
+
+        self.plan = plan
+        self.shown: list[Presentation] = []
+        self.answers: list[int] = []
+        self._order = _draw_order(plan)
+        self._weights = np.ones_like(_predict_grid(plan, plan.start_db))
+        self._weights /= self._weights.sum()
+
+    def next(self) -> Presentation | None:
+        """Return the trial to present, the same one until it is answered; None when all are done."""
+        if len(self.answers) == len(self._order):
+            return None
+        interval, silent = self._order[len(self.answers)]
+        return Presentation(interval, None if silent else self._choose_level())
+
+    def update(self, answer: int) -> None:
+        """Take the answered interval, 1 or 2, of the trial that `next` gives."""
+        trial = self.next()
+        if trial is None:
+            raise ValueError(f"all {len(self.answers)} trials are answered, got one more answer")
+        if isinstance(answer, bool) or answer not in {1, 2}:
+            raise ValueError(f"answer must be the interval 1 or 2, got {describe(answer)}")
+        self.shown.append(trial)
+        self.answers.append(int(answer))
+        if trial.level_db is not None:
+            correct = answer == trial.interval
+            chances = _predict_grid(self.plan, trial.level_db)
+            weights = self._weights * (chances if correct else 1 - chances)
+            self._weights = weights / weights.sum()
+            self._learn(trial.level_db, correct=correct)
+
+    def _choose_level(self) -> float:
+        raise NotImplementedError
+
+    def _learn(self, level_db: float, *, correct: bool) -> None:
+        """Take an answer to a vibration, beyond what the posterior does."""
+
+
+class Staircase(Procedure):
+    """Transformed up-down staircase [1]_: down after `n_down` correct answers in a row, up after each wrong one.
+
+    The estimate is the mean of the levels at reversals made with the last step, an even number of them. Slope and
+    intervals are those of the posterior given all answers, as in the Bayesian procedure: reversals depend on each
+    other, and hold no slope.
+    """
+
+    def __init__(self, plan: ThresholdPlan) -> None:
+        super().__init__(plan)
+        self.reversals: list[float] = []
+        self._level, self._run, self._direction = plan.start_db, 0, 0
+
+    def _choose_level(self) -> float:
+        return self._level
+
+    def _learn(self, level_db: float, *, correct: bool) -> None:
+        self._run = self._run + 1 if correct else 0
+        descending = not self.reversals and self._direction <= 0
+        if correct and self._run < (DESCENT if descending else self.plan.n_down):
+            return
+        self._run, direction = 0, -1 if correct else 1
+        if direction == -self._direction:
+            self.reversals.append(level_db)
+        step = self.plan.steps_db[min(len(self.reversals), len(self.plan.steps_db) - 1)]
+        moved = level_db + direction * step
+        self._level = min(max(moved, self.plan.lowest_db), self.plan.highest_db)
+        self._direction = direction
+
+    def _list_late(self) -> list[float]:
+        """List the reversals of the estimate: as many peaks as valleys, all with the last step, in dB."""
+        late = self.reversals[len(self.plan.steps_db) - 1 :]
+        return late[len(late) % 2 :]
+
+
+class Bayesian(Procedure):
+    """Posterior of threshold and slope [2]_, [3]_, each level chosen for the least expected entropy after its answer.
+
+    The expected loss of entropy equals the mutual information of answer and parameters, h(E[P]) - E[h(P)] with the
+    binary entropy h. It is rounded before levels are compared, so that another processor's last bit changes nothing.
+    """
+
+    def __init__(self, plan: ThresholdPlan) -> None:
+        import numpy as np
+
+        super().__init__(plan)
+        count = round((plan.highest_db - plan.lowest_db) / LEVEL_STEP_DB) + 1
+        self._levels = np.linspace(plan.lowest_db, plan.highest_db, max(count, 2))
+        self._chances = np.stack([_predict_grid(plan, level).ravel() for level in self._levels])
+        self._entropies = _binary_entropy(self._chances)
+
+    def _choose_level(self) -> float:
+        weights = self._weights.ravel()
+        expected = _binary_entropy(self._chances @ weights)
+        gained = expected - self._entropies @ weights
+        return float(self._levels[gained.round(9).argmax()])
+
+
+PROCEDURES: Registry[type[Procedure]] = Registry(
+    "procedure", {"staircase": Staircase, "bayesian": Bayesian}
+)
+"""Procedures by name."""
+
+
+def resume(name: str, plan: ThresholdPlan, *, answers: Sequence[int] = ()) -> Procedure:
+    """Make a procedure of `PROCEDURES` as it is after the given answers.
+
+    Examples
+    --------
+    >>> plan = ThresholdPlan(lowest_db=-60, highest_db=0, start_db=-10)
+    >>> resume("staircase", plan, answers=[1, 2, 2]).next() == resume("staircase", plan, answers=[1, 2, 2]).next()
+    True
+    """
+    procedure = PROCEDURES.find(name)(plan)
+    for answer in answers:
+        procedure.update(answer)
+    return procedure
+
+
+def write_state(procedure: Procedure) -> dict[str, Any]:
+    """Write a procedure as what JSON can hold."""
+    name = next(name for name, one in PROCEDURES.items() if one is type(procedure))
+    return {"procedure": name, "plan": asdict(procedure.plan), "answers": [*procedure.answers]}
+
+
+def read_state(state: Mapping[str, Any]) -> Procedure:
+    """Make the procedure that `write_state` has written."""
+    plan = ThresholdPlan(**state["plan"] | {"steps_db": tuple(state["plan"]["steps_db"])})
+    return resume(state["procedure"], plan, answers=state["answers"])
+
+
+def estimate_threshold(procedure: Procedure) -> ThresholdEstimate:
+    """Estimate threshold and slope from the answers so far."""
+    plan, answered = procedure.plan, list(zip(procedure.shown, procedure.answers, strict=True))
+    felt = [
+        (one.level_db, one.interval == got) for one, got in answered if one.level_db is not None
+    ]
+    silent = [one.interval == got for one, got in answered if one.level_db is None]
+    weights, (thresholds, slopes) = procedure._weights, _make_grid(plan)
+    late = procedure._list_late() if isinstance(procedure, Staircase) else []
+    mean, low, high = _summarise(thresholds[:, 0], weights.sum(axis=1))
+    if isinstance(procedure, Staircase):
+        mean = sum(late) / len(late) if late else math.nan
+    at_limit = sum(level in {plan.lowest_db, plan.highest_db} for level, _ in felt)
+    return ThresholdEstimate(
+        write_state(procedure)["procedure"],
+        mean,
+        low,
+        high,
+        *_summarise(slopes[0], weights.sum(axis=0)),
+        plan.proportion,
+        trials=len(felt),
+        at_limit=at_limit,
+        reversals=len(late),
+        catch_trials=len(silent),
+        catch_correct=sum(silent),
+        notes=(*_note_range(plan, (mean, low, high)), *_note_answers(procedure, silent)),
+    )
+
+
+def _note_range(plan: ThresholdPlan, estimate: tuple[float, float, float]) -> list[str]:
+    """Say what speaks against a threshold."""
+    threshold, low, high = estimate
+    notes = {
+        "no threshold: too few reversals with the last step": math.isnan(threshold),
+        "the threshold from reversals lies outside the interval from all answers: "
+        "lapses, or a change during the measurement": threshold < low or threshold > high,
+        "the interval reaches beyond the rig's levels: the threshold may lie outside them": (
+            low < plan.lowest_db or high > plan.highest_db
+        ),
+    }
+    return [note for note, holds in notes.items() if holds]
+
+
+def _note_answers(procedure: Procedure, silent: Sequence[bool]) -> list[str]:
+    """Say what is remarkable about the answers."""
+    answers, left = procedure.answers, len(procedure._order) - len(procedure.answers)
+    first = answers.count(1)
+    notes = {
+        f"broken off: {left} trials not answered": left > 0,
+        f"{sum(silent)} of {len(silent)} silent catch trials correct: the vibration may be known "
+        "by something else than feeling it": _find_tail(sum(silent), len(silent)) < UNLIKELY,
+        f"interval 1 answered in {first} of {len(answers)} trials": 2
+        * _find_tail(max(first, len(answers) - first), len(answers))
+        < UNLIKELY,
+    }
+    return [note for note, holds in notes.items() if holds]
+
+
+def _find_tail(hits: int, trials: int) -> float:
+    """Probability of so many hits or more by guessing."""
+    return sum(math.comb(trials, count) for count in range(hits, trials + 1)) / (1 << trials)
+
+
+def _draw_order(plan: ThresholdPlan) -> list[tuple[int, bool]]:
+    """Draw each trial's interval, and whether it is a catch trial."""
+    rng, order = as_rng(plan.seed, "seed"), [False] * plan.trials
+    every = plan.catch_every
+    for block in reversed(range(plan.trials // every if every else 0)):
+        order.insert(block * every + int(rng.integers(1, every + 1)), True)
+    return [
+        (int(interval), silent)
+        for interval, silent in zip(rng.integers(1, 3, len(order)), order, strict=True)
+    ]
+
+
+def _make_grid(plan: ThresholdPlan) -> tuple[Samples, Samples]:
+    """Make the thresholds, shape (n, 1), and slopes, shape (1, m), that are thought possible."""
+    import numpy as np
+
+    low, high = plan.lowest_db - MARGIN_DB, plan.highest_db + MARGIN_DB
+    count = math.ceil((high - low) / THRESHOLD_STEP_DB) + 1
+    return np.linspace(low, high, count)[:, None], np.geomspace(*SLOPES)[None, :]
+
+
+def _predict_grid(plan: ThresholdPlan, level_db: float) -> Samples:
+    """Predict the share of correct answers at a level for every threshold and slope, shape (n, m)."""
+    thresholds, slopes = _make_grid(plan)
+    return predict_correct(level_db, plan, threshold_db=thresholds, slope=slopes)
+
+
+def _summarise(values: Samples, weights: Samples) -> tuple[float, float, float]:
+    """Return mean and central 95 % interval of a discrete distribution, interpolated."""
+    import numpy as np
+
+    below = np.cumsum(weights) - weights / 2
+    low, high = np.interp((0.025, 0.975), below, values)
+    return float(weights @ values), float(low), float(high)
+
+
+def _binary_entropy(chances: Samples) -> Samples:
+    """Entropy of a yes or no of the given probability, in bits."""
+    import numpy as np
+    from scipy.special import entr
+
+    chances = np.clip(chances, 0, 1)  # a mean of ones may round to more than one
+    bits: Samples = (entr(chances) + entr(1 - chances)) / math.log(2)
+    return bits

@@ -1,0 +1,358 @@
+"""Detection thresholds: simulated observers recovered, levels in bounds, replay to the bit."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from feel321.protocols import threshold as module
+from feel321.protocols.threshold import (
+    PROCEDURES,
+    Presentation,
+    Procedure,
+    ThresholdEstimate,
+    ThresholdPlan,
+    estimate_threshold,
+    predict_correct,
+    read_state,
+    resume,
+    write_state,
+)
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+PLAN = ThresholdPlan(lowest_db=-60, highest_db=0, start_db=-10)
+NAMES = list(PROCEDURES)
+
+
+@dataclass(frozen=True)
+class Observer:
+    """A participant by a psychometric function; `hint` tells them the interval of silent trials too."""
+
+    threshold_db: float
+    slope: float = 3.0
+    lapse: float = PLAN.lapse
+    hint: bool = False
+
+    def answer(self, trial: Presentation, rng: Generator) -> int:
+        chance = 1.0 if self.hint else 0.5
+        if trial.level_db is not None:
+            chance = float(
+                predict_correct(
+                    trial.level_db,
+                    PLAN,
+                    threshold_db=self.threshold_db,
+                    slope=self.slope,
+                    lapse=self.lapse,
+                )
+            )
+        return trial.interval if rng.random() < chance else 3 - trial.interval
+
+
+def conduct(
+    name: str, observer: Observer, *, seed: int = 1, plan: dict[str, Any] | None = None
+) -> Procedure:
+    settings = {"lowest_db": -60, "highest_db": 0, "start_db": -10, "seed": seed, **(plan or {})}
+    procedure, rng = resume(name, ThresholdPlan(**settings)), np.random.default_rng([seed, 7])
+    while (trial := procedure.next()) is not None:
+        procedure.update(observer.answer(trial, rng))
+    return procedure
+
+
+def recover(
+    name: str,
+    count: int,
+    *,
+    trials: int,
+    slopes: tuple[float, float] = (1, 8),
+    lapse: float = PLAN.lapse,
+) -> tuple[np.ndarray, np.ndarray, list[ThresholdEstimate]]:
+    """Planted thresholds and slopes of `count` observers, and their estimates."""
+    rng = np.random.default_rng(14)
+    thresholds, slopes_drawn = (
+        rng.uniform(-45, -15, count),
+        np.exp(rng.uniform(*np.log(slopes), count)),
+    )
+    return (
+        thresholds,
+        slopes_drawn,
+        [
+            estimate_threshold(
+                conduct(name, Observer(one, slope, lapse), seed=seed, plan={"trials": trials})
+            )
+            for seed, (one, slope) in enumerate(zip(thresholds, slopes_drawn, strict=True))
+        ],
+    )
+
+
+def errors(planted: np.ndarray, estimates: list[ThresholdEstimate]) -> np.ndarray:
+    return np.array([one.threshold_db for one in estimates]) - planted
+
+
+def coverage(planted: np.ndarray, estimates: list[ThresholdEstimate], field: str) -> float:
+    low, high = np.array([
+        (getattr(one, f"{field}_low{unit}"), getattr(one, f"{field}_high{unit}"))
+        for one in estimates
+        for unit in ["_db" if field == "threshold" else ""]
+    ]).T
+    return float(np.mean((low <= planted) & (planted <= high)))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_100_observers_lie_in_their_intervals(name: str) -> None:
+    """Of 100, 95 are expected, and fewer than 89 about one time in a hundred."""
+    planted, slopes, estimates = recover(name, 100, trials=60)
+    off = errors(planted, estimates)
+    assert coverage(planted, estimates, "threshold") >= 0.89
+    assert coverage(slopes, estimates, "slope") >= 0.89
+    assert abs(np.nanmean(off)) < 0.8
+    assert np.nanstd(off) < {"staircase": 4, "bayesian": 2.5}[name]
+    widths = [one.threshold_high_db - one.threshold_low_db for one in estimates]
+    assert np.median(widths) < 10  # an interval that holds everything proves nothing
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("slopes", "lapse"), [((0.8, 0.8), 0.04), ((12, 12), 0.04), ((3, 3), 0.08)]
+)
+def test_wrong_assumptions_shift_the_threshold_by_little(
+    name: str, slopes: tuple[float, float], lapse: float
+) -> None:
+    planted, _, estimates = recover(name, 30, trials=60, slopes=slopes, lapse=lapse)
+    assert abs(np.nanmedian(errors(planted, estimates))) < 2
+    assert coverage(planted, estimates, "threshold") >= 0.6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_more_trials_narrow_the_interval(name: str) -> None:
+    few, many = (
+        [one.threshold_high_db - one.threshold_low_db for one in recover(name, 12, trials=n)[2]]
+        for n in (30, 90)
+    )
+    assert np.mean(many) < 0.75 * np.mean(few)
+
+
+def test_the_planted_proportion_is_correct_at_the_threshold() -> None:
+    for n_down, expected in ((2, 0.7071), (3, 0.7937), (4, 0.8409)):  # Levitt 1971, Table I
+        plan = ThresholdPlan(lowest_db=-60, highest_db=0, start_db=0, n_down=n_down)
+        levels = np.array([-300.0, -20.0, 100.0])
+        chances = predict_correct(levels, plan, threshold_db=-20, slope=2)
+        assert chances == pytest.approx([0.5, expected, 0.96], abs=1e-4)
+
+
+def test_a_staircase_by_hand() -> None:
+    """Two correct go down until the first wrong one, then three; steps of 8, 4 and 2 dB."""
+    procedure = resume("staircase", ThresholdPlan(-60, 0, -10, catch_every=0, trials=20))
+    levels = []
+    for correct in map(int, "1111001111110110111"):
+        trial = procedure.next()
+        assert trial is not None
+        levels.append(trial.level_db)
+        procedure.update(trial.interval if correct else 3 - trial.interval)
+    down = [-10, -10, -18, -18]
+    after = [-26, -22, -18, -18, -18, -20, -20, -20, -22, -20, -20, -20, -18, -18, -18]
+    assert levels == down + after
+    estimate = estimate_threshold(procedure)
+    # reversals at -26, -18, -22 and -18, the last two with the last step; a valley alone is no estimate
+    valley = estimate_threshold(resume("staircase", procedure.plan, answers=procedure.answers[:14]))
+    assert (valley.reversals, str(valley.threshold_db)) == (0, "nan")
+    assert valley.notes[0] == "no threshold: too few reversals with the last step"
+    assert (estimate.reversals, estimate.threshold_db) == (2, -20)
+
+
+def test_levels_are_chosen_for_the_least_expected_entropy() -> None:
+    """By definition: the posterior's entropy after each answer, weighed by the answer's probability."""
+    plan = ThresholdPlan(-30, 0, -10, trials=30, catch_every=0)
+    procedure, rng = resume("bayesian", plan), np.random.default_rng(3)
+    prior, levels = np.ones_like(module._predict_grid(plan, 0)), np.arange(-30, 1.0)
+    prior /= prior.sum()
+    for _ in range(12):
+        trial = procedure.next()
+        assert trial is not None
+        assert trial.level_db is not None
+        expected = [expect_entropy(prior, module._predict_grid(plan, level)) for level in levels]
+        assert expected[levels.tolist().index(trial.level_db)] == pytest.approx(min(expected))
+        correct = rng.random() < 0.8
+        procedure.update(trial.interval if correct else 3 - trial.interval)
+        chances = module._predict_grid(plan, trial.level_db)
+        prior *= chances if correct else 1 - chances
+        prior /= prior.sum()
+
+
+def expect_entropy(prior: np.ndarray, chances: np.ndarray) -> float:
+    total = 0.0
+    for joint in (prior * chances, prior * (1 - chances)):
+        posterior = joint / joint.sum()
+        total -= joint.sum() * float((posterior * np.log(posterior + 1e-300)).sum())
+    return total
+
+
+def test_questplus_chooses_the_same_levels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PsychoPy brings the package; its thresholds are where k = 1, so one slope is compared."""
+    questplus = pytest.importorskip("questplus", reason="comes with the rig extra (PsychoPy)")
+    monkeypatch.setattr(module, "SLOPES", (3.5, 3.5, 1))
+    plan = ThresholdPlan(-30, 0, -10, trials=30, catch_every=0)
+    scale = -np.log1p(-(plan.proportion - 0.5) / (0.5 - plan.lapse))
+    thresholds = module._make_grid(plan)[0][:, 0] - 20 / 3.5 * np.log10(scale)
+    oracle = questplus.QuestPlusWeibull(
+        intensities=np.arange(-30, 1.0),
+        thresholds=thresholds,
+        slopes=[3.5],
+        lower_asymptotes=[0.5],
+        lapse_rates=[plan.lapse],
+        responses=["Yes", "No"],
+        stim_scale="dB",
+    )
+    procedure, rng = resume("bayesian", plan), np.random.default_rng(5)
+    while (trial := procedure.next()) is not None:
+        assert trial.level_db == oracle.next_intensity
+        correct = rng.random() < 0.8
+        oracle.update(intensity=trial.level_db, response="Yes" if correct else "No")
+        procedure.update(trial.interval if correct else 3 - trial.interval)
+    shift = estimate_threshold(procedure).threshold_db - oracle.param_estimate["threshold"]
+    assert shift == pytest.approx(20 / 3.5 * np.log10(scale), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("threshold_db", "limit"), [(40, 0), (-120, -60)])
+def test_levels_stay_within_the_rig(name: str, threshold_db: float, limit: float) -> None:
+    procedure = conduct(name, Observer(threshold_db))
+    levels = [one.level_db for one in procedure.shown if one.level_db is not None]
+    assert min(levels) >= -60
+    assert max(levels) <= 0
+    assert limit in levels
+    estimate = estimate_threshold(procedure)
+    assert estimate.at_limit > 10
+    assert "the interval reaches beyond the rig's levels" in " ".join(estimate.notes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_replay_is_identical(name: str) -> None:
+    """At every trial: the state, through JSON, gives the same next trial to the last bit."""
+    whole = conduct(name, Observer(-30), plan={"trials": 30, "lowest_db": -61.3})
+    for done in range(0, len(whole.answers) + 1, 3):
+        part = resume(name, whole.plan, answers=whole.answers[:done])
+        again = read_state(json.loads(json.dumps(write_state(part))))
+        assert again.shown == part.shown == whole.shown[:done]
+        assert again.next() == part.next() == [*whole.shown, None][done]
+        assert again.plan == whole.plan
+    assert estimate_threshold(again) == estimate_threshold(whole)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_asking_moves_nothing(name: str) -> None:
+    procedure = resume(name, PLAN, answers=[1, 2, 1])
+    before = write_state(procedure)
+    assert procedure.next() == procedure.next()
+    estimate_threshold(procedure)
+    assert write_state(procedure) == before
+
+
+def test_catch_trials_are_silent_and_spread() -> None:
+    procedure = conduct("staircase", Observer(-30))
+    silent = [one.level_db is None for one in procedure.shown]
+    assert (len(silent), sum(silent)) == (66, 6)
+    assert [sum(silent[start : start + 11]) for start in range(0, 66, 11)] == [1] * 6
+    intervals = [one.interval for one in procedure.shown]
+    assert 20 < intervals.count(1) < 46
+
+
+def test_catch_trials_find_a_leaking_cue() -> None:
+    estimate = estimate_threshold(conduct("staircase", Observer(-30, hint=True)))
+    assert (estimate.catch_trials, estimate.catch_correct) == (6, 6)
+    assert any(note.startswith("6 of 6 silent catch trials correct") for note in estimate.notes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_catch_trials_do_not_touch_levels(name: str) -> None:
+    """Whatever is answered to silence, the next levels are the same."""
+    whole = conduct(name, Observer(-30), plan={"trials": 20})
+    flipped = [
+        3 - answer if one.level_db is None else answer
+        for one, answer in zip(whole.shown, whole.answers, strict=True)
+    ]
+    again = resume(name, whole.plan, answers=flipped)
+    assert flipped != whole.answers
+    assert again.shown == whole.shown
+
+
+def test_guessing_by_the_binomial_distribution() -> None:
+    tails = [module._find_tail(hits, 6) for hits in (0, 5, 6)]
+    assert tails == [1, 7 / 64, 1 / 64]
+    assert module._binary_entropy(np.array([0, 0.5, 1 + 2**-50])).tolist() == [0, 1, 0]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_ordinary_measurement_has_no_notes(name: str) -> None:
+    assert estimate_threshold(conduct(name, Observer(-30))).notes == ()
+
+
+def test_a_preferred_interval_is_noted_from_5_percent_on() -> None:
+    """Two-sided binomial test of 66 answers: p = 0.064 for 41 to one side, 0.036 for 42."""
+    for side, other in ((1, 2), (2, 1)):
+        for count, noted in ((41, False), (42, True)):
+            procedure = resume("staircase", PLAN, answers=[side] * count + [other] * (66 - count))
+            notes = " ".join(estimate_threshold(procedure).notes)
+            assert ("interval 1 answered in" in notes) == noted
+
+
+def test_notes_name_one_interval_and_a_break() -> None:
+    estimate = estimate_threshold(resume("staircase", PLAN, answers=[1] * 20))
+    assert "broken off: 46 trials not answered" in estimate.notes
+    assert "interval 1 answered in 20 of 20 trials" in estimate.notes
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_estimate_without_answers_is_the_prior(name: str) -> None:
+    estimate = estimate_threshold(resume(name, PLAN))
+    assert (estimate.trials, estimate.catch_trials) == (0, 0)
+    assert np.isnan(estimate.threshold_db) == (name == "staircase")
+    assert (estimate.threshold_low_db, estimate.threshold_high_db) == pytest.approx(
+        (-64.2, 4.2), abs=0.3
+    )
+    assert json.loads(json.dumps(estimate.to_dict(), allow_nan=False))["trials"] == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"lowest_db": 5}, "highest_db must be above lowest_db"),
+        ({"start_db": 1}, "start_db between them; got 0, -60 and 1"),
+        ({"highest_db": float("inf")}, "by 200 dB at most"),
+        ({"lowest_db": float("nan")}, "highest_db must be above"),
+        ({"steps_db": ()}, "steps_db must be one or more"),
+        ({"steps_db": (4.0, 0.0)}, "steps_db must be one or more"),
+        ({"n_down": 1}, "n_down must be from 2 to 4, got 1"),
+        ({"lapse": 0.2}, "lapse must be from 0 to 0.1, got 0.2"),
+        ({"trials": 0}, "trials must be from 1"),
+        ({"catch_every": -1}, "catch_every must be 0"),
+    ],
+)
+def test_plans_that_cannot_be_run(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        ThresholdPlan(**{"lowest_db": -60, "highest_db": 0, "start_db": -10, **change})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_without_lapses_and_with_the_widest_range(name: str) -> None:
+    plan = {"lowest_db": -200, "lapse": 0, "trials": 40}
+    procedure = conduct(name, Observer(-30, lapse=0), plan=plan)
+    assert estimate_threshold(procedure).threshold_db == pytest.approx(-30, abs=4)
+
+
+def test_refused_answers() -> None:
+    procedure = resume("staircase", ThresholdPlan(-60, 0, -10, trials=1, catch_every=0))
+    for wrong in (0, 3, True, "1"):
+        with pytest.raises(ValueError, match="answer must be the interval 1 or 2"):
+            procedure.update(wrong)  # type: ignore[arg-type]  # not only whole numbers come
+    procedure.update(2)
+    assert procedure.next() is None
+    with pytest.raises(ValueError, match="all 1 trials are answered"):
+        procedure.update(1)
+    with pytest.raises(ValueError, match="did you mean 'bayesian'"):
+        resume("baysian", PLAN)
