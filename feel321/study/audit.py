@@ -78,10 +78,11 @@ _AFTER: Mapping[str, tuple[type[events.SessionEvent], ...]] = {
     # A session whose header a crash prevented may be given up.
     "": (events.SessionBegun, events.SessionReleased),
     # A crash may keep the end from the ledger; then the lab is opened once more, and Ctrl-C may come.
-    events.SessionFinished.event: (events.SessionAborted, events.DeviceOpened),
+    events.SessionFinished.event: (events.SessionAborted, events.DeviceOpened, events.NoteTaken),
     # A crash may come before the next session is begun, and nobody come back.
-    events.SessionSuperseded.event: (events.SessionReleased,),
-    events.SessionReleased.event: (),
+    events.SessionSuperseded.event: (events.SessionReleased, events.NoteTaken),
+    # What becomes known later of a session is noted in its journal.
+    events.SessionReleased.event: (events.NoteTaken,),
 }
 """The events that may follow at the start, and after each event that ends a session; else all may but the header."""
 

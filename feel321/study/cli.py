@@ -24,6 +24,7 @@ VERBS = {
         "demo",
         "ledger",
         "new",
+        "note",
         "release",
         "simulate",
         "status",

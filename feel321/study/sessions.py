@@ -391,10 +391,11 @@ class Lab:
     stimuli: StimulusSet
     rig: Rig
     windowed: bool = False
+    screen: int = 0
     casting: Casting | None = None
 
 
-def check_lab(rig: Rig) -> None:
+def check_lab(rig: Rig, *, screen: int = 0) -> None:
     """Check everything that can be checked before anything is opened."""
     needed = ["psychopy"] if rig.device.name == FILE_DEVICE else ["psychopy", "sounddevice"]
     if missing := [name for name in needed if find_spec(name) is None]:
@@ -409,6 +410,10 @@ def check_lab(rig: Rig) -> None:
 
         device = find_device(list_devices(), rig.device.name, host_api=rig.device.host_api)
         check_channels(device, rig)
+    if screen:  # there is always a first one
+        from feel321.study.screen.window import check_screen
+
+        check_screen(screen)
 
 
 def identify_lab(lab: Lab) -> dict[str, Any]:
@@ -435,7 +440,8 @@ def open_lab(
     surfaces = list_surfaces(lab.settings, lab.study.path)
     with ExitStack() as stack:
         output = stack.enter_context(_open_output(plan, lab=lab, clock=clock))
-        window = stack.enter_context(open_screen(clock=clock, windowed=lab.windowed))
+        screen = open_screen(clock=clock, windowed=lab.windowed, screen=lab.screen)
+        window = stack.enter_context(screen)
         hand = stack.enter_context(_open_hand(plan, journal, stimuli, casting=lab.casting))
         journal.write(DeviceOpened(dict(output.identity)))
         yield ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=hand)
@@ -488,6 +494,7 @@ class Visit:
 
     participant: str
     windowed: bool = False
+    screen: int = 0
     device: str | None = None
     simulated: bool = False
     seed: int | None = None
@@ -509,10 +516,11 @@ def run_participant(
             raise ValueError(f"{study.settings}: {unfelt}")
         warn(unfelt)
     rig = require_rig(study, settings, stimuli, device=visit.device)
-    check_lab(rig)
+    check_lab(rig, screen=visit.screen)
     seed = settings.study.seed if visit.seed is None else visit.seed
     casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
-    lab = Lab(study, settings, stimuli, rig, windowed=visit.windowed, casting=casting)
+    view = partial(Lab, windowed=visit.windowed, screen=visit.screen)
+    lab = view(study, settings, stimuli, rig, casting=casting)
     room, notice = open_room(study, settings, stimuli, now=now)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
     for entry in read_ledger(room.ledger, plan.participant):

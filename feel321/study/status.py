@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
 from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
-from feel321.study.ledger.progress import make_progress
+from feel321.study.ledger.progress import Note, list_notes, make_progress
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
@@ -183,6 +183,7 @@ class ParticipantStatus:
     last_activity: str = ""
     warnings: tuple[str, ...] = ()
     problem: str = ""
+    notes: tuple[Note, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -205,6 +206,12 @@ class Status(Result):
         for entry in self.participants:
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         return "\n".join([*lines, *describe_balance(self.balance)])
+
+    def list_notes(self) -> list[str]:
+        """Write what `feel321 status --notes` adds."""
+        taken = [(entry.participant, note) for entry in self.participants for note in entry.notes]
+        lines = [f"  {who:<12}{note.utc}  {note.text}" for who, note in taken]
+        return ["notes:", *lines] if lines else ["notes: none"]
 
     def __repr__(self) -> str:
         """Count the participants in each state."""
@@ -247,6 +254,7 @@ def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
         with read_as_written(dossier.newest):
             chains = dossier.chains[-1:]
             warnings = [line for chain in chains for line in _find_warnings(dossier.plan, chain)]
+            notes = tuple(list_notes(dossier.chains))
             _list_counted(dossier)  # for the balance, which tells no folder
     except (OSError, ValueError) as error:
         return ParticipantStatus(folder.name, problem=str(error)), None
@@ -260,6 +268,7 @@ def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
         simulated=progress.simulated,
         last_activity=progress.last_utc,
         warnings=tuple(warnings),
+        notes=notes,
     )
     return entry, dossier
 

@@ -19,6 +19,7 @@ from feel321.study.actuator.stream import Device
 from feel321.study.audit import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
+from feel321.study.screen import window
 from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
 from feel321.study.sessions import Visit, run_participant
@@ -319,3 +320,47 @@ def test_a_person_who_has_not_begun_is_not_taken_over_by_a_simulated_one(
     with pytest.raises(ValueError, match="p01"):
         visit(ready, simulated=True)
     assert len(ready.journals) == 1
+
+
+def test_a_monitor_that_is_not_there_takes_nobodys_number(
+    ready: StudyFolder, present: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def refuse(screen: int) -> None:
+        asked.append(screen)
+        raise ValueError("--screen must be")
+
+    monkeypatch.setattr(window, "check_screen", refuse)
+    presenter = present()
+    assert main(["run", str(ready.path), "--participant", "p01", "--screen", "3"]) == 1
+    assert (asked, presenter.log, ready.ledger.exists()) == ([3], [], False)
+
+
+def test_the_window_opens_on_the_monitor_that_was_asked_for(
+    ready: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(window, "check_screen", lambda _: None)
+
+    @contextmanager
+    def open_screen(**choices: Any) -> Iterator[Any]:
+        assert (choices["screen"], choices["windowed"]) == (1, True)
+        raise RuntimeError("as asked")
+        yield
+
+    monkeypatch.setattr(window, "open_screen", open_screen)
+    command = ["run", str(ready.path), "--participant", "p01", "--windowed", "--screen", "1"]
+    assert main(command) == 1
+    assert "as asked" in capsys.readouterr().err
+
+
+def test_who_stops_goes_on_at_the_same_monitor(
+    ready: StudyFolder,
+    present: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(window, "check_screen", lambda _: None)
+    present(pages={"rest": [Abort(9.0, "tired")]})
+    assert main(["run", str(ready.path), "--participant", "p01", "--screen", "1"]) == 1
+    assert capsys.readouterr().err.endswith(" --participant p01 --screen 1\n")

@@ -31,6 +31,14 @@ class Terminated(KeyboardInterrupt):
 @shared.participant_option
 @shared.flag("--windowed", "A window instead of the whole screen.")
 @click.option(
+    "--screen",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="The participant's monitor; 0 is the main one.",
+)
+@click.option(
     "--device", metavar="NAME", help="Audio device; 'file' writes WAV files.  [default: rig.toml's]"
 )
 @shared.flag("--rehearse", "Try it out: the session is stored in rehearsals/ and never analysed.")
@@ -43,6 +51,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     study: Study,
     participant: str,
     windowed: bool,
+    screen: int,
     device: str | None,
     rehearse: bool,
     simulated: bool,
@@ -53,7 +62,9 @@ def run(  # noqa: PLR0913 - one parameter per option
         raise click.UsageError("--seed needs --simulate-participant; people have no seed")
     from feel321.study.sessions import Visit, run_participant
 
-    visit = Visit(participant, windowed=windowed, device=device, simulated=simulated, seed=seed)
+    visit = Visit(
+        participant, windowed=windowed, screen=screen, device=device, simulated=simulated, seed=seed
+    )
     log = _Log(participant, _write_command(context))
     folder = replace(study.folder, is_rehearsal=rehearse)
     with _catch_termination(), log.watch():
@@ -101,7 +112,8 @@ def _write_command(context: click.Context) -> str:
     words = ["feel321", "run", str(context.params["study"].folder.path)]
     for parameter in context.command.params:
         value = context.params.get(str(parameter.name))
-        if isinstance(parameter, click.Option) and value is not None and value is not False:
+        is_given = value is not None and value is not False and value != parameter.default
+        if isinstance(parameter, click.Option) and is_given:
             words += parameter.opts if value is True else [*parameter.opts, str(value)]
     return join(words)
 

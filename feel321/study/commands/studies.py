@@ -1,4 +1,4 @@
-"""Verbs of a study: new, check, build, demo, simulate, status, audit, ledger, release, withdraw, analyze."""
+"""Verbs of a study: new, check, build, demo, simulate, status, note, audit, ledger, release, withdraw, analyze."""
 
 from __future__ import annotations
 
@@ -177,15 +177,38 @@ def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool
 
 @click.command(epilog="Example: feel321 status my-study")
 @shared.study_argument
+@shared.flag("--notes", "Also the experimenter's notes (feel321 note).", "with_notes")
 @shared.rehearsals_option
 @shared.json_option
-def status(*, study: Study, rehearsals: bool, as_json: bool) -> None:
+def status(*, study: Study, with_notes: bool, rehearsals: bool, as_json: bool) -> None:
     """Show the progress of every participant."""
     state = _choose(study, rehearsals=rehearsals).status()
     if as_json:
         shared.print_json(asdict(state))
         return
-    click.echo(state.summary())
+    click.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else [])]))
+
+
+@click.command(
+    epilog='Example: feel321 note my-study --participant p07 "left coil rattled in block 2"'
+)
+@shared.study_argument
+@click.argument("text")
+@shared.participant_option
+@shared.rehearsals_option
+def note(*, study: Study, text: str, participant: str, rehearsals: bool) -> None:
+    """Write an experimenter's note into a participant's journal.
+
+    One line between two openings of a session or after its end, never while it runs. It is kept like all that was
+    recorded: never edited, removed only by withdraw, and it changes the seal of audit. Write no names. Shown by
+    status --notes.
+    """
+    from feel321.study.ledger.notes import take_note
+
+    folder = _choose(study, rehearsals=rehearsals).folder
+    if notice := take_note(folder, participant, text, now=study.now):
+        shared.warn(notice)
+    click.echo(f"{participant}: noted")
 
 
 def _choose(study: Study, *, rehearsals: bool) -> Study:

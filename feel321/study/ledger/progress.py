@@ -6,7 +6,7 @@ The chain inside a journal cannot show that whole lines are missing at its end; 
 import csv
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from shlex import quote
@@ -16,8 +16,8 @@ from feel321.files import write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.session import plan as plans
-from feel321.study.session.events import PageRead, SessionFinished, SessionReleased
-from feel321.study.session.journal import START, Records, digest, list_journals
+from feel321.study.session.events import NoteTaken, PageRead, SessionFinished, SessionReleased
+from feel321.study.session.journal import START, Chain, Records, digest, list_journals
 
 ROSTER_FILE = "participants.csv"
 
@@ -131,6 +131,25 @@ def _digest(entry: Mapping[str, Any]) -> str:
     return digest(json.dumps(entry, sort_keys=True))
 
 
+# Notes of the experimenter.
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A note, and when it was taken."""
+
+    utc: str
+    text: str
+
+
+def list_notes(chains: Iterable[Chain]) -> Iterator[Note]:
+    """List the notes in all journals of a participant, in order."""
+    for chain in chains:
+        for record in chain.records:
+            if record.event == NoteTaken.event and isinstance(event := record.content, NoteTaken):
+                yield Note(record.utc, event.text)
+
+
 # Progress and `participants.csv`.
 
 
@@ -175,7 +194,8 @@ def read_progress(folder: Path) -> Progress:
 def make_progress(dossier: plans.Dossier) -> Progress:
     """Derive the progress of one participant from plan and journals."""
     plan, newest = dossier.plan, dossier.records
-    times = [record.utc for chain in dossier.chains for record in chain.records]
+    records = [record for chain in dossier.chains for record in chain.records]
+    times = [record.utc for record in records if record.event != NoteTaken.event]
     with plans.read_as_written(dossier.newest):
         return Progress(
             participant=plan.participant,

@@ -31,7 +31,7 @@ def withdraw_participant(
 ) -> list[str]:
     """Remove the data of a participant for good; a tombstone keeps the code from being used again."""
     ledger, notice = slots.open_study_ledger(study, now=now)
-    entry = _require_entry(ledger, participant)
+    entry = require_entry(ledger, participant)
     folder = study.sessions / participant
     if (
         (found := progress.read_tombstone(folder))
@@ -39,7 +39,7 @@ def withdraw_participant(
         and entry.state == "withdrawn"
     ):
         raise ValueError(f"participant {participant}: withdrew at {found.utc}, all data are gone")
-    with _hold(folder):
+    with hold_folder(folder):
         # Or the one of a withdrawal that was interrupted.
         tombstone = found or _make_tombstone(folder, entry, reason=reason, now=now)
         removed = _remove_data(folder)
@@ -49,7 +49,7 @@ def withdraw_participant(
         rehearsal = replace(study, is_rehearsal=True).sessions / participant
         if rehearsal.exists() and rehearsal != folder:
             warnings.append(f"{rehearsal}: was rehearsed under the same code; remove the folder")
-        _enter(
+        enter(
             ledger,
             participant,
             slots.Entry(participant, entry.simulated, entry.number, "withdrawn"),
@@ -68,7 +68,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     Of one who never began there is nothing to keep: the plan goes, and the code may be used again.
     """
     ledger, _ = slots.open_study_ledger(study, now=now)
-    entry = _require_entry(ledger, participant)
+    entry = require_entry(ledger, participant)
     folder = study.sessions / participant
     if progress.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, there is nothing to release")
@@ -76,21 +76,22 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
         raise ValueError(
             f"participant {participant}: was released before; number {entry.number} is free"
         )
-    with _hold(folder):
+    with hold_folder(folder):
         progress.check_anchors(entry.anchors, folder)
         journal = _open_newest(folder, now=now)
         if journal is not None:
             _write_release(journal, participant)
-            _enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
+            enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
             return entry.number
         _remove_data(folder)
-        _enter(ledger, participant, None)
+        enter(ledger, participant, None)
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
     return entry.number
 
 
-def _require_entry(ledger: Engine, participant: str) -> slots.Entry:
+def require_entry(ledger: Engine, participant: str) -> slots.Entry:
+    """Find a participant in the ledger."""
     entries = {entry.participant: entry for entry in slots.read_ledger(ledger)}
     if participant not in entries:
         known = ", ".join(entries) or "nobody yet"
@@ -99,7 +100,8 @@ def _require_entry(ledger: Engine, participant: str) -> slots.Entry:
 
 
 @contextmanager
-def _hold(folder: Path) -> Iterator[None]:
+def hold_folder(folder: Path) -> Iterator[None]:
+    """Keep sessions from writing to a participant's folder."""
     folder.mkdir(parents=True, exist_ok=True)
     busy = "a session is running here; let it finish or stop it first"
     with hold_lock(folder / progress.LOCK_FILE, busy=busy):
@@ -164,7 +166,9 @@ def _remove_report(study: StudyFolder) -> Iterator[str]:
         yield f"{study.report}: holds other files; remove those with the participant's data"
 
 
-def _enter(ledger: Engine, participant: str, entry: slots.Entry | None) -> None:
+def enter(ledger: Engine, participant: str, entry: slots.Entry | None) -> None:
+    """Replace the ledger's entry of a participant; None takes it out."""
+
     def change(known: list[slots.Entry]) -> list[slots.Entry]:
         others = [other for other in known if other.participant != participant]
         return [*others, entry] if entry else others

@@ -225,6 +225,20 @@ def open_screen(
             window.close()
 
 
+def check_screen(screen: int) -> None:
+    """Refuse a number that no monitor has: PsychoPy would take the first one instead, with a warning."""
+    try:
+        from pyglet.canvas import get_display
+
+        monitors = get_display().get_screens()  # numbered as PsychoPy numbers them
+    except Exception as error:
+        _raise_display_error(error)
+        raise
+    if screen not in range(len(monitors)):
+        listed = ", ".join(f"{n} ({one.width} x {one.height})" for n, one in enumerate(monitors))
+        raise ValueError(f"--screen must be one of the monitors found: {listed}; got {screen}")
+
+
 def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Foreign:
     try:
         from psychopy import logging, monitors, visual  # looks for a display already here
@@ -246,18 +260,23 @@ def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Forei
             multiSample=False,
         )
     except Exception as error:
-        if type(error).__name__ != "NoSuchDisplayException":
-            raise
-        display = os.environ.get("DISPLAY")
-        raise OSError(
-            f"no display found (DISPLAY is {display!r}); use one on which windows can be opened"
-        ) from None
+        _raise_display_error(error)
+        raise
     from pyglet import font
 
     for file in drawing.find_font_files():
         font.add_file(str(file))
     handle.mouseVisible = True
     return handle
+
+
+def _raise_display_error(error: Exception) -> None:
+    """Say in our words that there is no display; whatever else an error is, it is left alone."""
+    if type(error).__name__ == "NoSuchDisplayException":
+        display = os.environ.get("DISPLAY")
+        raise OSError(
+            f"no display found (DISPLAY is {display!r}); use one on which windows can be opened"
+        ) from None
 
 
 def _list_graphics_errors() -> tuple[type[Exception], ...]:

@@ -124,6 +124,27 @@ class SessionReleased(SessionEvent, event="released"):
     """The participant will not come back."""
 
 
+NOTE_LETTERS = 1000
+"""Longest note, in characters."""
+
+
+class NoteTaken(SessionEvent, event="note"):
+    """The experimenter's own words about the session; no trial, and nothing follows from them."""
+
+    text: str
+
+    def __post_init__(self) -> None:
+        """Refuse what no terminal or table shows as it was written."""
+        text = self.text
+        if not text.strip() or len(text) > NOTE_LETTERS:
+            raise ValueError(f"a note must have 1 to {NOTE_LETTERS} characters, got {len(text)}")
+        if odd := next((letter for letter in text if not letter.isprintable()), ""):
+            raise ValueError(
+                f"a note must be one line without control characters, got {odd!a} at character "
+                f"{text.index(odd) + 1}; take several notes instead of several lines"
+            )
+
+
 class AttemptEvent(SessionEvent):
     """Something that happened in an attempt at a trial; attempts are numbered from 1."""
 
@@ -213,7 +234,7 @@ class TrialSpoiled(AttemptEvent, event="spoiled"):
 REPAIRS = (ClockStepped, LineRecovered)
 """May come anywhere in a journal."""
 
-OPENING = (*REPAIRS, DeviceOpened, SessionResumed)
+OPENING = (*REPAIRS, NoteTaken, DeviceOpened, SessionResumed)
 """May come before anybody has come back to work."""
 
 UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)

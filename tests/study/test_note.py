@@ -1,0 +1,254 @@
+"""The experimenter's notes: in the journal, and of no effect on anything but what they say."""
+
+from __future__ import annotations
+
+import json
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from feel321.files import hold_lock
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study import sessions
+from feel321.study.audit import audit_steps, audit_study, make_seal
+from feel321.study.cli import main
+from feel321.study.folder import StudyFolder, create_study
+from feel321.study.ledger.notes import take_note
+from feel321.study.ledger.progress import write_roster
+from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.ratings import write_ratings
+from feel321.study.session.events import NOTE_LETTERS, NoteTaken
+from feel321.study.session.journal import read_journal
+from feel321.study.session.plan import require_plan
+from feel321.study.session.ports import Abort
+from feel321.study.sessions import Visit, run_participant
+from feel321.study.status import read_status
+from feel321.study.workflow import build_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    Run = Callable[..., Any]
+
+SETTINGS = """
+[[recordings]]
+scene = "bumps"
+duration_s = 0.1
+[stimuli]
+reducers = ["sax321", "mag321"]
+reference = "none"
+anchors = false
+[session]
+protocols = ["realism"]
+[session.rehearsal]
+training = 0
+practice = 0
+"""
+START = datetime(2026, 5, 4, 9, tzinfo=UTC)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> StudyFolder:
+    study = create_study(tmp_path / "study")
+    study.settings.write_text(SETTINGS, encoding="utf-8")
+    build_study(study)
+    return study
+
+
+@pytest.fixture
+def run(study: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch) -> Run:
+    """Run p01's session so many hours after the first one, with somebody in the place of screen and actuators."""
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr(sessions, "find_spec", lambda _: "there")
+
+    def visit(hours: float = 0, **script: Any) -> Any:
+        @contextmanager
+        def open_presenter(_plan: Any, journal: Any, *_: object, **__: object) -> Iterator[Any]:
+            yield scripted(**script, time_s=journal.records.find_elapsed())
+
+        monkeypatch.setattr(sessions, "open_lab", open_presenter)
+        now = START + timedelta(hours=hours)
+        return run_participant(study, Visit("p01"), now=lambda: now)
+
+    return visit
+
+
+def leave() -> dict[str, Any]:
+    """Write the script of somebody who leaves at the first trial."""
+    return {"acts": {(1, 1): [Abort(2.0, "not today")]}}
+
+
+def note(study: StudyFolder, text: str = "left coil rattled", *, hours: float = 0) -> str:
+    return take_note(study, "p01", text, now=lambda: START + timedelta(hours=hours))
+
+
+def read_names(study: StudyFolder) -> list[str]:
+    return [record.event for record in read_journal(study.journals[-1]).records]
+
+
+def test_notes_change_neither_trials_nor_ratings_and_audit_finds_nothing(
+    study: StudyFolder, run: Run
+) -> None:
+    """Between two openings, after the end, and after a release that is due to nobody."""
+    assert run(**leave()).stopped == "not today"
+    before, seal = read_status(study), make_seal(study)
+    assert note(study, hours=1) == ""
+    (entry,) = read_status(study).participants
+    assert (entry.done, entry.left, entry.last_activity) == (
+        before.participants[0].done,
+        before.participants[0].left,
+        before.participants[0].last_activity,
+    )
+    assert read_status(study).balance == before.balance
+    assert make_seal(study) != seal
+    assert run(2).done == 2
+    stimuli = read_stimuli(study.stimuli)
+    tables = [write_ratings, lambda study, _: write_roster(study)]
+    files = [study.ratings, study.path / "participants.csv"]
+    for write in tables:
+        write(study, stimuli)
+    rows = [file.read_bytes() for file in files]
+    note(study, "said afterwards that wood felt like stone", hours=30)
+    note(study, "called: hand was cold; größer", hours=31)
+    for write in tables:
+        write(study, stimuli)
+    assert [file.read_bytes() for file in files] == rows
+    assert audit_study(study) == []
+    (entry,) = read_status(study).participants
+    assert entry.state == "finished"
+    assert [(one.utc[:13], one.text) for one in entry.notes] == [
+        ("2026-05-04T10", "left coil rattled"),
+        ("2026-05-05T15", "said afterwards that wood felt like stone"),
+        ("2026-05-05T16", "called: hand was cold; größer"),
+    ]
+    assert run(40).done == 2  # still finished
+
+
+def test_a_note_makes_no_old_session_fresh(study: StudyFolder, run: Run) -> None:
+    run(**leave())
+    note(study, hours=23.9)
+    run(24, **leave())
+    assert "warm_up" in read_names(
+        study
+    )  # 24 h since anything was done, six minutes since the note
+    assert audit_study(study) == []
+
+
+def test_a_session_with_nothing_but_notes_may_still_get_another_rig(
+    study: StudyFolder, run: Run
+) -> None:
+    run(pages={"welcome": [Abort(2.0, "not today")]})
+    note(study)
+    text = study.rig.read_text(encoding="utf-8")
+    study.rig.write_text(text.replace("100.0", "90.0", 1), encoding="utf-8")
+    assert run(1).done == 2
+    assert len(study.journals) == 2
+    assert [one.text for one in read_status(study).participants[0].notes] == ["left coil rattled"]
+    assert audit_study(study) == []
+
+
+def test_what_is_cut_off_after_a_note_is_found(study: StudyFolder, run: Run) -> None:
+    """The ledger saw the note."""
+    run(**leave())
+    note(study)
+    path = study.journals[-1]
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:-1]))
+    assert any("lines of it were seen" in finding for finding in audit_study(study))
+    with pytest.raises(ValueError, match="lines of it were seen"):
+        note(study)
+
+
+def test_an_answer_after_a_note_needs_the_trial_to_be_shown_again(
+    study: StudyFolder, run: Run
+) -> None:
+    run()
+    path = study.journals[-1]
+    records, plan = list(read_journal(path).records), require_plan(path.parent / "plan.json")
+    place = next(n for n, record in enumerate(records) if record.event == "rated")
+    forged = type(records[0])(place, records[place].utc, "note", {"text": "now"})
+    (finding,) = audit_steps([*records[:place], forged, *records[place:]], plan)
+    assert "'rated' of trial" in finding
+    assert "which was not shown" in finding
+
+
+def test_nobody_writes_into_a_session_that_runs(study: StudyFolder, run: Run) -> None:
+    run(**leave())
+    folder = study.sessions / "p01"
+    before = study.journals[-1].read_bytes()
+    with (
+        hold_lock(folder / ".lock", busy=""),
+        pytest.raises(BlockingIOError, match="p01: a session is running here; let it finish"),
+    ):
+        note(study)
+    assert study.journals[-1].read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "1 to 1000 characters, got 0"),
+        ("  ", "1 to 1000 characters, got 2"),
+        ("a" * (NOTE_LETTERS + 1), "1 to 1000 characters, got 1001"),
+        ("two\nlines", r"without control characters, got '\\n' at character 4"),
+        ("\x1b[2J", r"got '\\x1b' at character 1"),
+        ("a\u202eb", r"got '\\u202e' at character 2"),
+        ("a\udcffb", r"got '\\udcff' at character 2"),
+    ],
+)
+def test_a_note_is_one_line_of_bounded_length(text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        NoteTaken(text)
+
+
+def test_the_longest_note_is_taken(study: StudyFolder, run: Run) -> None:
+    run(**leave())
+    note(study, "ä" * NOTE_LETTERS)
+    assert audit_study(study) == []
+
+
+def test_notes_need_a_journal_and_outlive_a_release_but_no_withdrawal(
+    study: StudyFolder, run: Run
+) -> None:
+    now = partial(datetime.now, UTC)
+    with pytest.raises(ValueError, match="'p01'; known: nobody yet"):
+        note(study)
+    run(**leave())
+    release_participant(study, "p01", now=lambda: START)
+    note(study, "moved to another city", hours=1)
+    assert audit_study(study) == []
+    assert [one.text for one in read_status(study).participants[0].notes] == [
+        "moved to another city"
+    ]
+    assert read_status(study).participants[0].state == "released"
+    withdraw_participant(study, "p01", now=now)
+    with pytest.raises(ValueError, match="p01: withdrew, nothing is recorded any longer"):
+        note(study)
+    assert "another city" not in "".join(
+        path.read_text(errors="replace") for path in study.path.rglob("*") if path.is_file()
+    )
+
+
+def test_the_command_line_writes_and_shows_notes(
+    study: StudyFolder, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(**leave())
+    where = str(study.path)
+    assert main(["status", where, "--notes"]) == 0
+    assert capsys.readouterr().out.endswith("notes: none\n")
+    assert main(["note", where, "--participant", "p01", "a cough in block 2"]) == 0
+    assert capsys.readouterr().out == "p01: noted\n"
+    assert main(["status", where, "--notes"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].split()[::2][0] == "p01"
+    assert main(["status", where]) == 0
+    assert "cough" not in capsys.readouterr().out
+    assert main(["status", where, "--json"]) == 0
+    (entry,) = json.loads(capsys.readouterr().out)["participants"]
+    assert [one["text"] for one in entry["notes"]] == ["a cough in block 2"]
+    assert main(["note", where, "--participant", "p01", "two\nlines"]) == 1
+    error = capsys.readouterr().err
+    assert "one line without control characters" in error
+    assert error.count("\n") == 1
