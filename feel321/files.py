@@ -5,6 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+LOOK_S = 0.2
+"""How long a lock is waited for: `is_held` takes it for an instant, which must refuse nobody."""
+
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file in one step, replacing the one that is there unless it holds just that."""
@@ -43,10 +46,10 @@ def sync_folder(folder: Path) -> None:
 
 @contextmanager
 def hold_lock(path: Path, *, busy: str) -> Iterator[None]:
-    """Hold the lock that a file stands for, or refuse at once; it ends with its process, however that ends."""
+    """Hold the lock that a file stands for, or refuse; it ends with its process, however that ends."""
     from filelock import FileLock, Timeout
 
-    lock = FileLock(path, timeout=0)
+    lock = FileLock(path, timeout=LOOK_S)
     try:
         lock.acquire()
     except Timeout:
@@ -55,6 +58,19 @@ def hold_lock(path: Path, *, busy: str) -> Iterator[None]:
         yield
     finally:
         lock.release()
+
+
+def is_held(path: Path) -> bool:
+    """Check whether a live process holds a lock; yes where nobody may look."""
+    from filelock import FileLock
+
+    if not path.exists():
+        return False
+    try:
+        with FileLock(path, timeout=0):
+            return False
+    except OSError:  # a timeout is one
+        return True
 
 
 @contextmanager

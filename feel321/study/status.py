@@ -10,10 +10,11 @@ from math import lcm, prod
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321.files import is_held
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
 from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
-from feel321.study.ledger.progress import Note, list_notes, make_progress
+from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
@@ -171,7 +172,7 @@ def _name_condition(trial: Trial) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ParticipantStatus:
-    """Progress of one participant."""
+    """Progress of one participant; a session that no live process writes is `aborted`, not `running`."""
 
     participant: str
     state: str = ""
@@ -258,9 +259,10 @@ def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
             _list_counted(dossier)  # for the balance, which tells no folder
     except (OSError, ValueError) as error:
         return ParticipantStatus(folder.name, problem=str(error)), None
+    is_left = progress.state == "running" and not is_held(folder / LOCK_FILE)
     entry = ParticipantStatus(
         participant=progress.participant,
-        state=progress.state,
+        state="aborted" if is_left else progress.state,
         number=progress.number,
         groups=", ".join(f"{factor}={level}" for factor, level in progress.groups.items()),
         done=progress.done,

@@ -3,10 +3,13 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
+from threading import Timer
 from typing import TYPE_CHECKING, Any
 
 import pytest
+from filelock import FileLock
 
+from feel321.files import hold_lock, is_held
 from feel321.protocols.tasks import make_task
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import require_journal
@@ -73,8 +76,12 @@ def test_states_follow_the_journal(present: Present, scripted: type, tmp_path: P
     with pytest.raises(KeyboardInterrupt):
         present(scripted(stop_after=3))
     assert [(entry.state, entry.done, entry.left) for entry in read_status(study).participants] == [
-        ("running", 3, 17)
+        ("aborted", 3, 17)
     ]
+    with hold_lock(folder / ".lock", busy=""):
+        assert [entry.state for entry in read_status(study).participants] == ["running"]
+    with hold_lock(folder / ".lock", busy=""):  # to look took nothing away
+        pass
     require_journal(
         folder / "session-01.jsonl", now=lambda: datetime(2027, 1, 1, tzinfo=UTC)
     ).write("released", {})
@@ -154,7 +161,7 @@ def test_records_of_another_make_are_the_problem_of_their_participant(
     assert broken.problem.startswith(
         f"{tmp_path / 'sessions' / 'p01' / 'session-01.jsonl'}, line 10: is not a 'rated' record"
     )
-    assert (fine.state, fine.done, fine.problem) == ("running", 2, "")
+    assert (fine.state, fine.done, fine.problem) == ("aborted", 2, "")
 
 
 def test_progress_counts_participants(begun: StudyFolder) -> None:
@@ -264,3 +271,18 @@ def test_a_second_attempt_counts_where_it_was_run_and_the_bad_one_does_not(
 def test_pages_and_pauses_do_not_count(present: Present, scripted: type, tmp_path: Path) -> None:
     present(scripted(acts={(1, 1): [Pause(0.0)]}, pages={"pause": [Abort(1.0, "tired")]}))
     assert read_status(StudyFolder(tmp_path)).balance is None
+
+
+def test_who_only_looks_refuses_no_session(tmp_path: Path) -> None:
+    """A look takes the lock for an instant; here it takes a tenth of a second."""
+    path = tmp_path / ".lock"
+    assert not is_held(path)
+    assert not path.exists()
+    looking = FileLock(path, thread_local=False)
+    looking.acquire()
+    timer = Timer(0.1, looking.release)
+    timer.start()
+    with hold_lock(path, busy="refused"):
+        timer.join()
+        assert is_held(path)
+    assert not is_held(path)
