@@ -36,9 +36,8 @@ ABOVE_NOISE = 2.0  # least ratio of the RMS of a sensed pulse to that of the noi
 # Least correlation of a sensed pulse with what was sent. From 8 to 48 kHz, white noise reached 0.33 and a click 0.18;
 # pulses through coils with resonances from 40 to 400 Hz and Q up to 8 stayed above 0.8.
 LIKENESS = 0.5
-STRENGTH = (
-    10.0  # factor by which a sensed pulse may be weaker or stronger than the rig's full scales say
-)
+# Factor by which a sensed pulse may be weaker or stronger than the rig's full scales say.
+STRENGTH = 10.0
 CLIPPED = 0.999  # of the sensor's full scale
 GAPS_S = (0.1, 0.113, 0.127, 0.139, 0.151)  # uneven, out of step with the device's blocks
 

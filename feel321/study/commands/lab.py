@@ -163,8 +163,9 @@ def doctor(
 ) -> None:
     """Test the rig: list devices, measure latency and jitter.
 
-    Checks rig.toml and plays quiet pulses on every actuator, through the same stream as in a session. Without a study,
-    or where the rig plays to files, --device names what to play on.
+    Checks rig.toml and plays quiet pulses on every actuator, through the same stream as in a session. A sensor named in
+    rig.toml must show the pulses, about as strong as they were sent; otherwise the exit code is 1. Without a study, or
+    where the rig plays to files, --device names what to play on.
     """
     from feel321.study.actuator.doctor import examine_rig, survey_devices
 
