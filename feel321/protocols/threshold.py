@@ -4,8 +4,9 @@ Of two intervals one holds the vibration; the participant says which. Both proce
 trial to present (None when all are done), `update` takes the interval that was answered. Nothing else moves them, so
 answers fed again into `resume` give the same next trial. `estimate_threshold` reads a procedure at any time.
 
-The threshold is the level of 79.4 % correct answers (three down, one up), lapses included. Levels are in dB relative to
-whatever the caller's levels are relative to. The psychometric function is a Weibull function of amplitude,
+The threshold is the level at which a share of 2^(-1/n_down) of the answers is correct, lapses included: 79.4 % for the
+usual three down, one up. Levels are in dB relative to whatever the caller's levels are relative to. The psychometric
+function is a Weibull function of amplitude,
 
     P(x) = 1/2 + (1/2 - lapse) (1 - exp(-k 10^(slope (x - threshold) / 20))),
 
