@@ -12,11 +12,12 @@ import pytest
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import StudyFolder, create_study
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Records
 from feel321.study.session.plan import Design, Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
+from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,6 +39,21 @@ duration_s = 0.5
 reducers = ["sax321", "mag321", "dft321"]
 [analysis]
 draws = 200
+"""
+
+SMALLEST_STUDY = """
+[[recordings]]
+scene = "bumps"
+duration_s = 0.1
+[stimuli]
+reducers = ["sax321", "mag321"]
+reference = "none"
+anchors = false
+[session]
+protocols = ["realism"]
+[session.rehearsal]
+training = 0
+practice = 0
 """
 
 # Spectral and temporal match of the made-up reducers: not collinear, so that planted effects can be told apart.
@@ -66,6 +82,15 @@ def make_stimulus(
         sha256="",
         recording_sha256="",
     )
+
+
+@pytest.fixture
+def smallest(tmp_path: Path) -> StudyFolder:
+    """A study of two trials, built."""
+    study = create_study(tmp_path / "study")
+    study.settings.write_text(SMALLEST_STUDY, encoding="utf-8")
+    build_study(study)
+    return study
 
 
 @pytest.fixture(autouse=True, scope="session")

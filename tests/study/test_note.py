@@ -15,7 +15,6 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import sessions
 from feel321.study.audit import audit_steps, audit_study, make_seal
 from feel321.study.cli import main
-from feel321.study.folder import StudyFolder, create_study
 from feel321.study.ledger.notes import take_note
 from feel321.study.ledger.progress import write_roster
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
@@ -26,37 +25,20 @@ from feel321.study.session.plan import require_plan
 from feel321.study.session.ports import Abort
 from feel321.study.sessions import Visit, run_participant
 from feel321.study.status import read_status
-from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
+
+    from feel321.study.folder import StudyFolder
 
     Run = Callable[..., Any]
 
-SETTINGS = """
-[[recordings]]
-scene = "bumps"
-duration_s = 0.1
-[stimuli]
-reducers = ["sax321", "mag321"]
-reference = "none"
-anchors = false
-[session]
-protocols = ["realism"]
-[session.rehearsal]
-training = 0
-practice = 0
-"""
 START = datetime(2026, 5, 4, 9, tzinfo=UTC)
 
 
 @pytest.fixture
-def study(tmp_path: Path) -> StudyFolder:
-    study = create_study(tmp_path / "study")
-    study.settings.write_text(SETTINGS, encoding="utf-8")
-    build_study(study)
-    return study
+def study(smallest: StudyFolder) -> StudyFolder:
+    return smallest
 
 
 @pytest.fixture

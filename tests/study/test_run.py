@@ -24,38 +24,21 @@ from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
 from feel321.study.sessions import Visit, run_participant
 from feel321.study.status import read_status
-from feel321.study.workflow import build_study, check_study
+from feel321.study.workflow import check_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
-SETTINGS = """
-[[recordings]]
-scene = "bumps"
-duration_s = 0.1
-[stimuli]
-reducers = ["sax321", "mag321"]
-reference = "none"
-anchors = false
-[session]
-protocols = ["realism"]
-[session.rehearsal]
-training = 0
-practice = 0
-"""
 TOTAL = 2
 
 
 @pytest.fixture
-def ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
+def ready(smallest: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
     """A study that is built, on a machine that has all that is needed."""
-    study = create_study(tmp_path / "study")
-    study.settings.write_text(SETTINGS, encoding="utf-8")
-    build_study(study)
     monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setattr(sessions, "find_spec", lambda _: "there")
-    return study
+    return smallest
 
 
 @pytest.fixture
