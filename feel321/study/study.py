@@ -311,7 +311,7 @@ class Study(Contents):
         """
         import pandas as pd
 
-        from feel321.study.workflow import simulate_study
+        from feel321.study.simulation import simulate_study
 
         with follow(self.progress, "simulate") as step:
             simulate_study(

@@ -1,4 +1,4 @@
-"""Steps of a study before the analysis: check, build, simulate."""
+"""Steps of a study before the sessions: check and build."""
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
@@ -18,11 +18,8 @@ from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import Rig, read_rig
 from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, find_changes, is_in_use
-from feel321.study.ledger.progress import write_roster
-from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import Clock
 from feel321.study.session.plan import PLAN_FILE, make_plan
-from feel321.study.sessions import list_rig_problems, open_room, require_current_set, run_simulation
+from feel321.study.sessions import list_rig_problems
 from feel321.study.settings.read import (
     find_language,
     list_remarks,
@@ -69,31 +66,6 @@ def _protect_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[R
     if changes and is_in_use(study, sha256):
         remedy = f"sessions were run with this set; make a new study, or move {study.sessions} away"
         raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))
-
-
-def simulate_study(
-    study: StudyFolder,
-    *,
-    participants: int,
-    seed: int | None,
-    now: Clock,
-    progress: Progress | None = None,
-    warn: Callable[[str], None] | None = None,
-) -> int:
-    """Run the sessions of simulated participants and derive the table of ratings; returns its rows."""
-    settings = read_settings(study.settings)
-    stimuli = read_stimuli(study.stimuli)
-    require_current_set(study, settings)
-    seed = settings.study.seed if seed is None else seed
-    room, ledger_notice = open_room(study, settings, stimuli, now=now)
-    notices = run_simulation(room, settings, participants, seed=seed, progress=progress)
-    if warn is not None:
-        for notice in filter(
-            None, (strength.find_unfelt(settings, stimuli), ledger_notice, *notices)
-        ):
-            warn(notice)
-    write_roster(study)
-    return write_ratings(study, stimuli)
 
 
 # Everything that stands in the way of a study, found in one go.

@@ -24,7 +24,8 @@ from feel321.study.session.journal import (
     require_journal,
     write_line,
 )
-from feel321.study.workflow import build_study, simulate_study
+from feel321.study.simulation import simulate_study
+from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
+from feel321.study.simulation import find_planted
 
-from feel321.study.sessions import find_planted
 from feel321.study.settings.read import read_settings
 
 if TYPE_CHECKING:

@@ -12,9 +12,10 @@ import pytest
 
 from feel321.files import hold_lock
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import sessions
+from feel321.study import lab
 from feel321.study.audit import audit_steps, audit_study, make_seal
 from feel321.study.cli import main
+from feel321.study.lab import Visit, run_participant
 from feel321.study.ledger.notes import take_note
 from feel321.study.ledger.progress import write_roster
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
@@ -23,7 +24,6 @@ from feel321.study.session.events import NOTE_LETTERS, NoteTaken
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import require_plan
 from feel321.study.session.ports import Abort
-from feel321.study.sessions import Visit, run_participant
 from feel321.study.status import read_status
 
 if TYPE_CHECKING:
@@ -45,14 +45,14 @@ def study(smallest: StudyFolder) -> StudyFolder:
 def run(study: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch) -> Run:
     """Run p01's session so many hours after the first one, with somebody in the place of screen and actuators."""
     monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(sessions, "find_spec", lambda _: "there")
+    monkeypatch.setattr(lab, "find_spec", lambda _: "there")
 
     def visit(hours: float = 0, **script: Any) -> Any:
         @contextmanager
         def open_presenter(_plan: Any, journal: Any, *_: object, **__: object) -> Iterator[Any]:
             yield scripted(**script, time_s=journal.records.find_elapsed())
 
-        monkeypatch.setattr(sessions, "open_lab", open_presenter)
+        monkeypatch.setattr(lab, "open_lab", open_presenter)
         now = START + timedelta(hours=hours)
         return run_participant(study, Visit("p01"), now=lambda: now)
 

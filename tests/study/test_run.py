@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study import sessions
+from feel321.study import lab
 from feel321.study.actuator import stream
 from feel321.study.actuator.stream import Device
 from feel321.study.audit import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
+from feel321.study.lab import Visit, run_participant
 from feel321.study.screen import window
 from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
-from feel321.study.sessions import Visit, run_participant
 from feel321.study.status import read_status
 from feel321.study.workflow import check_study
 
@@ -37,7 +37,7 @@ TOTAL = 2
 def ready(smallest: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
     """A study that is built, on a machine that has all that is needed."""
     monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(sessions, "find_spec", lambda _: "there")
+    monkeypatch.setattr(lab, "find_spec", lambda _: "there")
     return smallest
 
 
@@ -54,7 +54,7 @@ def present(scripted: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any
             yield presenter
             presenter.log.append("closed")
 
-        monkeypatch.setattr(sessions, "open_lab", open_presenter)
+        monkeypatch.setattr(lab, "open_lab", open_presenter)
         return presenter
 
     return take_place
@@ -222,7 +222,7 @@ def test_what_was_mended_is_told(ready: StudyFolder, present: Callable[..., Any]
 def test_a_machine_without_the_extra_is_told_what_to_install(
     ready: StudyFolder, monkeypatch: pytest.MonkeyPatch, missing: set[str], device: str, words: str
 ) -> None:
-    monkeypatch.setattr(sessions, "find_spec", lambda name: None if name in missing else "there")
+    monkeypatch.setattr(lab, "find_spec", lambda name: None if name in missing else "there")
     with pytest.raises(
         OSError, match=rf"run: {words}, .*: pip install -c constraints.txt '.\[rig\]'"
     ):
@@ -291,8 +291,8 @@ def test_a_hand_without_a_screen_is_one_line() -> None:
 
 def test_the_clock_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([100.0, 100.5])
-    monkeypatch.setattr(sessions, "perf_counter", lambda: next(times))
-    assert sessions.start_clock(40.0)() == 40.5
+    monkeypatch.setattr(lab, "perf_counter", lambda: next(times))
+    assert lab.start_clock(40.0)() == 40.5
 
 
 def test_a_person_who_has_not_begun_is_not_taken_over_by_a_simulated_one(

@@ -19,10 +19,10 @@ from feel321.study.ledger.slots import list_forgotten
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import create_journal, read_journal
-from feel321.study.sessions import SIDE_BY_SIDE, list_participants
 from feel321.study.settings.read import read_settings
+from feel321.study.simulation import SIDE_BY_SIDE, list_participants, simulate_study
 from feel321.study.status import read_status
-from feel321.study.workflow import build_study, check_study, find_warnings, simulate_study
+from feel321.study.workflow import build_study, check_study, find_warnings
 
 if TYPE_CHECKING:
     from pathlib import Path

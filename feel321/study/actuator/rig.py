@@ -3,6 +3,8 @@
 Samples of stimuli are fractions of the study's full scale; samples for an actuator are fractions of the actuator's.
 """
 
+import hashlib
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -165,3 +167,12 @@ def identify(rig: Rig) -> dict[str, Any]:
             if actuator[name] is None:
                 del actuator[name]
     return settings
+
+
+def digest(rig: Rig) -> str:
+    """Make a digest of all that decides what a stimulus becomes at the hand: device, actuators and sensor."""
+    settings = rig.model_dump(
+        mode="json", include={"device", "actuators", "sensor"}, exclude_none=True
+    )
+    del settings["device"]["latency_s"]  # when it comes, not what comes
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()

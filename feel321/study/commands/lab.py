@@ -60,7 +60,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     """Run a session with a participant, or resume it."""
     if seed is not None and not simulated:
         raise click.UsageError("--seed needs --simulate-participant; people have no seed")
-    from feel321.study.sessions import Visit, run_participant
+    from feel321.study.lab import Visit, run_participant
 
     visit = Visit(
         participant, windowed=windowed, screen=screen, device=device, simulated=simulated, seed=seed

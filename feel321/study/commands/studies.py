@@ -104,7 +104,9 @@ def demo(folder: Path) -> None:
 
 
 def _simulate(study: Study, participants: int, seed: int | None = None) -> int:
-    from feel321.study.workflow import simulate_study  # no pandas: a table of ratings is not wanted
+    from feel321.study.simulation import (
+        simulate_study,  # no pandas: a table of ratings is not wanted
+    )
 
     with shared.show_progress("simulate") as progress:
         return simulate_study(
@@ -119,7 +121,7 @@ def _simulate(study: Study, participants: int, seed: int | None = None) -> int:
 
 def _open_demo(folder: Path) -> StudyFolder:
     """Begin the demonstration, or resume it; a folder with anything else in it is left alone."""
-    from feel321.study.sessions import NUMBERED
+    from feel321.study.simulation import NUMBERED
 
     study = StudyFolder(folder)
     if not folder.exists() or not any(folder.iterdir()):
@@ -157,7 +159,7 @@ def _open_demo(folder: Path) -> StudyFolder:
 @shared.json_option
 def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool) -> None:
     """Run sessions with simulated participants, or resume them."""
-    from feel321.study.sessions import find_planted
+    from feel321.study.simulation import find_planted
 
     rows = _simulate(study, participants, seed)
     planted = find_planted(study.settings, study.stimuli())

@@ -13,7 +13,8 @@ import pytest
 from feel321.analysis.report.write import write_report
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.study.folder import StudyFolder
-from feel321.study.workflow import build_study, simulate_study
+from feel321.study.simulation import simulate_study
+from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.study.actuator.rig import Rig, identify, read_rig
+from feel321.study.actuator.rig import Rig, digest, identify, read_rig
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -177,6 +177,26 @@ def test_every_mistake_gets_its_own_line(tmp_path: Path) -> None:
         "limits.duration_s",
         "sync.channel",
     ]
+
+
+SENSOR = "[sensor]\nchannel = 1\nfull_scale_m_s2 = 50.0\n"
+
+
+@pytest.mark.parametrize(
+    ("added", "is_alike"),
+    [
+        ("", True),
+        ("[device]\nlatency_s = 0.2\n", True),
+        ("[sync]\nchannel = 9\n", True),
+        ("[device]\nname = 'Box'\n", False),
+        (SENSOR, False),
+        ("[[actuators]]\nname = 'left coil'\nchannel = 2\n", False),
+    ],
+)
+def test_the_digest_tells_what_decides_what_the_hand_gets(
+    added: str, *, is_alike: bool, tmp_path: Path
+) -> None:
+    assert (digest(read(tmp_path, LIMITS)) == digest(read(tmp_path, LIMITS + added))) == is_alike
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

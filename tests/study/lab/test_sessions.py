@@ -11,8 +11,8 @@ import pytest
 from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
+from feel321.study.simulation import simulate_study
 from feel321.study.status import read_status
-from feel321.study.workflow import simulate_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -12,7 +12,8 @@ import pytest
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study, list_bundled, read_bundled
 from feel321.study.settings.read import read_settings
-from feel321.study.workflow import build_study, check_study, simulate_study
+from feel321.study.simulation import simulate_study
+from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable

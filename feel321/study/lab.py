@@ -1,0 +1,226 @@
+"""Sessions in the lab: a participant, a screen, and actuators.
+
+Device and window are opened only once the journal has its header. What can be known to be missing or wrong before
+that is refused before the participant gets a number.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
+from feel321.study.actuator.rig import FILE_DEVICE, Rig, identify, read_rig, take_device
+from feel321.study.ledger.slots import read_ledger
+from feel321.study.observer.participant import Participant, identify_observer
+from feel321.study.session.engine import Outcome
+from feel321.study.session.events import DeviceOpened
+from feel321.study.settings.read import (
+    list_surfaces,
+    make_identity,
+    read_settings,
+    read_study_texts,
+)
+from feel321.study.strength import find_unfelt
+
+if TYPE_CHECKING:
+    from feel321.study.actuator.output import Output
+    from feel321.study.folder import StudyFolder
+    from feel321.study.screen.layout import Hand
+    from feel321.study.session.journal import Clock, Journal
+    from feel321.study.session.plan import Plan
+    from feel321.study.session.ports import Place, Presenter
+    from feel321.study.settings.schema import Settings
+
+from feel321.study.sessions import (
+    lead_session,
+    list_rig_problems,
+    open_room,
+    plan_sessions,
+    require_current_set,
+)
+from feel321.study.simulation import Casting, cast_observers, find_person
+
+DELIVERED = "delivered"
+"""Folder, in the participant's, of the samples that were rendered or measured at each playback."""
+
+INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
+
+
+@dataclass(frozen=True, slots=True)
+class Lab:
+    """The lab of a real session: study, stimuli and rig, and who sits there if nobody does."""
+
+    study: StudyFolder
+    settings: Settings
+    stimuli: StimulusSet
+    rig: Rig
+    windowed: bool = False
+    screen: int = 0
+    casting: Casting | None = None
+
+
+def check_lab(rig: Rig, *, screen: int = 0) -> None:
+    """Check everything that can be checked before anything is opened."""
+    needed = ["psychopy"] if rig.device.name == FILE_DEVICE else ["psychopy", "sounddevice"]
+    if missing := [name for name in needed if find_spec(name) is None]:
+        raise OSError(f"run: {' and '.join(missing)} not found, which sessions need; {INSTALL}")
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        raise OSError(
+            "run: no display found (DISPLAY is not set); run it on the lab's own screen, or under xvfb-run"
+        )
+    if rig.device.name != FILE_DEVICE:
+        # Before its name stands in the header of a session that could not go on with another device.
+        from feel321.study.actuator.stream import check_channels, find_device, list_devices
+
+        device = find_device(list_devices(), rig.device.name, host_api=rig.device.host_api)
+        check_channels(device, rig)
+    if screen:  # there is always a first one
+        from feel321.study.screen.window import check_screen
+
+        check_screen(screen)
+
+
+def identify_lab(lab: Lab) -> dict[str, Any]:
+    """Describe what a session depends on besides its plan, for the header of its journal."""
+    who = (
+        {"simulated": False}
+        if lab.casting is None
+        else identify_observer(lab.casting.model, seed=lab.casting.seed)
+    )
+    return {**who, "rehearsal": lab.study.is_rehearsal, "rig": identify(lab.rig)}
+
+
+@contextmanager
+def open_lab(
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, lab: Lab
+) -> Iterator[Presenter]:
+    """Open the actuators and the screen, and close both whatever happens."""
+    from feel321.study.screen.layout import make_screen_texts
+    from feel321.study.screen.presenter import ScreenPresenter
+    from feel321.study.screen.window import open_screen
+
+    clock = start_clock(journal.records.find_elapsed())
+    texts = make_screen_texts(read_study_texts(lab.settings, lab.study.path))
+    surfaces = list_surfaces(lab.settings, lab.study.path)
+    with ExitStack() as stack:
+        output = stack.enter_context(_open_output(plan, lab=lab, clock=clock))
+        screen = open_screen(clock=clock, windowed=lab.windowed, screen=lab.screen)
+        window = stack.enter_context(screen)
+        hand = stack.enter_context(_open_hand(plan, journal, stimuli, casting=lab.casting))
+        journal.write(DeviceOpened(dict(output.identity)))
+        yield ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=hand)
+
+
+def start_clock(elapsed_s: float) -> Callable[[], float]:
+    """Start the clock of a session where it stopped."""
+    start_s = perf_counter() - elapsed_s
+    return lambda: perf_counter() - start_s
+
+
+def _open_output(
+    plan: Plan, *, lab: Lab, clock: Callable[[], float]
+) -> AbstractContextManager[Output]:
+    """Open what the rig plays on, with every stimulus of the study rendered before."""
+    from feel321.study.actuator.render import render_set
+
+    rate_hz, full_scale_m_s2 = lab.settings.rig.rate_hz, lab.settings.rig.full_scale_m_s2
+    sounds = render_set(lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2)
+    folder = lab.study.sessions / plan.participant / DELIVERED
+    if lab.rig.device.name == FILE_DEVICE:
+        from feel321.study.actuator.output import FileOutput
+
+        return nullcontext(FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock))
+    from feel321.study.actuator.output import open_stream
+
+    return open_stream(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
+
+
+@contextmanager
+def _open_hand(
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting | None
+) -> Iterator[Hand | None]:
+    """Seat a simulated participant, who remembers the last answer before a break."""
+    if casting is None:
+        yield None
+        return
+    from feel321.study.screen.robot import PressingHand, XKeyboard
+
+    person = find_person(plan.participant)
+    mind = Participant(casting.model, seed=casting.seed, number=person, percepts=casting.percepts)
+    mind.recall(journal.records, plan.trials, stimuli=stimuli)
+    with closing(XKeyboard()) as keyboard:
+        yield PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter)
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """A participant's visit to the lab, as the command line asks for it."""
+
+    participant: str
+    windowed: bool = False
+    screen: int = 0
+    device: str | None = None
+    simulated: bool = False
+    seed: int | None = None
+
+
+def run_participant(
+    study: StudyFolder,
+    visit: Visit,
+    *,
+    now: Clock,
+    on_step: Callable[[Place], None] | None = None,
+    warn: Callable[[str], None] = lambda _: None,
+) -> Outcome:
+    """Run the session of one participant, or resume it."""
+    settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
+    require_current_set(study, settings)
+    if unfelt := find_unfelt(settings, stimuli):
+        if not (study.is_rehearsal or visit.simulated):
+            raise ValueError(f"{study.settings}: {unfelt}")
+        warn(unfelt)
+    rig = require_rig(study, settings, stimuli, device=visit.device)
+    check_lab(rig, screen=visit.screen)
+    seed = settings.study.seed if visit.seed is None else visit.seed
+    casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
+    view = partial(Lab, windowed=visit.windowed, screen=visit.screen)
+    lab = view(study, settings, stimuli, rig, casting=casting)
+    room, notice = open_room(study, settings, stimuli, now=now)
+    plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
+    for entry in read_ledger(room.ledger, plan.participant):
+        if entry.state == "finished":  # No window is opened for it.
+            return Outcome(entry.done, entry.total)
+    outcome, repaired = lead_session(
+        room,
+        plan,
+        identity=make_identity(settings, study.path, identify_lab(lab)),
+        make_presenter=partial(open_lab, lab=lab),
+        on_step=on_step,
+    )
+    for line in filter(None, (notice, repaired)):
+        warn(line)
+    return outcome
+
+
+def require_rig(
+    study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, device: str | None
+) -> Rig:
+    """Read the rig, and check that it can play the stimuli."""
+    if not study.rig.is_file():
+        raise FileNotFoundError(
+            f"{study.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
+        )
+    rig = read_rig(study.rig)
+    if device is not None:
+        rig = take_device(rig, device)
+    if problems := list_rig_problems(study, rig, settings=settings, stimuli=stimuli):
+        raise ValueError("\n".join(problems))
+    return rig

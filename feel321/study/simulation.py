@@ -1,0 +1,223 @@
+"""Sessions of simulated participants: who takes part, how they feel, and many of them side by side."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from itertools import count, islice
+from pathlib import Path
+from threading import Event, Lock
+from typing import TYPE_CHECKING
+
+from feel321.study.observer.participant import (
+    SPECTRAL,
+    ObserverModel,
+    SimulatedObserver,
+    Touch,
+    expect_rating,
+    identify_observer,
+)
+from feel321.study.observer.percepts import Percept, read_percepts
+from feel321.study.session.events import SessionReleased
+from feel321.study.session.journal import Journal, list_journals, read_journal
+from feel321.study.session.plan import TOMBSTONE_FILE, Plan
+from feel321.study.settings.read import make_identity
+
+if TYPE_CHECKING:
+    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.study.folder import StudyFolder
+    from feel321.study.settings.schema import Settings
+
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.ledger.progress import write_roster
+from feel321.study.ratings import write_ratings
+from feel321.study.session.journal import Clock
+from feel321.study.sessions import Room, lead_session, open_room, plan_sessions, require_current_set
+from feel321.study.settings.read import read_settings
+from feel321.study.strength import find_unfelt
+
+NUMBERED = re.compile(r"sim(\d+)")
+"""Codes that hold the number of a simulated person."""
+
+
+@dataclass(frozen=True, slots=True)
+class Casting:
+    """The simulated participants of a study: their model, seed and percepts."""
+
+    model: ObserverModel
+    seed: int
+    percepts: Mapping[str, Percept]
+
+
+def find_planted(settings: Settings, stimuli: StimulusSet) -> dict[str, float]:
+    """Compute the slopes that simulated participants plant in realism ratings, after clipping at the ends of the scale.
+
+    Returns metric -> points per +0.1 within recordings, of the mean ratings of careful participants.
+    """
+    import numpy as np
+
+    model = _make_model(settings)
+    tests = [stimulus for stimulus in stimuli.stimuli if stimulus.role == "test"]
+    if model.uses_percepts or "realism" not in settings.session.protocols or not tests:
+        return {}
+    touch = Touch(model, {})
+    points = [touch.locate(stimulus) for stimulus in tests]
+    ratings = expect_rating(model, [touch.feel(point) for point in points])
+    values = np.array([
+        [point.spectral, point.temporal, rating]
+        for point, rating in zip(points, ratings, strict=True)
+    ])
+    arms = np.unique(
+        [f"{stimulus.recording}/{stimulus.level}" for stimulus in tests], return_inverse=True
+    )[1]
+    for arm in range(arms.max() + 1):
+        values[arms == arm] -= values[arms == arm].mean(axis=0)
+    slopes = np.linalg.lstsq(values[:, :2], values[:, 2], rcond=None)[0] / 10
+    return dict(zip((model.spectral_metric, "temporal_match"), slopes.tolist(), strict=True))
+
+
+def _make_model(settings: Settings) -> ObserverModel:
+    declared = [name for name in settings.analysis.metrics if name in SPECTRAL]
+    return ObserverModel(
+        **settings.observer.model_dump(), spectral_metric=(declared or SPECTRAL)[0]
+    )
+
+
+def cast_observers(settings: Settings, stimuli: StimulusSet, *, seed: int) -> Casting:
+    """Set the observer parameters of a study's simulated participants, by the spectral match that it declares."""
+    model = _make_model(settings)
+    return Casting(model, seed, read_percepts(stimuli) if model.uses_percepts else {})
+
+
+def find_person(participant: str) -> int:
+    """Find the simulated person of a code: always the same one, with or without a hand, whatever the design.
+
+    Examples
+    --------
+    >>> find_person("sim007"), find_person("p07") == find_person("p07"), find_person("p07") == find_person("p08")
+    (7, True, False)
+    """
+    if numbered := NUMBERED.fullmatch(participant):
+        return int(numbered[1])
+    return int.from_bytes(hashlib.sha256(participant.encode()).digest()[:8], "big")
+
+
+SIDE_BY_SIDE = 16
+"""Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
+
+
+def run_simulation(
+    room: Room,
+    settings: Settings,
+    participants: int,
+    *,
+    seed: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[str]:
+    """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
+    names = list_participants(room.study, participants)
+    plans = plan_sessions(room, settings, names, simulated=True)
+    casting = cast_observers(settings, room.stimuli, seed=seed)
+    tally = _Tally(plans, progress)
+    pool = ThreadPoolExecutor(SIDE_BY_SIDE)
+    try:
+        sessions = [
+            pool.submit(
+                _run, plan, settings, room, casting=casting, count=partial(tally.take, place)
+            )
+            for place, plan in enumerate(plans)
+        ]
+        return sorted(filter(None, [session.result() for session in as_completed(sessions)]))
+    finally:
+        # After an error or Ctrl-C the other sessions end with the trial that they are in.
+        tally.stop.set()
+        pool.shutdown(cancel_futures=True)
+
+
+def list_participants(study: StudyFolder, number: int) -> list[str]:
+    """List the codes of simulated participants, without those who were released or withdrawn."""
+    names = (f"sim{place:03d}" for place in count(1))
+    return list(islice((name for name in names if not _is_gone(study.sessions / name)), number))
+
+
+class _Tally:
+    """Counts trials over all sessions, and ends those that run when one has failed."""
+
+    def __init__(self, plans: Sequence[Plan], progress: Callable[[int, int], None] | None) -> None:
+        self.stop = Event()
+        self._progress = progress
+        self._done = [0] * len(plans)
+        self._total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
+        self._counting = Lock()
+
+    def take(self, place: int, done: int) -> None:
+        if self.stop.is_set():
+            raise CancelledError
+        with self._counting:
+            is_news, self._done[place] = done != self._done[place], done
+            if is_news and self._progress is not None:
+                self._progress(sum(self._done), self._total)
+
+
+def _run(
+    plan: Plan, settings: Settings, room: Room, *, casting: Casting, count: Callable[[int], None]
+) -> str:
+    presenter = identify_observer(casting.model, seed=casting.seed)
+    _, notice = lead_session(
+        room,
+        plan,
+        identity=make_identity(settings, room.study.path, presenter),
+        make_presenter=partial(_make_observer, casting=casting),
+        on_step=lambda place: count(place.done),
+    )
+    return notice
+
+
+@contextmanager
+def _make_observer(
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting
+) -> Iterator[SimulatedObserver]:
+    observer = SimulatedObserver(
+        casting.model,
+        seed=casting.seed,
+        number=find_person(plan.participant),
+        percepts=casting.percepts,
+        elapsed_s=journal.records.find_elapsed(),
+    )
+    observer.recall(journal.records, plan.trials, stimuli=stimuli)
+    yield observer
+
+
+def _is_gone(folder: Path) -> bool:
+    if (folder / TOMBSTONE_FILE).exists():
+        return True
+    journals = list_journals(folder)
+    return bool(journals) and read_journal(journals[-1]).records.has(SessionReleased)
+
+
+def simulate_study(
+    study: StudyFolder,
+    *,
+    participants: int,
+    seed: int | None,
+    now: Clock,
+    progress: Callable[[int, int], None] | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> int:
+    """Run the sessions of simulated participants and derive the table of ratings; returns its rows."""
+    settings = read_settings(study.settings)
+    stimuli = read_stimuli(study.stimuli)
+    require_current_set(study, settings)
+    seed = settings.study.seed if seed is None else seed
+    room, ledger_notice = open_room(study, settings, stimuli, now=now)
+    notices = run_simulation(room, settings, participants, seed=seed, progress=progress)
+    if warn is not None:
+        for notice in filter(None, (find_unfelt(settings, stimuli), ledger_notice, *notices)):
+            warn(notice)
+    write_roster(study)
+    return write_ratings(study, stimuli)
