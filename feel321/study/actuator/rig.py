@@ -100,6 +100,38 @@ class SyncTable(fields.TomlTable):
     duration_s: Annotated[fields.Positive, Field(le=1)] = 0.005
 
 
+def _check_band(band_hz: tuple[float, float]) -> tuple[float, float]:
+    if not 0 < band_hz[0] < band_hz[1]:
+        raise ValueError("must be two frequencies in Hz that rise, such as [20, 1000]")
+    return band_hz
+
+
+BandHz = Annotated[tuple[fields.Finite, fields.Finite], AfterValidator(_check_band)]
+Decibels = Annotated[fields.Positive, Field(le=60)]
+
+
+class CalibrationTable(fields.TomlTable):
+    """`[calibration]`: how `calibrate` measures the coils, and what a certificate must keep to pass.
+
+    level: peak of the loudest sweep, as a part of what device and limits allow. gain_uncertainty_db: of typed gains.
+    """
+
+    band_hz: BandHz = (20.0, 1000.0)
+    max_gain_db: Decibels = 20.0
+    phase: Annotated[str, fields.one_of(("minimum", "linear"))] = "minimum"
+    level: Level = 0.5
+    sweep_s: Annotated[fields.Positive, Field(le=60)] = 4.0
+    pause_s: Annotated[fields.Positive, Field(le=10)] = 1.0
+    repeats: Annotated[int, Field(ge=2, le=32)] = 3
+    valid_days: fields.Positive = 90.0
+    max_deviation_db: Decibels = 3.0
+    max_drift_db: Decibels = 1.0
+    max_uncertainty_db: Decibels = 2.0
+    max_distortion: fields.Share = 0.2
+    min_coherence: fields.Share = 0.95
+    gain_uncertainty_db: Decibels = 2.0
+
+
 VOICE_COILS = (
     ActuatorTable(name="left coil", channel=1),
     ActuatorTable(name="right coil", channel=2),
@@ -120,6 +152,7 @@ class Rig(fields.TomlTable):
     masking: MaskingTable | None = None
     sensor: SensorTable | None = None
     sync: SyncTable | None = None
+    calibration: CalibrationTable = CalibrationTable()
 
     @property
     def n_channels(self) -> int:
@@ -159,8 +192,8 @@ def take_device(rig: Rig, name: str) -> Rig:
 
 
 def identify(rig: Rig) -> dict[str, Any]:
-    """List all that decides what a rig does to a stimulus, for a journal's header."""
-    settings = rig.model_dump(mode="json")
+    """List all that decides what a rig does to a stimulus, for a journal's header; how it is calibrated does not."""
+    settings = rig.model_dump(mode="json", exclude={"calibration"})
     for actuator in settings["actuators"]:
         # Journals of rigs without these settings were written before there were any.
         for name in ("direction", "weight"):
