@@ -241,6 +241,10 @@ UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)
 """May come in a journal in which nobody has done anything yet."""
 
 
+UNCALIBRATED = "uncalibrated"
+"""In a header, in place of the identity of a certificate, where the rig has no valid one."""
+
+
 def find_kind(name: str) -> type[SessionEvent]:
     """Find the type of an event."""
     if not isinstance(name, str) or name not in EVENTS:

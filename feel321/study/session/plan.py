@@ -395,7 +395,10 @@ def _open_newest(
         journal.write(_make_header(journal, plan, identity))
         return journal
     header = _make_header(journal, plan, identity).to_data()
-    if differences := find_differences(begun.to_data(), header, ignore=UNCOMPARED):
+    known = begun.to_data()
+    if known.get("calibration") is None and header.get("calibration") == events.UNCALIBRATED:
+        known["calibration"] = events.UNCALIBRATED  # before there were certificates, none was named
+    if differences := find_differences(known, header, ignore=UNCOMPARED):
         untouched = {kind.event for kind in events.UNTOUCHED}
         names = {line.partition(" ")[0] for line in differences}
         if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
