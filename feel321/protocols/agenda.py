@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
 from feel321.protocols.tasks import measure_chance
-from feel321.protocols.trial import Flow, Page, Trial
+from feel321.protocols.trial import ASIDE, Flow, Page, Trial
 
 SECONDS = 60.0
 RELAXING = frozenset({"main", "break", "rest", "warm_up"})
@@ -119,7 +119,7 @@ class Agenda:
         return self._attempts[number] + 1
 
     def tell_page(self, key: str, *, time_s: float) -> None:
-        """Take a page as read.
+        """Take a page as read; the pages `ASIDE` may be read at any time.
 
         Parameters
         ----------
@@ -133,6 +133,8 @@ class Agenda:
         ValueError
             If another step is next.
         """
+        if key in ASIDE:
+            return
         self._take(key)
         if key in RELAXING:
             self._since_break, self._break_s = 0, time_s
