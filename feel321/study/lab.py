@@ -151,6 +151,12 @@ def _open_output(
         lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2, certificate=lab.certificate
     )
     rig = lab.certificate.apply(lab.rig) if lab.certificate else lab.rig
+    if plan.threshold:
+        from feel321.study.actuator.tone import render_tones
+
+        sounds |= render_tones(
+            plan.threshold, lab.rig, rate_hz=rate_hz, certificate=lab.certificate
+        )
     folder = lab.study.sessions / plan.participant / DELIVERED
     if rig.device.name == FILE_DEVICE:
         from feel321.study.actuator.output import FileOutput

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from time import perf_counter, sleep
+from typing import cast
 
 import numpy as np
 from scipy import fft
@@ -387,7 +388,7 @@ def _make_coil(rig: Rig, run: CoilRun, *, noise_m_s2: float) -> CoilCertificate:
         band_hz=settings.band_hz,
         max_gain_db=settings.max_gain_db,
         n_taps=round(main.rate_hz),
-        phase="linear" if settings.phase == "linear" else "minimum",
+        phase=cast("calibration.Phase", settings.phase),
         min_coherence=settings.min_coherence,
     )
     inside = calibration.find_inside(main.frequency_hz, band_hz=main.band_hz)

@@ -25,7 +25,7 @@ from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify
 from feel321.study.actuator.simulated import SIMULATED, SimulatedStream
 from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
-from feel321.study.session.ports import Playback
+from feel321.study.session.ports import Playback, Tone
 
 
 class Output(Protocol):
@@ -35,7 +35,7 @@ class Output(Protocol):
     def identity(self) -> Mapping[str, Any]:
         """Rig, device, rate and channels, for the journal's header; compared when a session is resumed."""
 
-    def start(self, stimulus: Stimulus, *, gap_s: float) -> None:
+    def start(self, stimulus: Stimulus | Tone, *, gap_s: float) -> None:
         """Schedule silence, then a stimulus, and return at once."""
 
     @property
@@ -88,9 +88,10 @@ class FileOutput:
             "channels": self._rig.n_channels,
         }
 
-    def start(self, stimulus: Stimulus, *, gap_s: float) -> None:
+    def start(self, stimulus: Stimulus | Tone, *, gap_s: float) -> None:
         """Begin a playback."""
-        self._cue = self._mixer.start(stimulus.stimulus_id, gap_s=gap_s)
+        scale = stimulus.scale if isinstance(stimulus, Tone) else 1.0
+        self._cue = self._mixer.start(stimulus.stimulus_id, gap_s=gap_s, scale=scale)
         self._blocks = []
         self._begin_s, self._first_frame = self._clock(), self._mixer.frame
         self._requested_s = self._begin_s + gap_s
@@ -281,7 +282,7 @@ class StreamOutput:
         """Silence the device and let it go."""
         self._connection.close()
 
-    def start(self, stimulus: Stimulus | str, *, gap_s: float) -> None:
+    def start(self, stimulus: Stimulus | Tone | str, *, gap_s: float) -> None:
         """Schedule silence, then a stimulus; a dead device is opened again first, if it can be."""
         name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
         self._error = self._connection.revive()
@@ -293,7 +294,8 @@ class StreamOutput:
         self._latency_s = stream.latency_s
         take = Take(self._rate_hz, stream.there_and_back_s, sensor=self._room)
         self._take = take  # before the mixer knows, so that no block is missed
-        take.cue = self._mixer.start(name, gap_s=gap_s)
+        scale = stimulus.scale if isinstance(stimulus, Tone) else 1.0
+        take.cue = self._mixer.start(name, gap_s=gap_s, scale=scale)
         ahead_s = stream.compare_clocks(self._clock)
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
 

@@ -111,7 +111,7 @@ def render_stimulus(
             f"{stimulus.stimulus_id}: no actuator plays {', '.join(missing)}; add it to `plays` in rig.toml, or name a "
             "reference in study.toml that the rig can play"
         )
-    channels = {}
+    asked_m_s2 = {}
     for actuator in rig.actuators:
         factors = mix[actuator.name]
         parts = [
@@ -119,12 +119,22 @@ def render_stimulus(
             for source, track in zip(sources, tracks, strict=True)
             if source in factors
         ]
-        asked_m_s2 = sum(parts, np.zeros(stimulus.n_samples)) * full_scale_m_s2
-        channels[actuator.channel - 1] = (
-            certificate.coils[actuator.name].drive(asked_m_s2)
+        asked_m_s2[actuator.name] = sum(parts, np.zeros(stimulus.n_samples)) * full_scale_m_s2
+    return render_motion(asked_m_s2, rig, certificate=certificate)
+
+
+def render_motion(
+    asked_m_s2: Mapping[str, Vector], rig: Rig, *, certificate: Certificate | None
+) -> Frames:
+    """Render the motions asked of the actuators, shape (n,) each, as samples of shape (n + tail, channels)."""
+    channels = {
+        actuator.channel - 1: (
+            certificate.coils[actuator.name].drive(asked_m_s2[actuator.name])
             if certificate
-            else asked_m_s2 / actuator.full_scale_m_s2
+            else asked_m_s2[actuator.name] / actuator.full_scale_m_s2
         )
+        for actuator in rig.actuators
+    }
     n_samples = max(len(samples) for samples in channels.values())
     rendered = np.zeros((n_samples, rig.n_channels), dtype=np.float32)
     for column, samples in channels.items():

@@ -114,6 +114,13 @@ class SessionAborted(SessionEvent, event="aborted"):
     time_s: float
 
 
+class DeviceFailed(SessionEvent, event="device_failed"):
+    """The device failed too often in a row; the experimenter is called."""
+
+    reason: str
+    time_s: float
+
+
 class SessionSuperseded(SessionEvent, event="superseded"):
     """Another session takes the place of this one."""
 
@@ -154,6 +161,17 @@ class AttemptEvent(SessionEvent):
 
 class TrialShown(AttemptEvent, event="shown"):
     """The trial is before the participant, all markers unset."""
+
+
+class TonePresented(AttemptEvent, event="tone"):
+    """A trial of the threshold block: the interval (1 or 2) that vibrates, and its level in dB re 1 m/s² RMS.
+
+    level_db: None in a catch trial, in which neither interval vibrates.
+    """
+
+    frequency_hz: float
+    interval: int
+    level_db: float | None
 
 
 class PartPlayed(AttemptEvent, event="played"):
