@@ -168,10 +168,13 @@ class PartPlayed(AttemptEvent, event="played"):
     error: str
     measured: dict[str, float] = field(default_factory=dict)
     dac_source: str = ""
+    delivered: dict[str, float] = field(default_factory=dict)
+    delivered_sha256: str = ""
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields; what only some devices give is left out where it is empty."""
-        optional = {"measured": self.measured, "dac_source": self.dac_source}
+        names = ("measured", "dac_source", "delivered", "delivered_sha256")
+        optional = {name: getattr(self, name) for name in names}
         return {k: v for k, v in super().to_data().items() if optional.get(k, True)}
 
 
@@ -307,6 +310,7 @@ class Attempt:
             "underrun": any(part.underruns for part in parts),
             "clipped": any(part.clipped for part in parts),
             "device_error": any(part.error for part in parts),
+            "not_delivered": any(find_loss(part.delivered, flow) for part in parts),
             "too_fast": response_time_s is not None and response_time_s < flow.min_response_s,
             "not_felt": self.trial.timing == "strict"
             and response_time_s is None
@@ -315,5 +319,29 @@ class Attempt:
         return [flag for flag, is_fault in faults.items() if is_fault]
 
 
-ENDS_UNANSWERED = frozenset({"device_error", "not_felt"})
-"""Flags with which an attempt can no longer be answered: the device failed, or what is felt only once was cut short."""
+ENDS_UNANSWERED = frozenset({"device_error", "not_delivered", "not_felt"})
+"""Flags with which an attempt cannot be answered: the device failed, or what is felt only once was cut short."""
+
+
+def find_loss(delivered: Mapping[str, float], flow: Flow) -> str:
+    """Say what of a playback did not reach the sensor as asked; empty if all did, or if nothing measured it."""
+    if (coherence := delivered.get("coherence")) is None:
+        return ""
+    if not delivered["rms_m_s2"]:
+        return "the sensor is silent, without even noise: check its cable, its power and its channel"
+    if coherence < flow.min_coherence:
+        return (
+            f"the sensor shows no trace of the stimulus (coherence {coherence:.2f}, at least {flow.min_coherence:g}): "
+            "check that amplifier, coil and sensor are on, and on the channels and the device that rig.toml names"
+        )
+    if not delivered["is_calibrated"]:
+        return ""
+    error_db, limit_db = delivered["level_error_db"], flow.level_error_db
+    if limit_db is not None and abs(error_db) > limit_db:
+        return (
+            f"the stimulus was {abs(error_db):.1f} dB too {'weak' if error_db < 0 else 'strong'} (at most "
+            f"{limit_db:g}): check the amplifier's gain, the coil and how the sensor is mounted, or calibrate again"
+        )
+    if delivered["polarity"] < 0:
+        return "the motion is inverted: the wires of a coil, or of the sensor, are swapped since the calibration"
+    return ""
