@@ -15,10 +15,11 @@ energies together, and the mean correlation of each axis with itself. On a senso
 coherence, in the direction in which it fits best; a one-axis stimulus is taken to be measured along its motion.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import fft, signal
 
 from feel321.stimuli.condition import resample
@@ -34,6 +35,7 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import Recipe, Reduction, reduce_again
+from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.render import find_directions, find_mix
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
 from feel321.types import Samples
@@ -46,7 +48,7 @@ TINY = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class Delivery:
     """Measured and asked motion, compared: lag in samples; polarity 1 or -1; rms_m_s2: of what was measured."""
 
     lag: int
@@ -58,7 +60,7 @@ class Comparison:
     """Measured minus asked, at the asked strength's scale and polarity, shape (axes, n)."""
 
 
-def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Comparison:
+def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
     """Compare measured with asked motion in m/s², shapes (axes, m) and (axes, n); of three, one may be measured."""
     asked, measured = _center(asked), _center(measured)
     correlation = _correlate(asked, measured)
@@ -77,7 +79,7 @@ def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Comparison:
     felt = polarity * _center(_cut(measured, lag, n))
     power, coherent, whole = _find_power(asked, felt, rate_hz=rate_hz)
     level_db = 10 * np.log10(max(coherent, TINY) / max(power, TINY))
-    return Comparison(
+    return Delivery(
         lag=lag,
         polarity=polarity,
         level_error_db=max(float(level_db), LOWEST_DB),
@@ -135,7 +137,7 @@ def _transform(samples: Samples, n: int) -> Samples:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reduced:
+class Baseline:
     """A reduction to compare with: its recording's spectrum comes with it; gain: m/s² asked per m/s² of it."""
 
     reduction: Reduction
@@ -188,11 +190,12 @@ def ask_motion(tracks: Samples, rig: Rig) -> Samples:
 
 def reduce_stimuli(
     stimuli: StimulusSet, recordings: Iterable[Recording], recipe: Recipe
-) -> dict[str, Reduced]:
-    """Make again what the stimuli of a set were made from, by stimulus; those of missing recordings are left out."""
-    found: dict[str, Reduced] = {}
+) -> dict[str, Baseline]:
+    """Make again what the stimuli of a set were made from, by stimulus; those of other recordings are left out."""
+    found: dict[str, Baseline] = {}
     for recording in recordings:
-        own = [one for one in stimuli.stimuli if one.recording == recording.name]
+        source = (recording.name, recording.sha256)
+        own = [one for one in stimuli if (one.recording, one.recording_sha256) == source]
         made = reduce_again(recording, {one.reducer for one in own}, recipe)
         spectrum: OriginalSpectrum | None = None
         for one in own:
@@ -200,15 +203,16 @@ def reduce_stimuli(
             if spectrum is None:
                 spectrum = OriginalSpectrum(reduction.acceleration, reduction.rate_hz)
             gain = one.gain * reduction.factor
-            found[one.stimulus_id] = Reduced(reduction, spectrum, gain)
+            found[one.stimulus_id] = Baseline(reduction, spectrum, gain)
     return found
 
 
 class DeliveryCheck:
     """Compares each playback of a set with what was asked of a rig.
 
-    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known. is_calibrated: whether a
-    certificate says that the rig gives what is asked, so that level and polarity count.
+    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known. predict: a certificate's
+    prediction of the motion, (3, n) in m/s², for samples sent, (n, channels), if there is one: only then does the rig
+    promise to give what is asked, so that level and polarity count.
     """
 
     def __init__(
@@ -217,31 +221,40 @@ class DeliveryCheck:
         rig: Rig,
         *,
         full_scale_m_s2: float,
-        reduced: Mapping[str, Reduced],
-        is_calibrated: bool,
+        reduced: Mapping[str, Baseline],
+        predict: Callable[[Frames], Samples] | None = None,
     ) -> None:
         self._stimuli, self._rig, self._full_scale = stimuli, rig, full_scale_m_s2
-        self._reduced, self._is_calibrated = reduced, is_calibrated
+        self._reduced, self._predict = reduced, predict
+        self._predicted: dict[str, dict[str, float]] = {}
+
+    def describe(
+        self, stimulus_id: str, sent: Frames, measured: ArrayLike | None
+    ) -> Mapping[str, float]:
+        """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted."""
+        if measured is not None:
+            return self.measure(stimulus_id, np.asarray(measured, dtype=np.float64))
+        if self._predict is None:
+            return {}
+        if stimulus_id not in self._predicted:
+            motion = self._predict(sent)
+            self._predicted[stimulus_id] = self._compare(stimulus_id, motion)[1]
+        return self._predicted[stimulus_id]
 
     def measure(self, stimulus_id: str, measured: Samples) -> dict[str, float]:
-        """Compare what the sensor measured, in m/s², shape (axes, m), since the onset was sent."""
+        """Compare what the sensor measured, shape (axes, m)."""
         found, values = self._compare(stimulus_id, measured)
         return values | {
             "lag": float(found.lag),
             "polarity": float(found.polarity),
             "coherence": found.coherence,
             "rms_m_s2": found.rms_m_s2,
-            "is_calibrated": float(self._is_calibrated),
+            "is_calibrated": float(self._predict is not None),
         }
 
-    def predict(self, stimulus_id: str, motion: Samples) -> dict[str, float]:
-        """Compare the motion that a certificate predicts, in m/s², shape (3, m)."""
-        return self._compare(stimulus_id, motion)[1]
-
-    def _compare(self, stimulus_id: str, measured: Samples) -> tuple[Comparison, dict[str, float]]:
+    def _compare(self, stimulus_id: str, measured: Samples) -> tuple[Delivery, dict[str, float]]:
         samples, rate = self._stimuli.read(stimulus_id)
         tracks = np.atleast_2d(samples) * self._full_scale
-        measured = np.asarray(measured, dtype=np.float64)
         asked = ask_motion(tracks, self._rig)
         if len(tracks) == 1:
             asked, measured = _project(asked, measured, tracks)

@@ -324,24 +324,26 @@ ENDS_UNANSWERED = frozenset({"device_error", "not_delivered", "not_felt"})
 
 
 def find_loss(delivered: Mapping[str, float], flow: Flow) -> str:
-    """Say what of a playback did not reach the sensor as asked; empty if all did, or if nothing measured it."""
-    if (coherence := delivered.get("coherence")) is None:
+    """Say why a playback did not reach the sensor as asked; empty if it did, or if nothing measured it."""
+    if "coherence" not in delivered:
         return ""
-    if not delivered["rms_m_s2"]:
-        return "the sensor is silent, without even noise: check its cable, its power and its channel"
-    if coherence < flow.min_coherence:
-        return (
-            f"the sensor shows no trace of the stimulus (coherence {coherence:.2f}, at least {flow.min_coherence:g}): "
-            "check that amplifier, coil and sensor are on, and on the channels and the device that rig.toml names"
-        )
-    if not delivered["is_calibrated"]:
-        return ""
-    error_db, limit_db = delivered["level_error_db"], flow.level_error_db
-    if limit_db is not None and abs(error_db) > limit_db:
-        return (
-            f"the stimulus was {abs(error_db):.1f} dB too {'weak' if error_db < 0 else 'strong'} (at most "
-            f"{limit_db:g}): check the amplifier's gain, the coil and how the sensor is mounted, or calibrate again"
-        )
-    if delivered["polarity"] < 0:
-        return "the motion is inverted: the wires of a coil, or of the sensor, are swapped since the calibration"
-    return ""
+    coherence, error_db = delivered["coherence"], delivered["level_error_db"]
+    limit_db = flow.level_error_db if delivered["is_calibrated"] else None
+    sign = "weak" if error_db < 0 else "strong"
+    faults = {
+        "the sensor is silent, without even noise: check its cable, its power and its channel": (
+            not delivered["rms_m_s2"]
+        ),
+        f"the sensor shows no trace of the stimulus (coherence {coherence:.2f}, at least {flow.min_coherence:g}): "
+        "check that amplifier, coil and sensor are on, and on the channels and the device that rig.toml names": (
+            coherence < flow.min_coherence
+        ),
+        f"the stimulus was {abs(error_db):.1f} dB too {sign} (at most {limit_db} dB): check the amplifier's gain, the "
+        "coil and how the sensor is mounted, or calibrate again": (
+            limit_db is not None and abs(error_db) > limit_db
+        ),
+        "the motion is inverted: the wires of a coil or of the sensor were swapped since the calibration": (
+            bool(delivered["is_calibrated"]) and delivered["polarity"] < 0
+        ),
+    }
+    return next((fault for fault, is_so in faults.items() if is_so), "")
