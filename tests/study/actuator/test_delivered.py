@@ -12,8 +12,8 @@ from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.actuator.delivered import (
-    DeliveryCheck,
     Baseline,
+    DeliveryCheck,
     ask_motion,
     compare,
     reduce_stimuli,
