@@ -116,6 +116,8 @@ class QualityTable(kinds.TomlTable):
         _FLOW.reject
     )
     gap_s: Annotated[kinds.NotNegative, Field(le=30)] = _FLOW.gap_s
+    level_error_db: kinds.PositiveOrOff = _FLOW.level_error_db
+    min_coherence: kinds.Share = _FLOW.min_coherence
 
 
 class StaleTable(kinds.TomlTable):
