@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import groupby
 from math import lcm, prod
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.files import is_held
+from feel321.protocols.agenda import SECONDS
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
 from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
+from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
+from feel321.study.minutes import Length, find_durations, find_left, measure_length, observe_pace
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
@@ -172,7 +175,10 @@ def _name_condition(trial: Trial) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ParticipantStatus:
-    """Progress of one participant; a session that no live process writes is `aborted`, not `running`."""
+    """Progress of one participant; a session that no live process writes is `aborted`, not `running`.
+
+    left_min: minutes that are left; None of those who do not go on, and where there is no stimulus set.
+    """
 
     participant: str
     state: str = ""
@@ -185,6 +191,7 @@ class ParticipantStatus:
     warnings: tuple[str, ...] = ()
     problem: str = ""
     notes: tuple[Note, ...] = ()
+    left_min: float | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -193,6 +200,7 @@ class Status(Result):
 
     participants: tuple[ParticipantStatus, ...]
     balance: BalanceAsRun | None
+    length: Length | None = None
 
     def to_frame(self) -> DataFrame:
         """Return one row per participant."""
@@ -203,10 +211,11 @@ class Status(Result):
 
     def summary(self) -> str:
         """Write what `feel321 status` prints."""
-        lines = [f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}  last activity"]
+        lines = [f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}{'min':>5}  last activity"]
         for entry in self.participants:
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
-        return "\n".join([*lines, *describe_balance(self.balance)])
+        length = [] if self.length is None else [self.length.describe()]
+        return "\n".join([*lines, *length, *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
         """Write what `feel321 status --notes` adds."""
@@ -223,10 +232,13 @@ class Status(Result):
 
 def _describe(entry: ParticipantStatus) -> str:
     if entry.problem:
-        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}  {entry.problem}"
+        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}{'':5}  {entry.problem}"
     notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
     tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
-    return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{tail}"
+    minutes = "" if entry.left_min is None else f"{entry.left_min:.0f}"
+    return (
+        f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{minutes:>5}{tail}"
+    )
 
 
 def read_status(
@@ -242,7 +254,30 @@ def read_status(
             dossiers.append(dossier)
         if progress is not None:
             progress(count, len(folders))
-    return Status(tuple(entries), measure_realised(dossiers))
+    timed, length = _add_minutes(study, entries, dossiers)
+    return Status(tuple(timed), measure_realised(dossiers), length)
+
+
+def _add_minutes(
+    study: StudyFolder, entries: Sequence[ParticipantStatus], dossiers: Sequence[Dossier]
+) -> tuple[list[ParticipantStatus], Length | None]:
+    """Add the minutes that participants have left, and measure how long whole sessions take."""
+    try:
+        durations = find_durations(read_stimuli(study.stimuli))
+    except (OSError, ValueError):
+        return list(entries), None
+    pace = observe_pace(dossiers, durations)
+    timed = {entry.participant: entry for entry in entries}
+    for dossier in dossiers:
+        entry = timed[dossier.plan.participant]
+        if entry.state in {"claimed", "running", "aborted"}:
+            left = find_left(dossier.plan, dossier.records, durations=durations, pace=pace)
+            left_min = max(left.values()) / SECONDS
+            timed[entry.participant] = replace(entry, left_min=left_min)
+    plans = [(dossier.plan.trials, dossier.plan.flow) for dossier in dossiers]
+    return list(timed.values()), measure_length(
+        plans, durations=durations, pace=pace
+    ) if plans else None
 
 
 def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:

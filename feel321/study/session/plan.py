@@ -11,7 +11,7 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
@@ -132,14 +132,42 @@ def make_plan(
     design: Design, stimuli: StimulusSet, participant: str, *, number: int, simulated: bool
 ) -> Plan:
     """Plan the session of participant `number` (from 1); the same arguments always give the same plan."""
-    import numpy as np
-
     if not PARTICIPANT_ID.fullmatch(participant):
         raise ValueError(f"participant must be letters, digits, - and _, got {participant!r}")
-    groups, place = place_in_groups(design.between, number)
     by_code = list_by_code(stimuli, seed=design.seed).items()
     named = [Item(code, row.recording, row.reducer, row.level, row.role) for code, row in by_code]
-    items, tasks = select_group(named, design.tasks, groups)
+    own = make_trials(design, named, number=number)
+    return Plan(
+        participant=participant,
+        number=number,
+        simulated=simulated,
+        seed=design.seed,
+        between=design.between,
+        groups=own.groups,
+        order=design.order,
+        repeats=design.repeats,
+        tasks=own.tasks,
+        flow=design.flow,
+        stimuli_sha256=stimuli.sha256,
+        trials=own.trials,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """The trials of a participant, and the groups and tasks that they follow from."""
+
+    groups: Mapping[str, str]
+    tasks: tuple[Task, ...]
+    trials: tuple[Trial, ...]
+
+
+def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Course:
+    """Make the trials of participant `number` (from 1)."""
+    import numpy as np
+
+    groups, place = place_in_groups(design.between, number)
+    items, tasks = select_group(stimuli, design.tasks, groups)
     main = make_order(
         items,
         tasks,
@@ -152,20 +180,7 @@ def make_plan(
     rehearsal = make_rehearsal(
         items, tasks, first_number=len(main) + 1, rng=np.random.default_rng([design.seed, number])
     )
-    return Plan(
-        participant=participant,
-        number=number,
-        simulated=simulated,
-        seed=design.seed,
-        between=design.between,
-        groups=groups,
-        order=design.order,
-        repeats=design.repeats,
-        tasks=tasks,
-        flow=design.flow,
-        stimuli_sha256=stimuli.sha256,
-        trials=main + rehearsal,
-    )
+    return Course(groups, tasks, main + rehearsal)
 
 
 def list_codes(stimuli: StimulusSet, *, seed: int) -> dict[str, str]:
