@@ -13,11 +13,13 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import pairwise
+from math import isclose
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
 from feel321.protocols.agenda import Agenda
+from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import ASIDE, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
@@ -40,6 +42,7 @@ from feel321.study.session.plan import (
     Plan,
     advance,
     read_dossier,
+    recall_detection,
     replay,
     require_plan,
 )
@@ -112,6 +115,7 @@ class _Course:
         self._agenda = Agenda(plan.trials, plan.flow)
         self._flow = plan.flow
         self._trials = {trial.number: trial for trial in plan.trials}
+        self._detection = recall_detection(plan, ())
         self._attempt: events.Attempt | None = None
         self._state = ""
         self._aside = ""
@@ -128,7 +132,7 @@ class _Course:
         else:
             self._attempt = None  # Whatever was not answered by then never was.
             self._follow_session(event)
-        advance(self._agenda, event, self._trials)
+        advance(self._agenda, event, self._trials, detection=self._detection)
 
     def _check_place(self, kind: type[events.SessionEvent]) -> None:
         allowed = _AFTER.get(self._state)
@@ -145,6 +149,8 @@ class _Course:
                 f"{event.event!r} of trial {event.trial}, attempt {event.attempt}, which was not shown"
             )
         match event:
+            case events.TonePresented():
+                self._check_tone(event, attempt.trial)
             case events.PartPlayed():
                 _check_part(event, attempt.trial)
                 attempt.take(event)
@@ -159,6 +165,21 @@ class _Course:
                 self._attempt = None
             case events.TrialPaused():
                 attempt.parts.clear()  # It is shown again before it goes on.
+
+    def _check_tone(self, event: events.TonePresented, trial: Trial) -> None:
+        """Check that a trial of the threshold block presents what follows from the answers before it."""
+        if self._detection is None or trial.protocol != THRESHOLD:
+            raise ValueError(f"presents a tone in trial {trial.number}, which has none")
+        wanted = self._detection.present(trial)
+        level = event.level_db
+        is_same = level is wanted.level_db
+        if level is not None and wanted.level_db is not None:
+            is_same = isclose(level, wanted.level_db, abs_tol=1e-6)
+        if event.interval != wanted.interval or not is_same:
+            raise ValueError(
+                f"presents {event.level_db} dB in interval {event.interval} of trial {trial.number}, by the answers "
+                f"before it is {wanted.level_db} dB in interval {wanted.interval}"
+            )
 
     def _check_rated(
         self, event: events.TrialRated, attempt: events.Attempt, values: Mapping[str, Any]
@@ -232,7 +253,8 @@ def _check_values(values: Mapping[str, Any], trial: Trial) -> None:
     if sorted(values) != sorted(trial.judged):
         got, asked = (", ".join(names) or "nothing" for names in (values, trial.judged))
         raise ValueError(f"rates {got}, trial {trial.number} asks for {asked}")
-    choices, (low, high) = PROTOCOLS[trial.protocol].choices, RATING_RANGE
+    is_threshold, (low, high) = trial.protocol == THRESHOLD, RATING_RANGE
+    choices = INTERVALS if is_threshold else PROTOCOLS[trial.protocol].choices
     for part, value in values.items():
         is_points = isinstance(value, float) and low <= value <= high
         if not (value in choices if choices else is_points):

@@ -14,6 +14,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from feel321.protocols.agenda import SECONDS, Agenda
+from feel321.protocols.detection import name_tone
 from feel321.protocols.trial import Page
 from feel321.study.observer.participant import STROKE_S, UNHURRIED
 from feel321.study.session.events import PageRead, TrialRated, TrialShown
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Records
-    from feel321.study.session.plan import Design, Dossier, Plan
+    from feel321.study.session.plan import Course, Design, Dossier, Plan
 
 PAGE_S = 10.0
 """Time for a page that may be left at once, until real participants have read some."""
@@ -75,48 +76,59 @@ class Length:
         )
 
 
-def measure_felt(trial: Trial, durations: Mapping[str, float], flow: Flow) -> float:
-    """Compute how long it takes to feel every part of a trial once, in s; durations: by recording, in s."""
-    gap_s = 0.0 if trial.timing == "free" else flow.gap_s
-    stimulus_s = gap_s + durations.get(trial.recording, 0.0)
-    return sum(stimulus_s if part.stimulus_id else STROKE_S for part in trial.parts)
+@dataclass(frozen=True, slots=True)
+class Sitting:
+    """A session as far as its length goes; durations: of the stimuli of each recording, in s."""
 
+    trials: Sequence[Trial]
+    flow: Flow
+    durations: Mapping[str, float]
 
-def count_down(
-    agenda: Agenda, flow: Flow, *, durations: Mapping[str, float], pace: Pace, clock_s: float = 0.0
-) -> dict[int, float]:
-    """Work an agenda through; returns the time that is left in s, by the trials that are done.
+    @classmethod
+    def plan(cls, course: Plan | Course, flow: Flow, durations: Mapping[str, float]) -> Sitting:
+        """Take trials from a plan, and the duration of tones from its threshold block, if it has one."""
+        if (block := course.threshold) is None:
+            return cls(course.trials, flow, durations)
+        # Silence before a tone is the block's own.
+        tone_s = block.duration_s + block.gap_s - flow.gap_s
+        tones = {name_tone(frequency): tone_s for frequency in block.frequencies_hz}
+        return cls(course.trials, flow, {**durations, **tones})
 
-    clock_s: time since the session began. Every answer is taken as a good one, and as expected where any is.
-    """
-    reached: dict[int, float] = {}
-    while (step := agenda.ask()) is not None:
+    def measure_felt(self, trial: Trial) -> float:
+        """Compute how long it takes to feel every part of a trial once, in s."""
+        gap_s = 0.0 if trial.timing == "free" else self.flow.gap_s
+        stimulus_s = gap_s + self.durations.get(trial.recording, 0.0)
+        return sum(stimulus_s if part.stimulus_id else STROKE_S for part in trial.parts)
+
+    def count_down(
+        self, pace: Pace, *, agenda: Agenda | None = None, clock_s: float = 0.0
+    ) -> dict[int, float]:
+        """Work the session through; returns the time that is left in s, by the trials that are done.
+
+        agenda: what is still to be done, all by default; clock_s: time since the session began. Every answer is taken
+        as a good one, and as expected where any is.
+        """
+        agenda = agenda or Agenda(self.trials, self.flow)
+        reached: dict[int, float] = {}
+        while (step := agenda.ask()) is not None:
+            reached.setdefault(agenda.done, clock_s)
+            if isinstance(step, Page):
+                clock_s += step.least_s + pace.page_s
+                agenda.tell_page(step.key, time_s=clock_s)
+            else:
+                answer_s = pace.answer_s.get(step.protocol, pace.other_s) * len(step.judgements)
+                clock_s += self.measure_felt(step) + answer_s
+                is_known = any(judgement.expected for judgement in step.judgements)
+                agenda.tell_trial(
+                    step.number, accepted=True, as_expected=is_known or None, time_s=clock_s
+                )
         reached.setdefault(agenda.done, clock_s)
-        if isinstance(step, Page):
-            clock_s += step.least_s + pace.page_s
-            agenda.tell_page(step.key, time_s=clock_s)
-        else:
-            answer_s = pace.answer_s.get(step.protocol, pace.other_s) * len(step.judgements)
-            clock_s += measure_felt(step, durations, flow) + answer_s
-            is_known = any(judgement.expected for judgement in step.judgements)
-            agenda.tell_trial(
-                step.number, accepted=True, as_expected=is_known or None, time_s=clock_s
-            )
-    reached.setdefault(agenda.done, clock_s)
-    return {done: clock_s - time_s for done, time_s in reached.items()}
+        return {done: clock_s - time_s for done, time_s in reached.items()}
 
 
-def measure_length(
-    sessions: Iterable[tuple[Sequence[Trial], Flow]], *, durations: Mapping[str, float], pace: Pace
-) -> Length:
-    """Measure how long whole sessions take, each given by its trials and rules; at least one."""
-    whole = [
-        (
-            count_down(Agenda(trials, flow), flow, durations=durations, pace=pace)[0] / SECONDS,
-            trials,
-        )
-        for trials, flow in sessions
-    ]
+def measure_length(sittings: Iterable[Sitting], pace: Pace) -> Length:
+    """Measure how long whole sessions take, at least one."""
+    whole = [(sitting.count_down(pace)[0] / SECONDS, sitting.trials) for sitting in sittings]
     low, high = (end(minutes for minutes, _ in whole) for end in (min, max))
     most = max(sum(trial.phase == "main" for trial in trials) for _, trials in whole)
     return Length(low, high, most, pace.participants)
@@ -127,10 +139,9 @@ def measure_design(
 ) -> Length:
     """Measure how long the sessions of a design take, in each of so many groups."""
     numbers = range(1, groups + 1)
-    sessions = [
-        (make_trials(design, items, number=number).trials, design.flow) for number in numbers
-    ]
-    return measure_length(sessions, durations=durations, pace=Pace())
+    courses = (make_trials(design, items, number=number) for number in numbers)
+    sittings = [Sitting.plan(course, design.flow, durations) for course in courses]
+    return measure_length(sittings, Pace())
 
 
 def find_durations(stimuli: StimulusSet) -> dict[str, float]:
@@ -169,6 +180,7 @@ def _list_answers(
 ) -> Iterator[tuple[Trial, float]]:
     """List the rated trials of the main phase, each with its time beyond feeling every part once."""
     trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
+    sitting = Sitting.plan(plan, plan.flow, durations)
     last_s = shown_s = 0.0
     for record in records:
         if record.event == TrialShown.event:
@@ -176,8 +188,7 @@ def _list_answers(
         last_s = record.data.get("time_s", last_s)
         if record.event == TrialRated.event and record.data["trial"] in trials:
             trial = trials[record.data["trial"]]
-            felt_s = measure_felt(trial, durations, plan.flow)
-            yield trial, max(0.0, last_s - shown_s - felt_s)
+            yield trial, max(0.0, last_s - shown_s - sitting.measure_felt(trial))
 
 
 def _list_readings(plan: Plan, records: Records) -> Iterator[float]:
@@ -191,13 +202,10 @@ def find_left(
     plan: Plan, records: Records, *, durations: Mapping[str, float], pace: Pace
 ) -> dict[int, float]:
     """Compute the time that is left of a session as its journal leaves it, in s, by the trials that are done."""
-    return count_down(
-        replay(plan, records),
-        plan.flow,
-        durations=durations,
-        pace=SIMULATED if plan.simulated else pace,
-        clock_s=records.find_elapsed(),
-    )
+    sitting = Sitting.plan(plan, plan.flow, durations)
+    own = SIMULATED if plan.simulated else pace
+    clock_s = records.find_elapsed()
+    return sitting.count_down(own, agenda=replay(plan, records), clock_s=clock_s)
 
 
 def read_pace(study: StudyFolder, stimuli: StimulusSet) -> Pace:

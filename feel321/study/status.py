@@ -17,7 +17,14 @@ from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
-from feel321.study.minutes import Length, find_durations, find_left, measure_length, observe_pace
+from feel321.study.minutes import (
+    Length,
+    Sitting,
+    find_durations,
+    find_left,
+    measure_length,
+    observe_pace,
+)
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
@@ -274,10 +281,8 @@ def _add_minutes(
             left = find_left(dossier.plan, dossier.records, durations=durations, pace=pace)
             left_min = max(left.values()) / SECONDS
             timed[entry.participant] = replace(entry, left_min=left_min)
-    plans = [(dossier.plan.trials, dossier.plan.flow) for dossier in dossiers]
-    return list(timed.values()), measure_length(
-        plans, durations=durations, pace=pace
-    ) if plans else None
+    sittings = [Sitting.plan(dossier.plan, dossier.plan.flow, durations) for dossier in dossiers]
+    return list(timed.values()), measure_length(sittings, pace) if sittings else None
 
 
 def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
-from feel321.study.simulation import find_planted
 
 from feel321.study.settings.read import read_settings
+from feel321.study.simulation import find_planted
 
 if TYPE_CHECKING:
     from pathlib import Path

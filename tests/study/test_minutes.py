@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.agenda import Agenda
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.commands import lab, shared
@@ -16,7 +15,7 @@ from feel321.study.folder import StudyFolder, create_study
 from feel321.study.minutes import (
     SIMULATED,
     Pace,
-    count_down,
+    Sitting,
     find_durations,
     find_left,
     measure_length,
@@ -71,7 +70,7 @@ def test_sessions_take_as_long_as_was_foreseen(tmp_path: Path) -> None:
     for participant in folder.participants:
         dossier = read_dossier(participant)
         took_s, plan = dossier.records.find_elapsed(), dossier.plan
-        own = measure_length([(plan.trials, plan.flow)], durations=durations, pace=SIMULATED)
+        own = measure_length([Sitting.plan(plan, plan.flow, durations)], SIMULATED)
         assert own.low_min * 60 == pytest.approx(took_s, rel=TOLERANCE)
         ratios.append(own.low_min * 60 / took_s)
         half = dossier.records[: len(dossier.records) // 2]
@@ -97,7 +96,7 @@ def test_the_pace_of_real_people_is_learnt_from_their_journals(
     assert pace.answer_s == pytest.approx({"realism": 2 - 0.35, "similarity": 3 - 0.7})
     assert (pace.page_s, pace.participants) == (0.0, 1)  # the script says how long pages stood
     with_pages = replace(pace, page_s=1.0)
-    length = measure_length([(plan.trials, plan.flow)], durations=DURATIONS, pace=with_pages)
+    length = measure_length([Sitting.plan(plan, plan.flow, DURATIONS)], with_pages)
     # The rest is one page whose shortest time counts too.
     assert length.low_min * 60 == pytest.approx(dossier.records.find_elapsed() + 1.0)
     simulated = replace(dossier, plan=replace(plan, simulated=True))
@@ -118,8 +117,7 @@ def test_minutes_are_left_to_those_who_go_on(
 def test_breaks_and_rests_are_counted(plan: Plan) -> None:
     def measure(**rules: Any) -> float:
         flow = replace(Flow(break_trials=None, break_min=None, rest_s=0.0), **rules)
-        agenda = Agenda(plan.trials, flow)
-        return count_down(agenda, flow, durations=DURATIONS, pace=SIMULATED)[0]
+        return Sitting(plan.trials, flow, DURATIONS).count_down(SIMULATED)[0]
 
     plain = measure()
     assert measure(rest_s=60.0) - plain == pytest.approx(60.0)
@@ -129,7 +127,7 @@ def test_breaks_and_rests_are_counted(plan: Plan) -> None:
 
 
 def test_less_and_less_is_left(plan: Plan) -> None:
-    left = count_down(Agenda(plan.trials, plan.flow), plan.flow, durations=DURATIONS, pace=Pace())
+    left = Sitting(plan.trials, plan.flow, DURATIONS).count_down(Pace())
     assert list(left) == list(range(21))
     assert list(left.values()) == sorted(left.values(), reverse=True)
     assert left[20] == pytest.approx(Pace().page_s)  # the last page

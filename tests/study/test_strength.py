@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from feel321.study.lab import Visit, run_participant
 
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.sets.anchors import THRESHOLDS
@@ -23,6 +22,7 @@ from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import read_rig
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
+from feel321.study.lab import Visit, run_participant
 from feel321.study.settings.read import read_settings
 from feel321.study.strength import describe_gains, find_rig_limits, find_strength, find_unfelt
 from feel321.study.workflow import build_study, check_study

@@ -191,7 +191,7 @@ def doctor(
     from feel321.study.actuator.doctor import examine_rig, survey_devices
 
     rig, rate_hz = _find_rig(folder, device=device)
-    devices, found = survey_devices(), None
+    devices, found = survey_devices(rig), None
     if rig is not None and seconds:
         with shared.show_progress("pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)

@@ -8,11 +8,12 @@ lost is pressed again, and one too many is taken back.
 from collections.abc import Callable, Mapping
 from math import copysign
 
-from feel321.protocols.trial import Page, Trial
+from feel321.protocols.trial import Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer.participant import Experience, Participant
 from feel321.study.screen.input import AGAIN, CONFIRM, PAUSE, REFERENCE, ROW_STEPS, STEPS
 from feel321.study.screen.layout import Hand, View
+from feel321.study.session.ports import Tone
 
 KEYSYMS = {"enter": "Return", "pageup": "Prior", "pagedown": "Next"}
 """X11's names of keys, where they are not ours, beginning with a capital."""
@@ -81,6 +82,7 @@ class PressingHand(Hand):
         self._task: tuple[int, str] = (-1, "")
         self._since_s = 0.0
         self._values: Mapping[str, float | str] = {}
+        self._tones: dict[str, Tone] = {}
         self._experience: Experience | None = None
         self._confirmed: Experience | None = None
         self._held = ""
@@ -90,7 +92,7 @@ class PressingHand(Hand):
     def watch(self, view: View) -> None:
         """Look at what is on the screen, and press or release a key."""
         if view.screen != self._task[0]:
-            self._experience, self._values = None, {}
+            self._experience, self._values, self._tones = None, {}, {}
             self._mind.before, self._confirmed = self._confirmed or self._mind.before, None
         if (task := (view.screen, view.state)) != self._task:
             self._task, self._since_s = task, self._clock()
@@ -103,6 +105,11 @@ class PressingHand(Hand):
         elif self._clock() - self._since_s >= wait_s and (key := self._choose_key(view)):
             self._keyboard.press(key)
             self._held = key
+
+    def feel(self, part: Part, stimulus: Stimulus | Tone) -> None:
+        """Feel a tone; what stimuli of a set feel like is known to the participant by their names."""
+        if isinstance(stimulus, Tone):
+            self._tones[part.name] = stimulus
 
     def _choose_key(self, view: View) -> str:
         match view.state:
@@ -128,7 +135,11 @@ class PressingHand(Hand):
             digit = unfelt[0] if unfelt[0].isdigit() else REFERENCE
             return digit if view.kind == "rows" else AGAIN
         if self._experience is None and view.scale is not None:
-            self._experience = self._mind.imagine(trial, self._stimuli)
+            self._experience = (
+                Experience(trial, {}, self._tones)
+                if self._tones
+                else self._mind.imagine(trial, self._stimuli)
+            )
             self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
         for judgement in trial.judgements:
             value = self._values[judgement.part]

@@ -13,11 +13,12 @@ from math import isfinite
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
+from feel321.protocols.detection import INTERVALS, THRESHOLD, Detection
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
 from feel321.study.session import events, ports
-from feel321.study.session.plan import Plan, advance, list_by_code, replay
+from feel321.study.session.plan import Plan, advance, list_by_code, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:
@@ -36,13 +37,17 @@ DEVICE_FLAGS = frozenset({"device_error", "not_delivered"})
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """The setup of a session: the presenter, the stimuli by blind code, the scales, the journal and the rules."""
+    """The setup of a session: the presenter, the stimuli by blind code, the scales, the journal and the rules.
+
+    detection: the threshold block, where there is one.
+    """
 
     presenter: Presenter
     stimuli: Mapping[str, Stimulus]
     scales: Mapping[str, Scale]
     journal: Journal
     flow: Flow
+    detection: Detection | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -113,7 +118,8 @@ def run_session(
     """
     by_code = list_by_code(stimuli, seed=plan.seed)
     scales = read_scales() if scales is None else scales
-    setup = Setup(presenter, by_code, scales, journal, plan.flow)
+    detection = recall_detection(plan, journal.records)
+    setup = Setup(presenter, by_code, scales, journal, plan.flow, detection)
     agenda = replay(plan, journal.records)
     try:
         _Lead(setup, agenda, {trial.number: trial for trial in plan.trials}).run(on_step)
@@ -154,7 +160,7 @@ class _Lead:
             self.take(step)
             # The agenda is told what is on the disk, by the same words as when a session is resumed.
             event = records[-1].content
-            advance(agenda, event, self.trials)
+            advance(agenda, event, self.trials, detection=self.setup.detection)
             if isinstance(step, Trial):
                 self.look_after_device(getattr(event, "flags", ()))
 
@@ -239,12 +245,15 @@ class _Attempt(events.Attempt):
         """Play the parts in order, until one is cut short."""
         presenter = self._setup.presenter
         gap_s = 0.0 if self.trial.timing == "free" else self._setup.flow.gap_s
+        tones: Mapping[str, ports.Tone] = {}
+        if self._setup.detection and self.trial.protocol == THRESHOLD:
+            gap_s, tones = self._present(self._setup.detection)
         for part in parts:
             kind = events.PartPlayed
             if part.stimulus_id is None:
                 playback, kind = presenter.prompt(part), events.SurfaceStroked
             else:
-                stimulus = self._setup.stimuli[part.stimulus_id]
+                stimulus = tones.get(part.name) or self._setup.stimuli[part.stimulus_id]
                 playback = presenter.play(part, stimulus, gap_s=gap_s)
             played = kind(*self.key, part.name, **_describe_playback(playback))
             self._setup.journal.write(played)
@@ -253,6 +262,18 @@ class _Attempt(events.Attempt):
             _stop_or_pause(playback.act)
             if playback.error or not playback.completed:
                 return
+
+    def _present(self, detection: Detection) -> tuple[float, dict[str, ports.Tone]]:
+        """Decide what the intervals hold, and record it; the gap before each of them comes first."""
+        block, shown = detection.block, detection.present(self.trial)
+        frequency_hz = detection.find_frequency(self.trial)
+        presented = events.TonePresented(*self.key, frequency_hz, shown.interval, shown.level_db)
+        self._setup.journal.write(presented)
+        levels = dict.fromkeys(INTERVALS) | {INTERVALS[shown.interval - 1]: shown.level_db}
+        return block.gap_s, {
+            name: ports.Tone(frequency_hz, block.duration_s, level)
+            for name, level in levels.items()
+        }
 
     def is_spoiled(self) -> bool:
         """Check whether the attempt can no longer be answered, and record its end if so."""

@@ -163,6 +163,17 @@ class TrialShown(AttemptEvent, event="shown"):
     """The trial is before the participant, all markers unset."""
 
 
+class TonePresented(AttemptEvent, event="tone"):
+    """A trial of the threshold block: the interval (1 or 2) that vibrates, and its level in dB re 1 m/s² RMS.
+
+    level_db: None in a catch trial, in which neither interval vibrates.
+    """
+
+    frequency_hz: float
+    interval: int
+    level_db: float | None
+
+
 class PartPlayed(AttemptEvent, event="played"):
     """A stimulus was played; see `Playback`."""
 

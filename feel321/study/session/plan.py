@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.files import create_text, hold_lock
 from feel321.protocols.agenda import Agenda
+from feel321.protocols.detection import THRESHOLD, Detection, ThresholdBlock, draw_block, make_block
 from feel321.protocols.order import make_order, make_rehearsal
 from feel321.protocols.tasks import is_as_expected
 from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
@@ -63,6 +64,7 @@ class Design:
     tasks: tuple[Task, ...]
     between: Mapping[str, tuple[str, ...]]
     flow: Flow
+    threshold: ThresholdBlock | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -94,7 +96,9 @@ class Plan:
     stimuli_sha256 : str
         The stimulus set that the trials name by codes.
     trials : tuple of Trial
-        The trials: those of the main phase in order, then training and practice.
+        The trials: those of the main phase in order, then training and practice, then the threshold block.
+    threshold : ThresholdBlock or None
+        The threshold block, where the session has one.
     sha256 : str
         Digest of the plan as it was stored; empty before that.
     """
@@ -111,6 +115,7 @@ class Plan:
     flow: Flow
     stimuli_sha256: str
     trials: tuple[Trial, ...]
+    threshold: ThresholdBlock | None = None
     sha256: str = field(default="", compare=False)
 
     def to_frame(self) -> DataFrame:
@@ -150,6 +155,7 @@ def make_plan(
         flow=design.flow,
         stimuli_sha256=stimuli.sha256,
         trials=own.trials,
+        threshold=own.threshold,
     )
 
 
@@ -160,6 +166,7 @@ class Course:
     groups: Mapping[str, str]
     tasks: tuple[Task, ...]
     trials: tuple[Trial, ...]
+    threshold: ThresholdBlock | None
 
 
 def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Course:
@@ -180,7 +187,11 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
     rehearsal = make_rehearsal(
         items, tasks, first_number=len(main) + 1, rng=np.random.default_rng([design.seed, number])
     )
-    return Course(groups, tasks, main + rehearsal)
+    block, first = design.threshold, len(main) + len(rehearsal) + 1
+    if block:
+        block = draw_block(block, seed=design.seed, number=number)
+    trials = (*main, *rehearsal, *(make_block(block, first_number=first) if block else ()))
+    return Course(groups, tasks, trials, block)
 
 
 def list_codes(stimuli: StimulusSet, *, seed: int) -> dict[str, str]:
@@ -216,6 +227,8 @@ def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
     del entry["sha256"]
+    if plan.threshold is None:
+        del entry["threshold"]  # so were plans stored before there were any
     create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())
 
 
@@ -303,8 +316,26 @@ def replay(plan: Plan, records: Iterable[Record]) -> Agenda:
     return agenda
 
 
-def advance(agenda: Agenda, event: events.SessionEvent, trials: Mapping[int, Trial]) -> None:
-    """Tell an agenda one event; most change nothing about what comes next."""
+def recall_detection(plan: Plan, records: Iterable[Record]) -> Detection | None:
+    """Make the threshold block of a session as its journal leaves it; None where there is none."""
+    if plan.threshold is None:
+        return None
+    detection = Detection(plan.threshold)
+    trials = {trial.number: trial for trial in plan.trials if trial.phase == THRESHOLD}
+    for rated in Records(records).find(events.TrialRated):
+        if rated.trial in trials and not rated.rejected:
+            detection.tell(trials[rated.trial], rated.values)
+    return detection
+
+
+def advance(
+    agenda: Agenda,
+    event: events.SessionEvent,
+    trials: Mapping[int, Trial],
+    *,
+    detection: Detection | None = None,
+) -> None:
+    """Tell an agenda, and a threshold block, one event; most change nothing about what comes next."""
     match event:
         case events.PageRead():
             agenda.tell_page(event.key, time_s=event.time_s)
@@ -316,6 +347,8 @@ def advance(agenda: Agenda, event: events.SessionEvent, trials: Mapping[int, Tri
                 as_expected=is_as_expected(trial, event.values) if trial else None,
                 time_s=event.time_s,
             )
+            if detection and trial and not event.rejected:
+                detection.tell(trial, event.values)
         case events.TrialSpoiled():
             agenda.tell_trial(
                 event.trial,

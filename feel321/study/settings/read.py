@@ -148,6 +148,7 @@ def make_design(settings: Settings) -> Design:
         flow=Flow(
             **rehearsal, **session.breaks.model_dump(by_alias=True), **session.quality.model_dump()
         ),
+        threshold=session.threshold.make_block() if session.threshold else None,
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import pytest
-from feel321.study.simulation import find_person
 
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Judgement, Page, Part, Trial
@@ -15,6 +14,7 @@ from feel321.study.screen.input import STEPS
 from feel321.study.screen.layout import View
 from feel321.study.screen.robot import THINKING_S, PressingHand
 from feel321.study.session.ports import Place
+from feel321.study.simulation import find_person
 
 SCALES = read_scales()
 KINDS = {"realism": "slider", "similarity": "slider", "mushra": "rows", "abx": "choice"}
