@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
+from feel321.protocols.order import TASK_ORDERS
 from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
@@ -73,19 +74,22 @@ def measure_realised(dossiers: Iterable[Dossier]) -> BalanceAsRun | None:
         for task, what, among, conditions in _split(dossier.plan, trials):
             groups[task, what][among].append(conditions)
     # Successive participants belong to successive groups, and each group has its own cycle.
-    cycles = max(
-        prod(map(len, plan.between.values())) if plan.order == "williams" else 0
-        for plan in (dossier.plan for dossier, _ in run)
-    )
+    plans = [dossier.plan for dossier, _ in run]
+    cycles = max(prod(map(len, plan.between.values())) for plan in plans)
+    of_trials = cycles * any(plan.order == "williams" for plan in plans)
     return BalanceAsRun(
         simulated=simulated,
         participants=len(run),
         finished=sum(_is_finished(dossier.records) for dossier, _ in run),
         evenness=tuple(
-            _measure(task, what, sequences, cycles=cycles)
+            _measure(task, what, sequences, cycles=cycles if what == TASKS else of_trials)
             for (task, what), sequences in groups.items()
         ),
     )
+
+
+SESSION, TASKS = "session", "tasks"
+"""What is put in order where tasks are counterbalanced."""
 
 
 def describe_balance(realised: BalanceAsRun | None) -> list[str]:
@@ -128,9 +132,12 @@ def _list_accepted(records: Records, numbers: Collection[int]) -> list[TrialRate
 
 
 def _split(
-    plan: Plan, trials: Iterable[Trial]
+    plan: Plan, trials: Sequence[Trial]
 ) -> Iterator[tuple[str, str, tuple[str, ...], list[str]]]:
-    """Yield task, what was put in order, among which, and the order that it was run in."""
+    """Yield task (or `SESSION`), what was put in order, among which, and the order that it was run in."""
+    if plan.task_order != TASK_ORDERS[0] and len(plan.tasks) > 1:
+        among = tuple(sorted(task.protocol for task in plan.tasks))
+        yield SESSION, TASKS, among, list(dict.fromkeys(trial.protocol for trial in trials))
     planned = _gather_blocks(trial for trial in plan.trials if trial.phase == "main")
     run = _gather_blocks(trials)
     for block, own in run.items():
