@@ -8,5 +8,7 @@ LAST_PARTICIPANT_COLUMNS = ("first_utc", "last_utc", "training_passed")
 RATING_COLUMNS = (
     "participant", "session", "protocol", "block", "trial", "repeat", "stimulus_id", "recording", "reducer",
     "level", "reference_id", "scale", "rating", "response_time_s", "onset_s", "underruns", "rejected", "simulated",
+    "spectral_match_delivered", "temporal_match_delivered", "spectral_match_bounded_delivered", "level_error_db",
+    "delivered_by",
 )  # fmt: skip
 """The columns of `ratings.csv`, in order."""
