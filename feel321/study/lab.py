@@ -192,6 +192,7 @@ class Visit:
     device: str | None = None
     simulated: bool = False
     seed: int | None = None
+    accept_rig: bool = False
 
 
 def run_participant(
@@ -226,6 +227,7 @@ def run_participant(
         identity=make_identity(settings, study.path, identify_lab(lab)),
         make_presenter=partial(open_lab, lab=lab),
         on_step=on_step,
+        accept_rig=visit.accept_rig,
     )
     for line in filter(None, (notice, repaired)):
         warn(line)

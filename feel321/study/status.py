@@ -15,6 +15,7 @@ from feel321.protocols.balance import measure_balance, pool_balances, williams_s
 from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
 from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
+from feel321.study.ledger.rigs import RigUse, describe_rigs, find_rig_use
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
@@ -185,6 +186,7 @@ class ParticipantStatus:
     warnings: tuple[str, ...] = ()
     problem: str = ""
     notes: tuple[Note, ...] = ()
+    rig: RigUse | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -206,7 +208,8 @@ class Status(Result):
         lines = [f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}  last activity"]
         for entry in self.participants:
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
-        return "\n".join([*lines, *describe_balance(self.balance)])
+        uses = [entry.rig for entry in self.participants if entry.rig]
+        return "\n".join([*lines, *describe_rigs(uses), *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
         """Write what `feel321 status --notes` adds."""
@@ -271,6 +274,7 @@ def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
         last_activity=progress.last_utc,
         warnings=tuple(warnings),
         notes=notes,
+        rig=find_rig_use(progress.participant, dossier.records),
     )
     return entry, dossier
 

@@ -69,6 +69,14 @@ class SessionResumed(SessionEvent, event="resumed"):
     clock: dict[str, float]
 
 
+class RigAccepted(SessionEvent, event="rig_accepted"):
+    """The session goes on with another rig or certificate than it was begun with; changes: old -> new, by setting."""
+
+    rig: dict[str, Any] | None
+    calibration: dict[str, Any] | str | None
+    changes: list[str]
+
+
 class DeviceOpened(SessionEvent, event="device"):
     """The actuators are ready; identity: the device as it describes itself."""
 
@@ -237,7 +245,7 @@ class TrialSpoiled(AttemptEvent, event="spoiled"):
 REPAIRS = (ClockStepped, LineRecovered)
 """May come anywhere in a journal."""
 
-OPENING = (*REPAIRS, NoteTaken, DeviceOpened, SessionResumed)
+OPENING = (*REPAIRS, NoteTaken, DeviceOpened, RigAccepted, SessionResumed)
 """May come before anybody has come back to work."""
 
 UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)

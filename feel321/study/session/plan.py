@@ -11,7 +11,7 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
@@ -322,6 +322,9 @@ JOURNAL_FORMAT = 1
 UNCOMPARED = ("format", "session", "versions", "system", "clock")
 """May differ between a header and a later opening: other versions may go on with a session."""
 
+ACCEPTABLE = ("presenter.rig", "calibration")
+"""May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
+
 PLANNED = ("participant", "plan_sha256", "stimuli_sha256", "seed")
 """May not even differ where nobody has done anything yet."""
 
@@ -336,7 +339,13 @@ class Stale:
 
 @contextmanager
 def open_session(
-    folder: Path, plan: Plan, *, identity: Mapping[str, Any], now: Clock, stale: Stale
+    folder: Path,
+    plan: Plan,
+    *,
+    identity: Mapping[str, Any],
+    now: Clock,
+    stale: Stale,
+    accept_rig: bool = False,
 ) -> Iterator[tuple[Plan, Journal]]:
     """Begin or resume the session of one participant, and keep everybody else from writing to it.
 
@@ -345,7 +354,8 @@ def open_session(
     stored, and the journal with a header and all that was done before.
 
     A session that was begun with another plan, stimulus set or presenter is refused with what differs; another
-    presenter may take over where nobody has done anything yet, in a journal of its own.
+    presenter may take over where nobody has done anything yet, in a journal of its own. With accept_rig, another rig or
+    certificate is recorded and goes on with the session.
     """
     folder.mkdir(parents=True, exist_ok=True)
     busy = "another session is writing here; let it finish or stop it first"
@@ -357,7 +367,11 @@ def open_session(
             for path in journals.list_journals(folder)
         )
         stored = _settle_plan(folder / PLAN_FILE, plan, is_begun=is_begun)
-        yield stored, _open_newest(folder, stored, dict(identity), now=now, stale=stale)
+        own = dict(identity)
+        yield (
+            stored,
+            _open_newest(folder, stored, identity=own, now=now, stale=stale, accept_rig=accept_rig),
+        )
 
 
 def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
@@ -380,7 +394,13 @@ def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
 
 
 def _open_newest(
-    folder: Path, plan: Plan, identity: dict[str, Any], *, now: Clock, stale: Stale
+    folder: Path,
+    plan: Plan,
+    *,
+    identity: dict[str, Any],
+    now: Clock,
+    stale: Stale,
+    accept_rig: bool,
 ) -> Journal:
     files = journals.list_journals(folder)
     if not files:
@@ -395,23 +415,50 @@ def _open_newest(
         journal.write(_make_header(journal, plan, identity))
         return journal
     header = _make_header(journal, plan, identity).to_data()
-    if differences := find_differences(begun.to_data(), header, ignore=UNCOMPARED):
+    as_left = _describe_as_left(begun, journal.records)
+    if differences := find_differences(as_left, header, ignore=UNCOMPARED):
         untouched = {kind.event for kind in events.UNTOUCHED}
         names = {line.partition(" ")[0] for line in differences}
         if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
             # Another rig, say, does no harm: nobody has done anything yet.
             return _supersede(journal, plan, identity)
-        named = [
-            "other texts for participants" if line.startswith("texts_sha256 ") else line
-            for line in differences
-        ]
-        former, own = begun.versions.get("feel321"), version("feel321")
-        use = "" if former == own else f" or use feel321 {former}, which began it"
-        raise ValueError(
-            f"{journal.path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, "
-            f"begin with another participant, or move {folder.parent.name}/ away"
-        )
+        is_rig = all(name.startswith(ACCEPTABLE) for name in names)
+        if not (is_rig and accept_rig):
+            raise ValueError(_describe_refusal(journal.path, begun, differences, is_rig=is_rig))
+        if not journal.records.has(events.SessionFinished):
+            rig, calibration = _find_rig(header)
+            journal.write(events.RigAccepted(rig, calibration, differences))
     return _resume(journal, plan, identity, now=now, stale=stale)
+
+
+def _describe_as_left(begun: events.SessionBegun, records: Records) -> dict[str, Any]:
+    """Describe a session as it was begun, with the rig that it went on with."""
+    data = begun.to_data()
+    for event in records.find(events.RigAccepted):
+        presenter = data.get("presenter", {}) | {"rig": event.rig}
+        data |= {"presenter": presenter, "calibration": event.calibration}
+    return data
+
+
+def _find_rig(header: Mapping[str, Any]) -> tuple[Any, Any]:
+    return header.get("presenter", {}).get("rig"), header.get("calibration")
+
+
+def _describe_refusal(
+    path: Path, begun: events.SessionBegun, differences: Sequence[str], *, is_rig: bool
+) -> str:
+    """Say why a session cannot be resumed, and what to do."""
+    named = [
+        "other texts for participants" if line.startswith("texts_sha256 ") else line
+        for line in differences
+    ]
+    former, own = begun.versions.get("feel321"), version("feel321")
+    use = "" if former == own else f" or use feel321 {former}, which began it"
+    accept = "go on with the rig as it is now (--accept-rig, which records it), " if is_rig else ""
+    return (
+        f"{path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, {accept}"
+        f"begin with another participant, or move {path.parent.parent.name}/ away"
+    )
 
 
 def _resume(
