@@ -9,12 +9,17 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
+from feel321.protocols.detection import THRESHOLD
 from feel321.protocols.tasks import measure_chance
-from feel321.protocols.trial import Flow, Page, Trial
+from feel321.protocols.trial import ASIDE, Flow, Page, Trial
 
 SECONDS = 60.0
-RELAXING = frozenset({"main", "break", "rest", "warm_up"})
+RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done"})
 """Pages after which the time to the next break starts anew."""
+
+
+COUNTED = frozenset({"main", THRESHOLD})
+"""Phases whose answers are results."""
 
 
 class Training:
@@ -119,7 +124,7 @@ class Agenda:
         return self._attempts[number] + 1
 
     def tell_page(self, key: str, *, time_s: float) -> None:
-        """Take a page as read.
+        """Take a page as read; the pages `ASIDE` may be read at any time.
 
         Parameters
         ----------
@@ -133,6 +138,8 @@ class Agenda:
         ValueError
             If another step is next.
         """
+        if key in ASIDE:
+            return
         self._take(key)
         if key in RELAXING:
             self._since_break, self._break_s = 0, time_s
@@ -190,7 +197,7 @@ class Agenda:
     def warm_up(self) -> None:
         """Repeat the practice trials of the current task when a participant returns after a long break."""
         ahead = next((step for step in self._steps if isinstance(step, Trial)), None)
-        if ahead is None or ahead.phase != "main" or self._steps[0] == Page("warm_up"):
+        if ahead is None or ahead.phase not in COUNTED or self._steps[0] == Page("warm_up"):
             return  # Nothing is left, or the warm-up is under way.
         own = ("practice", ahead.protocol)
         again = [trial for trial in self._trials.values() if (trial.phase, trial.protocol) == own]
@@ -237,6 +244,7 @@ def _find_place(steps: Iterable[Page | Trial], trial: Trial) -> int:
 def _list_steps(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
     """List the steps of a session in which nothing goes wrong and no break is due."""
     yield from (Page("welcome"), Page("consent"))
+    yield from _list_threshold([trial for trial in trials if trial.protocol == THRESHOLD], flow)
     main = [trial for trial in trials if trial.phase == "main"]
     sections = [list(section) for _, section in groupby(main, key=lambda trial: trial.protocol)]
     for place, section in enumerate(sections):
@@ -256,3 +264,19 @@ def _list_steps(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
             yield Page("rest", flow.rest_s)
         yield from section[half:]
     yield Page("end")
+
+
+def _list_threshold(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
+    """List the steps of the threshold block, if there is one: practice, then one frequency after the other."""
+    if not trials:
+        return
+    practice = [trial for trial in trials if trial.phase == "practice"]
+    yield Page(f"instructions.{THRESHOLD}")
+    if practice:
+        yield Page("practice")
+    yield from practice
+    counted = groupby((t for t in trials if t.phase == THRESHOLD), key=lambda trial: trial.block)
+    for place, (_, own) in enumerate(counted):
+        yield Page("threshold_next", flow.break_s) if place else Page("main")
+        yield from own
+    yield Page("threshold_done", flow.rest_s)

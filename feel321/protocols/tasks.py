@@ -441,9 +441,11 @@ def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, fl
 
 def is_as_expected(trial: Trial, values: Mapping[str, float | str]) -> bool | None:
     """Check whether all answers lie where those of someone who has understood do; None where any will do."""
+    known = [(judgement.part, j) for judgement in trial.judgements if (j := judgement.expected)]
+    if not known:
+        return None
     points = score_trial(trial, values)
-    known = [(points[j.part], j.expected) for j in trial.judgements if j.expected is not None]
-    return all(low <= value <= high for value, (low, high) in known) if known else None
+    return all(low <= points[part] <= high for part, (low, high) in known)
 
 
 def measure_chance(trial: Trial) -> float:

@@ -25,7 +25,8 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from feel321.doors import Registry, as_rng, describe
@@ -100,6 +101,15 @@ class ThresholdPlan:
         """Share of correct answers at the threshold, 2^(-1/n_down) [1]_."""
         return math.pow(0.5, 1 / self.n_down)
 
+    @property
+    def presentations(self) -> int:
+        """Number of all trials, those of silence among them."""
+        return self.trials + (self.trials // self.catch_every if self.catch_every else 0)
+
+
+USUAL = ThresholdPlan(lowest_db=-60.0, highest_db=0.0, start_db=-5.0, trials=40, catch_every=8)
+"""Settings for vibrations of 20 to 300 Hz at the hand, in dB relative to 1 m/s² RMS."""
+
 
 @dataclass(frozen=True, slots=True)
 class Presentation:
@@ -135,7 +145,7 @@ class ThresholdEstimate(Result):
 
 def predict_correct(
     level_db: Samples | float,
-    plan: ThresholdPlan,
+    plan: ThresholdPlan = USUAL,
     *,
     threshold_db: Samples | float,
     slope: Samples | float,
@@ -238,13 +248,8 @@ class Bayesian(Procedure):
     """
 
     def __init__(self, plan: ThresholdPlan) -> None:
-        import numpy as np
-
         super().__init__(plan)
-        count = round((plan.highest_db - plan.lowest_db) / LEVEL_STEP_DB) + 1
-        self._levels = np.linspace(plan.lowest_db, plan.highest_db, max(count, 2))
-        self._chances = np.stack([_predict_grid(plan, level).ravel() for level in self._levels])
-        self._entropies = _binary_entropy(self._chances)
+        self._levels, self._chances, self._entropies = _make_tables(replace(plan, seed=0))
 
     def _choose_level(self) -> float:
         weights = self._weights.ravel()
@@ -368,6 +373,17 @@ def _make_grid(plan: ThresholdPlan) -> tuple[Samples, Samples]:
     low, high = plan.lowest_db - MARGIN_DB, plan.highest_db + MARGIN_DB
     count = math.ceil((high - low) / THRESHOLD_STEP_DB) + 1
     return np.linspace(low, high, count)[:, None], np.geomspace(*SLOPES)[None, :]
+
+
+@lru_cache(maxsize=8)
+def _make_tables(plan: ThresholdPlan) -> tuple[Samples, Samples, Samples]:
+    """Make the levels to choose from, shape (k,), and chances and entropies of an answer at them, shape (k, n m)."""
+    import numpy as np
+
+    count = round((plan.highest_db - plan.lowest_db) / LEVEL_STEP_DB) + 1
+    levels = np.linspace(plan.lowest_db, plan.highest_db, max(count, 2))
+    chances = np.stack([_predict_grid(plan, level).ravel() for level in levels])
+    return levels, chances, _binary_entropy(chances)
 
 
 def _predict_grid(plan: ThresholdPlan, level_db: float) -> Samples:

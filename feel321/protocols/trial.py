@@ -30,10 +30,15 @@ FLAGS = ("underrun", "clipped", "device_error", "not_delivered", "too_fast", "no
 """What can be wrong with an attempt at a trial."""
 
 PAGES = (
-    "welcome", "consent", "instructions", "training", "expected", "unexpected", "training_passed", "training_again",
-    "training_failed", "practice", "main", "break", "rest", "pause", "warm_up", "end",
+    "welcome", "consent", "threshold_next", "threshold_done", "instructions", "training", "expected", "unexpected",
+    "training_passed", "training_again", "training_failed", "practice", "main", "break", "rest", "pause", "warm_up",
+    "end", "ready", "call_us",
 )  # fmt: skip
 """Keys of all pages; that of `instructions` is followed by a dot and the protocol."""
+
+ASIDE = ("ready", "call_us")
+"""Pages that no plan holds: they wait for the participant after an interruption, or for the experimenter after a
+failure of the device, and change nothing about what comes next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +145,7 @@ class Trial:
     number : int
         Its number in the plan. Trials of the main phase are numbered from 1 in their order, others follow.
     block : int
-        Number of its block in the plan, from 1; 0 outside the main phase.
+        Number of its block in the plan, from 1; 0 in training and practice.
     repeat : int
         Round of this comparison within its protocol, from 1; 0 outside the main phase.
     protocol : str
@@ -156,7 +161,7 @@ class Trial:
     judgements : tuple of Judgement
         The answers to give.
     phase : str
-        `training`, `practice` or `main`; only trials of the main phase are results.
+        `training`, `practice`, `threshold` or `main`; only trials of the main phase become ratings.
     catch : str
         `identical`, `hidden_reference` or `anchor` where the right answer is known; else empty.
     """

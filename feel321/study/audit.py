@@ -14,13 +14,15 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import pairwise
+from math import isclose
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
 from feel321.protocols.agenda import Agenda
+from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.trial import RATING_RANGE, Page, Trial
+from feel321.protocols.trial import ASIDE, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
 from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
 from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
@@ -42,6 +44,7 @@ from feel321.study.session.plan import (
     Plan,
     advance,
     read_dossier,
+    recall_detection,
     replay,
     require_plan,
 )
@@ -114,8 +117,10 @@ class _Course:
         self._agenda = Agenda(plan.trials, plan.flow)
         self._flow = plan.flow
         self._trials = {trial.number: trial for trial in plan.trials}
+        self._detection = recall_detection(plan, ())
         self._attempt: events.Attempt | None = None
         self._state = ""
+        self._aside = ""
 
     def follow(self, record: Record) -> None:
         kind = events.find_kind(record.event)
@@ -129,7 +134,7 @@ class _Course:
         else:
             self._attempt = None  # Whatever was not answered by then never was.
             self._follow_session(event)
-        advance(self._agenda, event, self._trials)
+        advance(self._agenda, event, self._trials, detection=self._detection)
 
     def _check_place(self, kind: type[events.SessionEvent]) -> None:
         allowed = _AFTER.get(self._state)
@@ -146,6 +151,8 @@ class _Course:
                 f"{event.event!r} of trial {event.trial}, attempt {event.attempt}, which was not shown"
             )
         match event:
+            case events.TonePresented():
+                self._check_tone(event, attempt.trial)
             case events.PartPlayed():
                 _check_part(event, attempt.trial)
                 attempt.take(event)
@@ -160,6 +167,21 @@ class _Course:
                 self._attempt = None
             case events.TrialPaused():
                 attempt.parts.clear()  # It is shown again before it goes on.
+
+    def _check_tone(self, event: events.TonePresented, trial: Trial) -> None:
+        """Check that a trial of the threshold block presents what follows from the answers before it."""
+        if self._detection is None or trial.protocol != THRESHOLD:
+            raise ValueError(f"presents a tone in trial {trial.number}, which has none")
+        wanted = self._detection.present(trial)
+        level = event.level_db
+        is_same = level is wanted.level_db
+        if level is not None and wanted.level_db is not None:
+            is_same = isclose(level, wanted.level_db, abs_tol=1e-6)
+        if event.interval != wanted.interval or not is_same:
+            raise ValueError(
+                f"presents {event.level_db} dB in interval {event.interval} of trial {trial.number}, by the answers "
+                f"before it is {wanted.level_db} dB in interval {wanted.interval}"
+            )
 
     def _check_rated(
         self, event: events.TrialRated, attempt: events.Attempt, values: Mapping[str, Any]
@@ -180,6 +202,7 @@ class _Course:
 
     def _follow_session(self, event: events.SessionEvent) -> None:
         agenda, step = self._agenda, self._agenda.ask()
+        self._aside = _CALLING.get(type(event), self._aside)
         match event:
             case events.TrialShown():
                 number = agenda.attempt(step.number) if isinstance(step, Trial) else 0
@@ -192,11 +215,7 @@ class _Course:
                     )
                 self._attempt = events.Attempt(step, number)
             case events.PageRead():
-                least_s = step.least_s if isinstance(step, Page) and step.key == event.key else 0.0
-                if event.stood_s < least_s:
-                    raise ValueError(
-                        f"page {event.key!r} was shown for {event.stood_s:g} s, {least_s:g} s are due"
-                    )
+                self._check_page(event, step)
             case events.SessionFinished():
                 if step is not None:
                     raise ValueError(f"finished after {agenda.done} of {agenda.total} trials")
@@ -205,6 +224,23 @@ class _Course:
                         f"finished with {event.trials} trials, {event.given_up} of them given up; "
                         f"the journal holds {agenda.done} and {agenda.given_up}"
                     )
+
+    def _check_page(self, event: events.PageRead, step: Page | Trial | None) -> None:
+        if event.key in ASIDE and event.key != self._aside:
+            raise ValueError(f"shows page {event.key!r}, for which there was no reason")
+        least_s = step.least_s if isinstance(step, Page) and step.key == event.key else 0.0
+        if event.stood_s < least_s:
+            raise ValueError(
+                f"page {event.key!r} was shown for {event.stood_s:g} s, {least_s:g} s are due"
+            )
+
+
+_CALLING: Mapping[type[events.SessionEvent], str] = {
+    events.SessionResumed: "ready",
+    events.DeviceFailed: "call_us",
+    events.TrialShown: "",
+}
+"""The page aside from the plan that an event gives reason for, or takes it from."""
 
 
 def _check_part(event: events.PartPlayed, trial: Trial) -> None:
@@ -219,7 +255,8 @@ def _check_values(values: Mapping[str, Any], trial: Trial) -> None:
     if sorted(values) != sorted(trial.judged):
         got, asked = (", ".join(names) or "nothing" for names in (values, trial.judged))
         raise ValueError(f"rates {got}, trial {trial.number} asks for {asked}")
-    choices, (low, high) = PROTOCOLS[trial.protocol].choices, RATING_RANGE
+    is_threshold, (low, high) = trial.protocol == THRESHOLD, RATING_RANGE
+    choices = INTERVALS if is_threshold else PROTOCOLS[trial.protocol].choices
     for part, value in values.items():
         is_points = isinstance(value, float) and low <= value <= high
         if not (value in choices if choices else is_points):

@@ -141,6 +141,10 @@ def _open_output(
     rate_hz, full_scale_m_s2 = lab.settings.rig.rate_hz, lab.settings.rig.full_scale_m_s2
     check = _make_check(lab)
     sounds = render_set(lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2)
+    if plan.threshold:
+        from feel321.study.actuator.tone import render_tones
+
+        sounds |= render_tones(plan.threshold, lab.rig, rate_hz=rate_hz)
     folder = lab.study.sessions / plan.participant / DELIVERED
     if lab.rig.device.name == FILE_DEVICE:
         from feel321.study.actuator.output import FileOutput

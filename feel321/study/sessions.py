@@ -146,6 +146,10 @@ def list_rig_problems(
     problems = find_rig_problems(
         rig, stimuli, rate_hz=own.rate_hz, full_scale_m_s2=own.full_scale_m_s2
     )
+    if settings.session.threshold:
+        from feel321.study.actuator.tone import find_tone_problems
+
+        problems += find_tone_problems(settings.session.threshold.make_block(), rig)
     return [f"{study.rig.name}: {problem}" for problem in problems]
 
 

@@ -84,7 +84,9 @@ def find_planted(settings: Settings, stimuli: StimulusSet) -> dict[str, float]:
 def _make_model(settings: Settings) -> ObserverModel:
     declared = [name for name in settings.analysis.metrics if name in SPECTRAL]
     return ObserverModel(
-        **settings.observer.model_dump(), spectral_metric=(declared or SPECTRAL)[0]
+        **settings.observer.model_dump(),
+        spectral_metric=(declared or SPECTRAL)[0],
+        detection_curve=settings.stimuli.threshold,
     )
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.tasks import ABX_CHOICES, PROTOCOLS, make_task
 from feel321.protocols.texts import (
     CATALOG,
@@ -30,6 +31,7 @@ ENDS = {
         "dissimilarity": ("Identical", "Completely different"),
         "mushra": ("Not at all", "Just like the reference"),
         "abx": ("Wrong", "Right"),
+        "threshold": ("Wrong", "Right"),
     },
     "de": {
         "realism": ("Überhaupt nicht echt", "Wie die echte Oberfläche"),
@@ -37,6 +39,7 @@ ENDS = {
         "dissimilarity": ("Identisch", "Völlig verschieden"),
         "mushra": ("Überhaupt nicht", "Genau wie die Referenz"),
         "abx": ("Falsch", "Richtig"),
+        "threshold": ("Falsch", "Richtig"),
     },
 }
 ALONG = {
@@ -68,14 +71,15 @@ def test_every_language_is_complete(language: str) -> None:
 @pytest.mark.parametrize("language", list_languages())
 def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
     scales = read_scales(language)
-    assert set(scales) == {protocol.scale for protocol in PROTOCOLS.values()}
+    assert set(scales) == {protocol.scale for protocol in PROTOCOLS.values()} | {THRESHOLD}
     assert all(name == scale.name for name, scale in scales.items())
     assert all(
         scale.question.endswith("?") and scale.low_label != scale.high_label
         for scale in scales.values()
     )
     assert {name: scale.choices for name, scale in scales.items() if scale.choices} == {
-        "abx": ABX_CHOICES
+        "abx": ABX_CHOICES,
+        THRESHOLD: INTERVALS,
     }
     assert {name: len(scale.anchors) for name, scale in scales.items() if scale.anchors} == {
         "mushra": 5
@@ -129,7 +133,8 @@ def test_pages_of_all_tasks_speak_of_no_slider(language: str, slider: str) -> No
 
 @pytest.mark.parametrize("language", list_languages())
 def test_every_language_has_every_page(language: str) -> None:
-    wanted = {*PAGES, *(f"instructions.{name}" for name in PROTOCOLS)} - {"instructions"}
+    tasks = (*PROTOCOLS, THRESHOLD)
+    wanted = {*PAGES, *(f"instructions.{name}" for name in tasks)} - {"instructions"}
     pages = read_pages(language)
     assert set(pages) == wanted
     assert all(key == page.key for key, page in pages.items())

@@ -196,6 +196,9 @@ def test_questplus_chooses_the_same_levels(monkeypatch: pytest.MonkeyPatch) -> N
     """PsychoPy brings the package; its thresholds are where k = 1, so one slope is compared."""
     questplus = pytest.importorskip("questplus", reason="comes with the rig extra (PsychoPy)")
     monkeypatch.setattr(module, "SLOPES", (3.5, 3.5, 1))
+    monkeypatch.setattr(
+        module, "_make_tables", module._make_tables.__wrapped__
+    )  # others keep theirs
     plan = ThresholdPlan(-30, 0, -10, trials=30, catch_every=0)
     scale = -np.log1p(-(plan.proportion - 0.5) / (0.5 - plan.lapse))
     thresholds = module._make_grid(plan)[0][:, 0] - 20 / 3.5 * np.log10(scale)

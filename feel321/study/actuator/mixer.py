@@ -290,14 +290,16 @@ class Mixer:
         self._latest: Cue | None = None
         self._cue: Cue | None = None
 
-    def start(self, stimulus_id: str, *, gap_s: float) -> Cue:
-        """Ask for a stimulus; the one that is playing is stopped."""
+    def start(self, stimulus_id: str, *, gap_s: float, scale: float = 1.0) -> Cue:
+        """Ask for a stimulus, times `scale`; the one that is playing is stopped."""
         if stimulus_id not in self._sounds:
             raise ValueError(
                 f"the stimulus must be one of the {len(self._sounds)} that were loaded, got {stimulus_id!r}"
             )
         self.stop()
-        self._latest = Cue(self._sounds[stimulus_id], gap_frames=round(gap_s * self._rate_hz))
+        sound = self._sounds[stimulus_id]
+        sound = sound if scale == 1 else sound * np.float32(scale)
+        self._latest = Cue(sound, gap_frames=round(gap_s * self._rate_hz))
         self._waiting.append(self._latest)
         return self._latest
 

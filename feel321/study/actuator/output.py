@@ -27,7 +27,7 @@ from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, ident
 from feel321.study.actuator.simulated import SIMULATED, SimulatedStream
 from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
 from feel321.study.folder import name_delivered
-from feel321.study.session.ports import Playback
+from feel321.study.session.ports import Playback, Tone
 from feel321.types import Samples
 
 
@@ -47,7 +47,7 @@ class Output(Protocol):
     def identity(self) -> Mapping[str, Any]:
         """Rig, device, rate and channels, for the journal's header; compared when a session is resumed."""
 
-    def start(self, stimulus: Stimulus, *, gap_s: float) -> None:
+    def start(self, stimulus: Stimulus | Tone, *, gap_s: float) -> None:
         """Schedule silence, then a stimulus, and return at once."""
 
     @property
@@ -112,10 +112,11 @@ class FileOutput:
             "channels": self._rig.n_channels,
         }
 
-    def start(self, stimulus: Stimulus, *, gap_s: float) -> None:
+    def start(self, stimulus: Stimulus | Tone, *, gap_s: float) -> None:
         """Begin a playback."""
         self._name = stimulus.stimulus_id
-        self._cue = self._mixer.start(self._name, gap_s=gap_s)
+        scale = stimulus.scale if isinstance(stimulus, Tone) else 1.0
+        self._cue = self._mixer.start(self._name, gap_s=gap_s, scale=scale)
         self._blocks = []
         self._begin_s, self._first_frame = self._clock(), self._mixer.frame
         self._requested_s = self._begin_s + gap_s
@@ -316,7 +317,7 @@ class StreamOutput:
         """Silence the device and let it go."""
         self._connection.close()
 
-    def start(self, stimulus: Stimulus | str, *, gap_s: float) -> None:
+    def start(self, stimulus: Stimulus | Tone | str, *, gap_s: float) -> None:
         """Schedule silence, then a stimulus; a dead device is opened again first, if it can be."""
         self._name = name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
         self._error = self._connection.revive()
@@ -328,7 +329,8 @@ class StreamOutput:
         self._latency_s = stream.latency_s
         take = Take(self._rate_hz, stream.there_and_back_s, sensor=self._room)
         self._take = take  # before the mixer knows, so that no block is missed
-        take.cue = self._mixer.start(name, gap_s=gap_s)
+        scale = stimulus.scale if isinstance(stimulus, Tone) else 1.0
+        take.cue = self._mixer.start(name, gap_s=gap_s, scale=scale)
         ahead_s = stream.compare_clocks(self._clock)
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
 

@@ -92,8 +92,17 @@ class _Log:
     place: Place | None = None
 
     def note(self, place: Place) -> None:
+        from feel321.study.screen.input import CONFIRM
+
         if self.place is None:
             click.echo(f"{self.participant}: {place.done} of {place.total} done so far")
+        if place.fault:
+            key = CONFIRM["experimenter"].upper()
+            click.echo(
+                f"{self.participant}: the device failed ({place.fault}); check it, then press {key} in the "
+                "participant's window",
+                err=True,
+            )
         self.place = place
 
     @contextmanager

@@ -21,6 +21,10 @@ Of the bad raters,
 - a *random clicker* answers anything, and fast;
 - a *scale-reverser* takes the slider's ends for each other. A choice has no ends: there they are like anyone else.
 
+Everybody has a detection threshold, by frequency: that of a curve of the literature, shifted by an amount of the
+participant's own, half of whose variance is the same at all frequencies. Of two intervals they find the one that
+vibrated by the psychometric function of `protocols.threshold`; nothing else that they answer depends on it.
+
 Every draw depends on seed, participant, trial and attempt alone, and the trial before can be recalled, so that an
 interrupted session that is resumed gives the answers of an uninterrupted one. The participants' clock adds up what
 stimuli, pages and answers take, so that a session of an hour is over in a second.
@@ -30,16 +34,19 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import accumulate
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
+from feel321.protocols.detection import ASKED, INTERVALS, THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
+from feel321.protocols.threshold import predict_correct
 from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Page, Part, Scale, Trial
+from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS, acceleration_threshold, to_db
 from feel321.study.observer.percepts import Percept, compare_percepts
 from feel321.study.session.events import TrialRated
-from feel321.study.session.ports import Act, Confirm, Feel, Place, Playback
+from feel321.study.session.ports import Act, Confirm, Feel, Place, Playback, Tone
 from feel321.study.settings.fields import one_of
 from feel321.study.settings.schema import ObserverTable
 
@@ -62,6 +69,7 @@ UNHURRIED, HASTY = (0.7, 0.4), (-0.7, 0.3)
 """Mean and standard deviation of the logarithm of a response time in s: medians of 2.0 s and 0.5 s."""
 
 SPECTRAL = ("spectral_match_bounded", "spectral_match")  # that participants may feel by
+HALF = 0.5  # of the favourites of straight-liners, who then choose the first
 NODES = 15  # of the quadrature over gains and over sizes of the noise
 
 
@@ -69,9 +77,11 @@ class ObserverModel(ObserverTable):
     """How simulated participants feel, and how they differ; the template of `study.toml` explains every number.
 
     spectral_metric: counts as 0 where it is negative, so that a slope on it is planted from 0 to 1 only.
+    detection_curve: of `THRESHOLDS`, the mean of the participants' detection thresholds.
     """
 
     spectral_metric: Annotated[str, one_of(SPECTRAL)] = SPECTRAL[0]
+    detection_curve: Annotated[str, one_of(THRESHOLDS)] = CONTACTOR
 
     @property
     def uses_percepts(self) -> bool:
@@ -143,6 +153,16 @@ class Rater:
         # Where two are exactly as near, no difference was felt.
         return guess if away[guess] == away[nearest] else nearest
 
+    def detect(self, chance: float, right: str, *, rng: np.random.Generator) -> str:
+        """Choose the interval that vibrated; chance: share of right answers of a careful participant."""
+        first, second = INTERVALS
+        guess, is_right = INTERVALS[rng.integers(2)], rng.random() < chance
+        if self.kind == STRAIGHT_LINER:
+            return first if self.favourite < HALF else second
+        if self.kind == RANDOM_CLICKER:
+            return guess
+        return right if is_right else second if right == first else first
+
     def draw_time(self, rng: np.random.Generator) -> float:
         """Draw a response time, in s."""
         return float(rng.lognormal(*(HASTY if self.kind == RANDOM_CLICKER else UNHURRIED)))
@@ -208,10 +228,11 @@ REAL = Location(1.0, 1.0, UNCHANGED)  # the original and the real surface
 
 @dataclass(frozen=True, slots=True)
 class Experience:
-    """A trial and what was felt in it."""
+    """A trial and what was felt in it: where each part lies, or how strongly each interval vibrated."""
 
     trial: Trial
     points: Mapping[str, Location]
+    tones: Mapping[str, Tone] = field(default_factory=dict)
 
     def find(self, part: str) -> Location:
         """Find where a part lies."""
@@ -360,6 +381,8 @@ class Participant:
         """Answer a trial: the values by part, and the time that this took in s."""
         trial, model = experience.trial, self.touch.model
         rng = self._draw_from(trial.number, place.attempt)
+        if trial.protocol == THRESHOLD:
+            return {ASKED: self._detect(experience.tones, rng)}, self.rater.draw_time(rng)
         tired = place.done / FATIGUE_TRIALS
         growth = 1 + model.fatigue_noise * tired
         values: dict[str, float | str] = {}
@@ -379,6 +402,31 @@ class Participant:
                 )
         return values, len(values) * self.rater.draw_time(rng)
 
+    def find_threshold(self, frequency_hz: float) -> float:
+        """Find the participant's own detection threshold, RMS at the hand in dB re 1 m/s²."""
+        model = self.touch.model
+        curve = acceleration_threshold(frequency_hz, threshold=model.detection_curve)
+        shared, own = (
+            self._draw_from(0, 1, *places).normal(0, model.detection_sd * math.sqrt(HALF))
+            for places in ((), (round(1000 * frequency_hz),))
+        )
+        return to_db(float(curve) / math.sqrt(2)) + float(shared + own)
+
+    def _detect(self, tones: Mapping[str, Tone], rng: np.random.Generator) -> str:
+        """Choose the interval that vibrated; where neither did, the second is right as often as not."""
+        right = next((n for n in tones if tones[n].level_db is not None), INTERVALS[-1])
+        tone, chance = tones[right], HALF
+        if tone.level_db is not None:
+            chance = float(
+                predict_correct(
+                    tone.level_db,
+                    threshold_db=self.find_threshold(tone.frequency_hz),
+                    slope=self.touch.model.detection_slope,
+                    lapse=self.rater.lapse_rate * HALF,  # a guess may be right
+                )
+            )
+        return self.rater.detect(chance, right, rng=rng)
+
     def _find_contrast(self, trial: Trial) -> float:
         """Compute what the trial before takes away, in points; points on another scale take nothing."""
         before, order = self.before, self.touch.model.order
@@ -392,10 +440,10 @@ class Participant:
         ]
         return order * (sum(percepts) / len(percepts) - MIDDLE)
 
-    def _draw_from(self, trial: int, attempt: int) -> np.random.Generator:
+    def _draw_from(self, trial: int, attempt: int, *places: int) -> np.random.Generator:
         import numpy as np
 
-        return np.random.default_rng([self._seed, self._number, trial, attempt])
+        return np.random.default_rng([self._seed, self._number, trial, attempt, *places])
 
 
 STROKE_S = 3.0  # duration of a stroke over the real surface
@@ -416,10 +464,15 @@ class SimulatedObserver(Participant):
         """Begin a trial."""
         self.before, self._confirmed = self._confirmed or self.before, None
         self._points: dict[str, Location] = {}
-        self._acts = self._list_acts(Experience(trial, self._points), scale, place)
+        self._tones: dict[str, Tone] = {}
+        felt = Experience(trial, self._points, self._tones)
+        self._acts = self._list_acts(felt, scale, place)
 
-    def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:
+    def play(self, part: Part, stimulus: Stimulus | Tone, *, gap_s: float) -> Playback:
         """Feel a stimulus."""
+        if isinstance(stimulus, Tone):
+            self._tones[part.name] = stimulus
+            return self._pass_playback(gap_s, stimulus.duration_s)
         self._points[part.name] = self.touch.locate(stimulus)
         return self._pass_playback(gap_s, stimulus.duration_s)
 
@@ -464,4 +517,7 @@ class SimulatedObserver(Participant):
 
 def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:
     """List what the answers of simulated participants depend on, for the header of their journals."""
-    return {"simulated": True, "seed": seed, "observer": model.model_dump()}
+    values, usual = model.model_dump(), ObserverModel().model_dump()
+    # Journals were begun before there were detection thresholds.
+    kept = {k: v for k, v in values.items() if not k.startswith("detection") or v != usual[k]}
+    return {"simulated": True, "seed": seed, "observer": kept}

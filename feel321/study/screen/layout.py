@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from feel321.protocols.texts import PageText
-from feel321.protocols.trial import RATING_RANGE, Page, Scale, Trial
+from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
+from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.screen.drawing import GROUND, INK, Box, Photo, Sheet, Target, Text, measure
-from feel321.study.session.ports import Place
+from feel321.study.session.ports import Place, Tone
 
 # The three hues are Okabe and Ito's, which every kind of colour vision can distinguish; none of them is the only sign
 # of anything.
@@ -66,6 +67,9 @@ class Hand:
 
     def watch(self, view: View) -> None:
         """Look at what is on the screen."""
+
+    def feel(self, part: Part, stimulus: Stimulus | Tone) -> None:
+        """Feel what is played."""
 
 
 @dataclass(frozen=True, slots=True)

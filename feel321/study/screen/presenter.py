@@ -15,7 +15,17 @@ from feel321.study.screen.drawing import Sheet
 from feel321.study.screen.input import CONFIRM, PAUSE, STOP, Answer, InputEvent, Request, Twice
 from feel321.study.screen.layout import Hand, ScreenTexts, View, compose
 from feel321.study.screen.window import Window
-from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Place, Playback, Surface
+from feel321.study.session.ports import (
+    Abort,
+    Act,
+    Confirm,
+    Feel,
+    Pause,
+    Place,
+    Playback,
+    Surface,
+    Tone,
+)
 
 DOUBLE_S = 0.4  # a second click within this time is half of a double one: it leaves no page
 
@@ -133,7 +143,8 @@ class ScreenPresenter:
         surfaces: Mapping[str, Surface],
         hand: Hand | None = None,
     ) -> None:
-        self._screen = Screen(window, texts, clock=clock, hand=hand or Hand())
+        self._hand = hand or Hand()
+        self._screen = Screen(window, texts, clock=clock, hand=self._hand)
         self._output, self._texts, self._clock, self._surfaces = output, texts, clock, surfaces
         self._acts: deque[Act] = deque()
         self._possible_s = 0.0
@@ -176,10 +187,11 @@ class ScreenPresenter:
         self._screen.bring_up(view, answer)
         self._possible_s = self._clock()
 
-    def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:
+    def play(self, part: Part, stimulus: Stimulus | Tone, *, gap_s: float) -> Playback:
         """Play a stimulus to its end, or until the participant stops it."""
         frames = self._screen.window.frames
         self._announce("feeling", part)
+        self._hand.feel(part, stimulus)
         late = frames.late
         self._output.start(stimulus, gap_s=gap_s)
         try:

@@ -8,11 +8,12 @@ lost is pressed again, and one too many is taken back.
 from collections.abc import Callable, Mapping
 from math import copysign
 
-from feel321.protocols.trial import Trial
+from feel321.protocols.trial import Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer.participant import Experience, Participant
-from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS
+from feel321.study.screen.input import AGAIN, CONFIRM, PAUSE, REFERENCE, ROW_STEPS, STEPS
 from feel321.study.screen.layout import Hand, View
+from feel321.study.session.ports import Tone
 
 KEYSYMS = {"enter": "Return", "pageup": "Prior", "pagedown": "Next"}
 """X11's names of keys, where they are not ours, beginning with a capital."""
@@ -58,6 +59,10 @@ class XKeyboard:
         self._display.sync()
 
 
+RETRY_S, RETRIES = (
+    2.0,
+    15,
+)  # how long a failed device is left alone, and how often it is tried again at most
 THINKING_S = 0.3  # before the first key; answers in less than 0.2 s would count as too fast
 SETTLING_FRAMES = 2  # frames after a key was released until the screen shows what it did
 
@@ -77,37 +82,50 @@ class PressingHand(Hand):
         self._task: tuple[int, str] = (-1, "")
         self._since_s = 0.0
         self._values: Mapping[str, float | str] = {}
+        self._tones: dict[str, Tone] = {}
         self._experience: Experience | None = None
         self._confirmed: Experience | None = None
         self._held = ""
         self._settling = 0
+        self._retries = 0
 
     def watch(self, view: View) -> None:
         """Look at what is on the screen, and press or release a key."""
         if view.screen != self._task[0]:
-            self._experience, self._values = None, {}
+            self._experience, self._values, self._tones = None, {}, {}
             self._mind.before, self._confirmed = self._confirmed or self._mind.before, None
         if (task := (view.screen, view.state)) != self._task:
             self._task, self._since_s = task, self._clock()
+        wait_s = RETRY_S if view.page is not None and view.page.key == "call_us" else THINKING_S
         if self._held:
             self._keyboard.release(self._held)
             self._held, self._settling = "", SETTLING_FRAMES
         elif self._settling:
             self._settling -= 1
-        elif self._clock() - self._since_s >= THINKING_S and (key := self._choose_key(view)):
+        elif self._clock() - self._since_s >= wait_s and (key := self._choose_key(view)):
             self._keyboard.press(key)
             self._held = key
+
+    def feel(self, part: Part, stimulus: Stimulus | Tone) -> None:
+        """Feel a tone; what stimuli of a set feel like is known to the participant by their names."""
+        if isinstance(stimulus, Tone):
+            self._tones[part.name] = stimulus
 
     def _choose_key(self, view: View) -> str:
         match view.state:
             case "reading":
-                by = view.page.by if view.page else "participant"
-                return "" if view.left_s else CONFIRM[by]
+                return "" if view.left_s else self._leave(view.page)
             case "stroking":
                 return CONFIRM["participant"]
             case "answering" if view.trial is not None:
                 return self._answer(view, view.trial)
         return ""
+
+    def _leave(self, page: Page | None) -> str:
+        if page is None or page.key != "call_us":
+            return CONFIRM[page.by if page else "participant"]
+        self._retries += 1
+        return PAUSE if self._retries > RETRIES else CONFIRM[page.by]
 
     def _answer(self, view: View, trial: Trial) -> str:
         """Feel what was not felt, answer what was not answered, confirm; empty to wait."""
@@ -117,7 +135,11 @@ class PressingHand(Hand):
             digit = unfelt[0] if unfelt[0].isdigit() else REFERENCE
             return digit if view.kind == "rows" else AGAIN
         if self._experience is None and view.scale is not None:
-            self._experience = self._mind.imagine(trial, self._stimuli)
+            self._experience = (
+                Experience(trial, {}, self._tones)
+                if self._tones
+                else self._mind.imagine(trial, self._stimuli)
+            )
             self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
         for judgement in trial.judgements:
             value = self._values[judgement.part]

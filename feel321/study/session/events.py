@@ -10,7 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from pydantic import TypeAdapter
 
@@ -77,6 +77,15 @@ class RigAccepted(SessionEvent, event="rig_accepted"):
     changes: list[str]
 
 
+def describe_as_left(begun: SessionBegun, accepted: Iterable[RigAccepted]) -> dict[str, Any]:
+    """Describe a session as it was begun, but with the rig that it went on with."""
+    data = begun.to_data()
+    for event in accepted:
+        presenter = data.get("presenter", {}) | {"rig": event.rig}
+        data |= {"presenter": presenter, "calibration": event.calibration}
+    return data
+
+
 class DeviceOpened(SessionEvent, event="device"):
     """The actuators are ready; identity: the device as it describes itself."""
 
@@ -122,6 +131,13 @@ class SessionAborted(SessionEvent, event="aborted"):
     time_s: float
 
 
+class DeviceFailed(SessionEvent, event="device_failed"):
+    """The device failed too often in a row; the experimenter is called."""
+
+    reason: str
+    time_s: float
+
+
 class SessionSuperseded(SessionEvent, event="superseded"):
     """Another session takes the place of this one."""
 
@@ -162,6 +178,17 @@ class AttemptEvent(SessionEvent):
 
 class TrialShown(AttemptEvent, event="shown"):
     """The trial is before the participant, all markers unset."""
+
+
+class TonePresented(AttemptEvent, event="tone"):
+    """A trial of the threshold block: the interval (1 or 2) that vibrates, and its level in dB re 1 m/s² RMS.
+
+    level_db: None in a catch trial, in which neither interval vibrates.
+    """
+
+    frequency_hz: float
+    interval: int
+    level_db: float | None
 
 
 class PartPlayed(AttemptEvent, event="played"):

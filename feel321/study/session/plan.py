@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.files import create_text, hold_lock
 from feel321.protocols.agenda import Agenda
+from feel321.protocols.detection import THRESHOLD, Detection, ThresholdBlock, draw_block, make_block
 from feel321.protocols.order import make_order, make_rehearsal
 from feel321.protocols.tasks import is_as_expected
 from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
@@ -63,6 +64,7 @@ class Design:
     tasks: tuple[Task, ...]
     between: Mapping[str, tuple[str, ...]]
     flow: Flow
+    threshold: ThresholdBlock | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -94,7 +96,9 @@ class Plan:
     stimuli_sha256 : str
         The stimulus set that the trials name by codes.
     trials : tuple of Trial
-        The trials: those of the main phase in order, then training and practice.
+        The trials: those of the main phase in order, then training and practice, then the threshold block.
+    threshold : ThresholdBlock or None
+        The threshold block, where the session has one.
     sha256 : str
         Digest of the plan as it was stored; empty before that.
     """
@@ -111,6 +115,7 @@ class Plan:
     flow: Flow
     stimuli_sha256: str
     trials: tuple[Trial, ...]
+    threshold: ThresholdBlock | None = None
     sha256: str = field(default="", compare=False)
 
     def to_frame(self) -> DataFrame:
@@ -152,6 +157,9 @@ def make_plan(
     rehearsal = make_rehearsal(
         items, tasks, first_number=len(main) + 1, rng=np.random.default_rng([design.seed, number])
     )
+    block, first = design.threshold, len(main) + len(rehearsal) + 1
+    if block:
+        block = draw_block(block, seed=design.seed, number=number)
     return Plan(
         participant=participant,
         number=number,
@@ -164,7 +172,8 @@ def make_plan(
         tasks=tasks,
         flow=design.flow,
         stimuli_sha256=stimuli.sha256,
-        trials=main + rehearsal,
+        trials=(*main, *rehearsal, *(make_block(block, first_number=first) if block else ())),
+        threshold=block,
     )
 
 
@@ -201,6 +210,8 @@ def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
     del entry["sha256"]
+    if plan.threshold is None:
+        del entry["threshold"]  # so were plans stored before there were any
     create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())
 
 
@@ -288,8 +299,26 @@ def replay(plan: Plan, records: Iterable[Record]) -> Agenda:
     return agenda
 
 
-def advance(agenda: Agenda, event: events.SessionEvent, trials: Mapping[int, Trial]) -> None:
-    """Tell an agenda one event; most change nothing about what comes next."""
+def recall_detection(plan: Plan, records: Iterable[Record]) -> Detection | None:
+    """Make the threshold block of a session as its journal leaves it; None where there is none."""
+    if plan.threshold is None:
+        return None
+    detection = Detection(plan.threshold)
+    trials = {trial.number: trial for trial in plan.trials if trial.phase == THRESHOLD}
+    for rated in Records(records).find(events.TrialRated):
+        if rated.trial in trials and not rated.rejected:
+            detection.tell(trials[rated.trial], rated.values)
+    return detection
+
+
+def advance(
+    agenda: Agenda,
+    event: events.SessionEvent,
+    trials: Mapping[int, Trial],
+    *,
+    detection: Detection | None = None,
+) -> None:
+    """Tell an agenda, and a threshold block, one event; most change nothing about what comes next."""
     match event:
         case events.PageRead():
             agenda.tell_page(event.key, time_s=event.time_s)
@@ -301,6 +330,8 @@ def advance(agenda: Agenda, event: events.SessionEvent, trials: Mapping[int, Tri
                 as_expected=is_as_expected(trial, event.values) if trial else None,
                 time_s=event.time_s,
             )
+            if detection and trial and not event.rejected:
+                detection.tell(trial, event.values)
         case events.TrialSpoiled():
             agenda.tell_trial(
                 event.trial,
@@ -415,7 +446,7 @@ def _open_newest(
         journal.write(_make_header(journal, plan, identity))
         return journal
     header = _make_header(journal, plan, identity).to_data()
-    as_left = _describe_as_left(begun, journal.records)
+    as_left = events.describe_as_left(begun, journal.records.find(events.RigAccepted))
     if differences := find_differences(as_left, header, ignore=UNCOMPARED):
         untouched = {kind.event for kind in events.UNTOUCHED}
         names = {line.partition(" ")[0] for line in differences}
@@ -426,22 +457,9 @@ def _open_newest(
         if not (is_rig and accept_rig):
             raise ValueError(_describe_refusal(journal.path, begun, differences, is_rig=is_rig))
         if not journal.records.has(events.SessionFinished):
-            rig, calibration = _find_rig(header)
-            journal.write(events.RigAccepted(rig, calibration, differences))
+            rig = header.get("presenter", {}).get("rig")
+            journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
     return _resume(journal, plan, identity, now=now, stale=stale)
-
-
-def _describe_as_left(begun: events.SessionBegun, records: Records) -> dict[str, Any]:
-    """Describe a session as it was begun, with the rig that it went on with."""
-    data = begun.to_data()
-    for event in records.find(events.RigAccepted):
-        presenter = data.get("presenter", {}) | {"rig": event.rig}
-        data |= {"presenter": presenter, "calibration": event.calibration}
-    return data
-
-
-def _find_rig(header: Mapping[str, Any]) -> tuple[Any, Any]:
-    return header.get("presenter", {}).get("rig"), header.get("calibration")
 
 
 def _describe_refusal(

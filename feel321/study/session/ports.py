@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
+from feel321.protocols.detection import name_tone
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
@@ -27,6 +29,53 @@ class Surface:
 
     sample: str | None
     picture: Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class Tone:
+    """A vibration of one frequency, which no stimulus set holds; or silence of the same duration.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Its frequency.
+    duration_s : float
+        Its duration, ramps included.
+    level_db : float or None
+        Root mean square at the hand, in dB relative to 1 m/s²; None for silence.
+
+    Examples
+    --------
+    >>> from feel321 import study
+    >>> study.Tone(160.0, 0.5, -20.0).scale
+    0.1
+    """
+
+    frequency_hz: float
+    duration_s: float
+    level_db: float | None
+
+    @property
+    def stimulus_id(self) -> str:
+        """Its name, which tells no level.
+
+        Returns
+        -------
+        str
+            Such as `160 Hz`.
+        """
+        return name_tone(self.frequency_hz)
+
+    @property
+    def scale(self) -> float:
+        """Root mean square at the hand.
+
+        Returns
+        -------
+        float
+            In m/s²; 0 for silence.
+        """
+        return 0.0 if self.level_db is None else 10 ** (self.level_db / 20)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,11 +211,15 @@ Act = Feel | Move | Confirm | Pause | Abort
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Progress of a session: trials of the main phase that are done, all of them, and the attempt (from 1)."""
+    """Progress of a session: trials of the main phase that are done, all of them, and the attempt (from 1).
+
+    fault: what the device says while the experimenter is called.
+    """
 
     done: int
     total: int
     attempt: int = 1
+    fault: str = ""
 
 
 class Presenter(Protocol):
@@ -201,15 +254,15 @@ class Presenter(Protocol):
             Progress of the session.
         """
 
-    def play(self, part: Part, stimulus: Stimulus, *, gap_s: float) -> Playback:
+    def play(self, part: Part, stimulus: Stimulus | Tone, *, gap_s: float) -> Playback:
         """Play a stimulus to its end, or until the participant stops it.
 
         Parameters
         ----------
         part : Part
             The part of the trial.
-        stimulus : Stimulus
-            The stimulus.
+        stimulus : Stimulus or Tone
+            The stimulus; a tone, or silence, where a threshold is measured.
         gap_s : float
             Silence before it, in s; none where the participant switches freely.
 

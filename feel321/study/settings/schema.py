@@ -12,12 +12,14 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
+from feel321.protocols.detection import ThresholdBlock, name_tone
 from feel321.protocols.order import ORDERS
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import list_languages
+from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdPlan
 from feel321.protocols.trial import CHOOSING, FLAGS, Flow
 from feel321.stimuli.condition import Conditioning
-from feel321.stimuli.match import PLANNED
+from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import UNITS
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import THRESHOLDS
@@ -28,6 +30,7 @@ from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
+_BLOCK = ThresholdBlock("bayesian", (), USUAL)
 """What the floors below do where nothing is asked for: their defaults are the study's."""
 
 # Factors in which participants differ.
@@ -126,6 +129,48 @@ class StaleTable(kinds.TomlTable):
     policy: Annotated[str, kinds.one_of(POLICIES)] = _STALE.policy
 
 
+MOST_FREQUENCIES = 8
+"""Each frequency takes about three minutes."""
+
+
+Level = Annotated[float, Field(ge=-120, le=60)]
+
+
+def _check_apart(frequencies: tuple[float, ...]) -> tuple[float, ...]:
+    kinds.check_distinct(tuple(name_tone(frequency) for frequency in frequencies))
+    return frequencies
+
+
+class ThresholdTable(kinds.TomlTable):
+    """`[session.threshold]`: the detection threshold of each participant, measured before the trials."""
+
+    frequencies_hz: Annotated[
+        tuple[Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)], ...],
+        Field(min_length=1, max_length=MOST_FREQUENCIES),
+        AfterValidator(_check_apart),
+    ]
+    procedure: Annotated[str, kinds.one_of(PROCEDURES)] = _BLOCK.procedure
+    trials: Annotated[int, Field(ge=10, le=200)] = USUAL.trials
+    catch_every: Annotated[kinds.Count, Field(le=200)] = USUAL.catch_every
+    practice: Annotated[kinds.Count, Field(le=100)] = _BLOCK.practice
+    duration_s: Annotated[float, Field(ge=0.1, le=2)] = _BLOCK.duration_s
+    gap_s: Annotated[kinds.NotNegative, Field(le=5)] = _BLOCK.gap_s
+    start_db: Level = USUAL.start_db
+    lowest_db: Level = USUAL.lowest_db
+    highest_db: Level = USUAL.highest_db
+
+    @model_validator(mode="after")
+    def _check_levels(self) -> Self:
+        self.make_block()
+        return self
+
+    def make_block(self) -> ThresholdBlock:
+        """Make the block of a design; which refuses levels that are out of order."""
+        names = {"trials", "catch_every", "start_db", "lowest_db", "highest_db"}
+        own = self.model_dump(exclude=names)
+        return ThresholdBlock(plan=ThresholdPlan(**self.model_dump(include=names)), **own)
+
+
 class SessionTable(kinds.TomlTable):
     """`[session]`: what participants do."""
 
@@ -141,6 +186,7 @@ class SessionTable(kinds.TomlTable):
     breaks: BreaksTable = BreaksTable()
     quality: QualityTable = QualityTable()
     stale: StaleTable = StaleTable()
+    threshold: ThresholdTable | None = None
 
 
 class TaskTable(kinds.TomlTable):
@@ -286,6 +332,8 @@ class ObserverTable(kinds.TomlTable):
     noise_sd: kinds.NotNegative = 8.0
     noise_spread: kinds.NotNegative = 0.25
     lapse_rate: kinds.Share = 0.0
+    detection_sd: kinds.NotNegative = 4.0
+    detection_slope: kinds.Positive = 3.0
     order: kinds.Finite = 0.0
     fatigue: kinds.Finite = 0.0
     fatigue_noise: kinds.NotNegative = 0.0

@@ -1,0 +1,61 @@
+"""Tones for threshold measurements: rendered once per frequency for 1 m/s² RMS at the hand, scaled as they are played.
+
+They go through every actuator that plays one-axis stimuli, with the rig's mix; a silent interval is the same tone times
+0, so that masking noise and sync pulse are those of an interval that vibrates.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from feel321.protocols.detection import ThresholdBlock, name_tone
+from feel321.study.actuator.mixer import ROUNDING, Frames
+from feel321.study.actuator.render import find_mix
+from feel321.study.actuator.rig import REDUCED, Rig
+from feel321.types import Samples
+
+RAMP_S = 0.02
+"""Raised-cosine ramps at both ends: shorter ones would add other frequencies."""
+
+
+def make_tone(frequency_hz: float, *, duration_s: float, rate_hz: float) -> Samples:
+    """Make a sinusoid of root mean square 1 between its ramps, shape (n_samples,)."""
+    time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
+    from_end_s = np.minimum(time_s, time_s[-1] - time_s)
+    ramp = np.sin(np.pi / 2 * np.minimum(from_end_s / RAMP_S, 1.0)) ** 2
+    return np.asarray(np.sqrt(2) * np.sin(2 * np.pi * frequency_hz * time_s) * ramp)
+
+
+def render_tones(block: ThresholdBlock, rig: Rig, *, rate_hz: float) -> dict[str, Frames]:
+    """Render the tone of each frequency for a rig, by name, shape (n_samples, channels)."""
+    sounds, mix = {}, find_mix(rig)
+    for frequency in block.frequencies_hz:
+        tone = make_tone(frequency, duration_s=block.duration_s, rate_hz=rate_hz)
+        rendered = np.zeros((len(tone), rig.n_channels), dtype=np.float32)
+        for actuator in rig.actuators:
+            factor = mix[actuator.name].get(REDUCED, 0.0) / actuator.full_scale_m_s2
+            rendered[:, actuator.channel - 1] = factor * tone
+        sounds[name_tone(frequency)] = rendered
+    return sounds
+
+
+def find_tone_problems(block: ThresholdBlock, rig: Rig) -> Iterator[str]:
+    """Find what keeps a rig from playing the strongest tone of a threshold block, in one line per limit."""
+    mix, limits = find_mix(rig), rig.limits
+    rms = 10 ** (block.plan.highest_db / 20)
+    for actuator in rig.actuators:
+        asked = mix[actuator.name].get(REDUCED, 0.0) * rms
+        for limit, got, allowed in (
+            ("its full_scale_m_s2", asked * np.sqrt(2), actuator.full_scale_m_s2),
+            ("limits.peak_m_s2", asked * np.sqrt(2), limits.peak_m_s2),
+            ("limits.rms_m_s2", asked, limits.rms_m_s2),
+            ("limits.duration_s", bool(asked) * block.duration_s, limits.duration_s),
+        ):
+            if got > allowed * (1 + ROUNDING):
+                key = "duration_s" if limit.endswith("duration_s") else "highest_db"
+                yield (
+                    f"actuator {actuator.name!r}: the strongest tone of session.threshold will ask for {got:.4g}, "
+                    f"above {limit} of {allowed:g}; lower session.threshold.{key} in study.toml"
+                )
+    if not any(REDUCED in actuator.plays for actuator in rig.actuators):
+        yield f"no actuator plays {REDUCED}, which session.threshold needs; add it to `plays`"

@@ -1,0 +1,111 @@
+"""Tones of the threshold block as the actuators play them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from feel321.protocols.detection import ThresholdBlock
+from feel321.protocols.threshold import USUAL
+from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.output import FileOutput
+from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig, SyncTable
+from feel321.study.actuator.tone import RAMP_S, find_tone_problems, make_tone, render_tones
+from feel321.study.session.ports import Tone
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RATE = 8000
+BLOCK = ThresholdBlock("bayesian", (40.0, 250.0), USUAL, duration_s=0.5)
+COILS = (
+    ActuatorTable(name="left", channel=1, direction=(1, 0, 0), full_scale_m_s2=20.0),
+    ActuatorTable(name="right", channel=2, direction=(0.6, 0.8, 0), full_scale_m_s2=50.0),
+    ActuatorTable(name="axis", channel=4, direction=(0, 0, 1), plays=("z",)),
+)
+RIG = Rig(
+    actuators=COILS,
+    limits=LimitsTable(peak_m_s2=10.0, rms_m_s2=5.0, duration_s=2.0),
+    sync=SyncTable(channel=3),
+)
+
+
+@pytest.mark.parametrize("level_db", [-40.0, -12.5, 0.0, 6.0])
+@pytest.mark.parametrize("frequency_hz", BLOCK.frequencies_hz)
+def test_a_tone_reaches_the_hand_at_its_level(
+    tmp_path: Path, frequency_hz: float, level_db: float
+) -> None:
+    """Against the vector sum of the coils' motions, from the file that was played."""
+    ticks = iter(np.arange(0, 10, 0.05))
+    sounds = render_tones(BLOCK, RIG, rate_hz=RATE)
+    output = FileOutput(
+        RIG, sounds, rate_hz=RATE, folder=tmp_path, clock=lambda: float(next(ticks))
+    )
+    output.start(Tone(frequency_hz, 0.5, level_db), gap_s=0.0)
+    while output.is_playing:
+        pass
+    playback = output.collect()
+    assert (playback.completed, playback.clipped) == (True, 0)
+    samples, _ = read_wav(tmp_path / "0001.wav")
+    motion = sum(
+        np.outer(coil.direction, coil.full_scale_m_s2 * samples[coil.channel - 1]) for coil in COILS
+    )
+    plateau = motion[:, round(0.1 * RATE) : round(0.4 * RATE)]  # whole periods
+    rms = np.sqrt(np.mean((plateau**2).sum(axis=0)))
+    assert 20 * np.log10(rms) == pytest.approx(level_db, abs=0.01)
+    assert not samples[3].any()
+    assert abs(motion[:, 0]).max() == 0
+
+
+def test_a_silent_interval_is_one_that_vibrates_times_zero(tmp_path: Path) -> None:
+    ticks = iter(np.arange(0, 10, 0.05))
+    output = FileOutput(
+        RIG,
+        render_tones(BLOCK, RIG, rate_hz=RATE),
+        rate_hz=RATE,
+        folder=tmp_path,
+        clock=lambda: float(next(ticks)),
+    )
+    for level_db in (None, -10.0):
+        output.start(Tone(40.0, 0.5, level_db), gap_s=0.1)
+        while output.is_playing:
+            pass
+        assert output.collect().measured["n_samples"] == 4000
+    silent, loud = (read_wav(tmp_path / f"000{n}.wav")[0] for n in (1, 2))
+    assert silent.shape == loud.shape
+    assert not silent[[0, 1, 3]].any()
+    assert np.array_equal(silent[2], loud[2])  # the sync pulse
+
+
+def test_ramps_keep_other_frequencies_away() -> None:
+    """More than an octave away, a tenth of what a tone that begins and ends at once would hold."""
+
+    def measure_beside(tone: np.ndarray) -> float:
+        spectrum = np.abs(np.fft.rfft(tone, 8 * len(tone))) ** 2
+        hz = np.fft.rfftfreq(8 * len(tone), 1 / RATE)
+        return float(spectrum[(hz < 80) | (hz > 320)].sum() / spectrum.sum())
+
+    tone = make_tone(160.0, duration_s=0.5, rate_hz=RATE)
+    abrupt = np.sin(2 * np.pi * 160.0 * (np.arange(len(tone)) + 0.5) / RATE)
+    assert measure_beside(tone) < measure_beside(abrupt) / 10
+    assert abs(tone[[0, -1]]).max() == 0
+    assert tone[: round(RAMP_S * RATE)].max() < tone.max()
+
+
+def test_a_rig_that_cannot_play_the_strongest_tone_is_refused() -> None:
+    def find(highest_db: float, **limits: float) -> list[str]:
+        block = replace(BLOCK, plan=replace(USUAL, highest_db=highest_db))
+        own = RIG.limits.model_copy(update=limits)
+        return list(find_tone_problems(block, RIG.model_copy(update={"limits": own})))
+
+    weight = 1 / np.linalg.norm([1.6, 0.8])
+    most_db = 20 * np.log10(5.0 / weight)
+    assert find(most_db - 0.1) == []
+    (left, right) = find(most_db + 0.1)
+    assert "'left'" in left
+    assert "limits.rms_m_s2 of 5" in right
+    assert "limits.peak_m_s2" in find(0.0, peak_m_s2=0.1)[0]
+    assert "session.threshold.duration_s" in find(0.0, duration_s=0.4)[0]
