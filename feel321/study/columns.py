@@ -3,7 +3,7 @@
 PARTICIPANT_COLUMNS = ("participant", "number", "simulated", "state", "sessions", "done", "total")
 """The first columns of `participants.csv`; one per factor in which participants differ follows."""
 
-LAST_PARTICIPANT_COLUMNS = ("first_utc", "last_utc", "training_passed")
+LAST_PARTICIPANT_COLUMNS = ("first_utc", "last_utc", "training_passed", "rig", "calibration")
 
 RATING_COLUMNS = (
     "participant", "session", "protocol", "block", "trial", "repeat", "stimulus_id", "recording", "reducer",

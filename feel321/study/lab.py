@@ -216,6 +216,7 @@ class Visit:
     device: str | None = None
     simulated: bool = False
     seed: int | None = None
+    accept_rig: bool = False
 
 
 def run_participant(
@@ -253,6 +254,7 @@ def run_participant(
         make_presenter=partial(open_lab, lab=lab),
         on_step=on_step,
         pace=SIMULATED if visit.simulated else read_pace(study, stimuli),
+        accept_rig=visit.accept_rig,
     )
     for line in filter(None, (notice, repaired)):
         warn(line)

@@ -55,15 +55,15 @@ def lead_session(
     make_presenter: MakePresenter,
     on_step: Callable[[Place], None] | None = None,
     pace: Pace = SIMULATED,
+    accept_rig: bool = False,
 ) -> tuple[Outcome, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
     for entry in read_ledger(room.ledger, folder.name):
         check_anchors(entry.anchors, folder)  # a journal that was cut is not continued
-    with open_session(folder, plan, identity=identity, now=room.now, stale=room.stale) as (
-        stored,
-        journal,
-    ):
+    with open_session(
+        folder, plan, identity=identity, now=room.now, stale=room.stale, accept_rig=accept_rig
+    ) as (stored, journal):
         by_code = list_by_code(room.stimuli, seed=stored.seed)
         keeper = _Keeper(
             room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1

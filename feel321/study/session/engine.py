@@ -184,7 +184,9 @@ class _Lead:
         if self.failures >= DEVICE_ERRORS:
             journal = self.setup.journal
             played = list(journal.records.find(events.PartPlayed))
-            self.fault = (played[-1].error if played else "") or ", ".join(flags)
+            last = played[-1] if played else None
+            found = last and (last.error or events.find_loss(last.delivered, self.setup.flow))
+            self.fault = found or ", ".join(flags)
             self.aside = Page("call_us", by="experimenter")
             journal.write(events.DeviceFailed(self.fault, journal.records.find_elapsed()))
 

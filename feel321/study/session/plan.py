@@ -386,6 +386,9 @@ JOURNAL_FORMAT = 1
 UNCOMPARED = ("format", "session", "versions", "system", "clock")
 """May differ between a header and a later opening: other versions may go on with a session."""
 
+ACCEPTABLE = ("presenter.rig", "calibration")
+"""May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
+
 PLANNED = ("participant", "plan_sha256", "stimuli_sha256", "seed")
 """May not even differ where nobody has done anything yet."""
 
@@ -400,7 +403,13 @@ class Stale:
 
 @contextmanager
 def open_session(
-    folder: Path, plan: Plan, *, identity: Mapping[str, Any], now: Clock, stale: Stale
+    folder: Path,
+    plan: Plan,
+    *,
+    identity: Mapping[str, Any],
+    now: Clock,
+    stale: Stale,
+    accept_rig: bool = False,
 ) -> Iterator[tuple[Plan, Journal]]:
     """Begin or resume the session of one participant, and keep everybody else from writing to it.
 
@@ -409,7 +418,8 @@ def open_session(
     stored, and the journal with a header and all that was done before.
 
     A session that was begun with another plan, stimulus set or presenter is refused with what differs; another
-    presenter may take over where nobody has done anything yet, in a journal of its own.
+    presenter may take over where nobody has done anything yet, in a journal of its own. With accept_rig, another rig or
+    certificate is recorded and goes on with the session.
     """
     folder.mkdir(parents=True, exist_ok=True)
     busy = "another session is writing here; let it finish or stop it first"
@@ -421,7 +431,11 @@ def open_session(
             for path in journals.list_journals(folder)
         )
         stored = _settle_plan(folder / PLAN_FILE, plan, is_begun=is_begun)
-        yield stored, _open_newest(folder, stored, dict(identity), now=now, stale=stale)
+        own = dict(identity)
+        yield (
+            stored,
+            _open_newest(folder, stored, identity=own, now=now, stale=stale, accept_rig=accept_rig),
+        )
 
 
 def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
@@ -444,7 +458,13 @@ def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
 
 
 def _open_newest(
-    folder: Path, plan: Plan, identity: dict[str, Any], *, now: Clock, stale: Stale
+    folder: Path,
+    plan: Plan,
+    *,
+    identity: dict[str, Any],
+    now: Clock,
+    stale: Stale,
+    accept_rig: bool,
 ) -> Journal:
     files = journals.list_journals(folder)
     if not files:
@@ -459,26 +479,41 @@ def _open_newest(
         journal.write(_make_header(journal, plan, identity))
         return journal
     header = _make_header(journal, plan, identity).to_data()
-    known = begun.to_data()
-    if known.get("calibration") is None and header.get("calibration") == events.UNCALIBRATED:
-        known["calibration"] = events.UNCALIBRATED  # before there were certificates, none was named
-    if differences := find_differences(known, header, ignore=UNCOMPARED):
+    as_left = events.describe_as_left(begun, journal.records.find(events.RigAccepted))
+    if as_left.get("calibration") is None and header.get("calibration") == events.UNCALIBRATED:
+        as_left["calibration"] = (
+            events.UNCALIBRATED
+        )  # before there were certificates, none was named
+    if differences := find_differences(as_left, header, ignore=UNCOMPARED):
         untouched = {kind.event for kind in events.UNTOUCHED}
         names = {line.partition(" ")[0] for line in differences}
         if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
             # Another rig, say, does no harm: nobody has done anything yet.
             return _supersede(journal, plan, identity)
-        named = [
-            "other texts for participants" if line.startswith("texts_sha256 ") else line
-            for line in differences
-        ]
-        former, own = begun.versions.get("feel321"), version("feel321")
-        use = "" if former == own else f" or use feel321 {former}, which began it"
-        raise ValueError(
-            f"{journal.path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, "
-            f"begin with another participant, or move {folder.parent.name}/ away"
-        )
+        is_rig = all(name.startswith(ACCEPTABLE) for name in names)
+        if not (is_rig and accept_rig):
+            raise ValueError(_describe_refusal(journal.path, begun, differences, is_rig=is_rig))
+        if not journal.records.has(events.SessionFinished):
+            rig = header.get("presenter", {}).get("rig")
+            journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
     return _resume(journal, plan, identity, now=now, stale=stale)
+
+
+def _describe_refusal(
+    path: Path, begun: events.SessionBegun, differences: Sequence[str], *, is_rig: bool
+) -> str:
+    """Say why a session cannot be resumed, and what to do."""
+    named = [
+        "other texts for participants" if line.startswith("texts_sha256 ") else line
+        for line in differences
+    ]
+    former, own = begun.versions.get("feel321"), version("feel321")
+    use = "" if former == own else f" or use feel321 {former}, which began it"
+    accept = "go on with the rig as it is now (--accept-rig, which records it), " if is_rig else ""
+    return (
+        f"{path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, {accept}"
+        f"begin with another participant, or move {path.parent.parent.name}/ away"
+    )
 
 
 def _resume(
