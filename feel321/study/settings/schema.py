@@ -128,7 +128,7 @@ class StaleTable(kinds.TomlTable):
 
 
 MOST_FREQUENCIES = 8
-"""Each frequency takes about three minutes."""
+"""Each frequency takes four to five minutes."""
 
 
 Level = Annotated[float, Field(ge=-120, le=60)]
