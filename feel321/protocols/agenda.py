@@ -11,7 +11,7 @@ from itertools import groupby
 
 from feel321.protocols.detection import THRESHOLD
 from feel321.protocols.tasks import measure_chance
-from feel321.protocols.trial import Flow, Page, Trial
+from feel321.protocols.trial import ASIDE, Flow, Page, Trial
 
 SECONDS = 60.0
 RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done"})
@@ -124,7 +124,7 @@ class Agenda:
         return self._attempts[number] + 1
 
     def tell_page(self, key: str, *, time_s: float) -> None:
-        """Take a page as read.
+        """Take a page as read; the pages `ASIDE` may be read at any time.
 
         Parameters
         ----------
@@ -138,6 +138,8 @@ class Agenda:
         ValueError
             If another step is next.
         """
+        if key in ASIDE:
+            return
         self._take(key)
         if key in RELAXING:
             self._since_break, self._break_s = 0, time_s

@@ -32,9 +32,13 @@ FLAGS = ("underrun", "clipped", "device_error", "too_fast", "not_felt")
 PAGES = (
     "welcome", "consent", "threshold_next", "threshold_done", "instructions", "training", "expected", "unexpected",
     "training_passed", "training_again", "training_failed", "practice", "main", "break", "rest", "pause", "warm_up",
-    "end",
+    "end", "ready", "call_us",
 )  # fmt: skip
 """Keys of all pages; that of `instructions` is followed by a dot and the protocol."""
+
+ASIDE = ("ready", "call_us")
+"""Pages that no plan holds: they wait for the participant after an interruption, or for the experimenter after a
+failure of the device, and change nothing about what comes next."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from typing import Any
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.trial import RATING_RANGE, Page, Trial
+from feel321.protocols.trial import ASIDE, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
 from feel321.study.folder import MANIFEST_JSON, StudyFolder, read_origin
 from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
@@ -118,6 +118,7 @@ class _Course:
         self._detection = recall_detection(plan, ())
         self._attempt: events.Attempt | None = None
         self._state = ""
+        self._aside = ""
 
     def follow(self, record: Record) -> None:
         kind = events.find_kind(record.event)
@@ -199,6 +200,7 @@ class _Course:
 
     def _follow_session(self, event: events.SessionEvent) -> None:
         agenda, step = self._agenda, self._agenda.ask()
+        self._aside = _CALLING.get(type(event), self._aside)
         match event:
             case events.TrialShown():
                 number = agenda.attempt(step.number) if isinstance(step, Trial) else 0
@@ -211,11 +213,7 @@ class _Course:
                     )
                 self._attempt = events.Attempt(step, number)
             case events.PageRead():
-                least_s = step.least_s if isinstance(step, Page) and step.key == event.key else 0.0
-                if event.stood_s < least_s:
-                    raise ValueError(
-                        f"page {event.key!r} was shown for {event.stood_s:g} s, {least_s:g} s are due"
-                    )
+                self._check_page(event, step)
             case events.SessionFinished():
                 if step is not None:
                     raise ValueError(f"finished after {agenda.done} of {agenda.total} trials")
@@ -224,6 +222,23 @@ class _Course:
                         f"finished with {event.trials} trials, {event.given_up} of them given up; "
                         f"the journal holds {agenda.done} and {agenda.given_up}"
                     )
+
+    def _check_page(self, event: events.PageRead, step: Page | Trial | None) -> None:
+        if event.key in ASIDE and event.key != self._aside:
+            raise ValueError(f"shows page {event.key!r}, for which there was no reason")
+        least_s = step.least_s if isinstance(step, Page) and step.key == event.key else 0.0
+        if event.stood_s < least_s:
+            raise ValueError(
+                f"page {event.key!r} was shown for {event.stood_s:g} s, {least_s:g} s are due"
+            )
+
+
+_CALLING: Mapping[type[events.SessionEvent], str] = {
+    events.SessionResumed: "ready",
+    events.DeviceFailed: "call_us",
+    events.TrialShown: "",
+}
+"""The page aside from the plan that an event gives reason for, or takes it from."""
 
 
 def _check_part(event: events.PartPlayed, trial: Trial) -> None:

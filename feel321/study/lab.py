@@ -17,7 +17,14 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
-from feel321.study.actuator.rig import FILE_DEVICE, Rig, identify, read_rig, take_device
+from feel321.study.actuator.rig import (
+    FILE_DEVICE,
+    SIMULATED_DEVICE,
+    Rig,
+    identify,
+    read_rig,
+    take_device,
+)
 from feel321.study.ledger.slots import read_ledger
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
@@ -69,19 +76,19 @@ class Lab:
 
 def check_lab(rig: Rig, *, screen: int = 0) -> None:
     """Check everything that can be checked before anything is opened."""
-    needed = ["psychopy"] if rig.device.name == FILE_DEVICE else ["psychopy", "sounddevice"]
+    has_device = rig.device.name not in {FILE_DEVICE, SIMULATED_DEVICE}
+    needed = ["psychopy", "sounddevice"] if has_device else ["psychopy"]
     if missing := [name for name in needed if find_spec(name) is None]:
         raise OSError(f"run: {' and '.join(missing)} not found, which sessions need; {INSTALL}")
     if sys.platform == "linux" and not os.environ.get("DISPLAY"):
         raise OSError(
             "run: no display found (DISPLAY is not set); run it on the lab's own screen, or under xvfb-run"
         )
-    if rig.device.name != FILE_DEVICE:
+    if has_device:
         # Before its name stands in the header of a session that could not go on with another device.
-        from feel321.study.actuator.stream import check_channels, find_device, list_devices
+        from feel321.study.actuator.stream import find_devices
 
-        device = find_device(list_devices(), rig.device.name, host_api=rig.device.host_api)
-        check_channels(device, rig)
+        find_devices(rig)
     if screen:  # there is always a first one
         from feel321.study.screen.window import check_screen
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import StreamOutput, open_stream
-from feel321.study.actuator.rig import Rig
+from feel321.study.actuator.rig import SIMULATED_DEVICE, Rig
 from feel321.study.actuator.stream import FROM_LATENCY, list_devices, list_rates
 from feel321.study.session.ports import Playback
 
@@ -94,8 +94,13 @@ class SensorCheck:
     fault: str
 
 
-def survey_devices() -> list[dict[str, Any]]:
-    """List the devices: name, host API, channels, the rates at which each would play, and whether it is a program."""
+def survey_devices(rig: Rig | None = None) -> list[dict[str, Any]]:
+    """List the devices: name, host API, channels, the rates at which each would play, and whether it is a program.
+
+    A rig that is simulated needs none.
+    """
+    if rig is not None and rig.device.name == SIMULATED_DEVICE:
+        return []
     devices = list_devices()
     if not devices:
         raise OSError(
@@ -196,7 +201,7 @@ def _read_recordings(folder: Path, played: Sequence[Playback]) -> list[Samples]:
 def check_sensor(
     rig: Rig, recordings: Sequence[Samples], *, pulse: Frames, rate_hz: float
 ) -> SensorCheck | None:
-    """Compare recordings, each of shape (n,) in m/s², with the pulse that was sent; None without a sensor."""
+    """Compare recordings, shape (n,) or (axes, n) in m/s², with the pulse that was sent; None without a sensor."""
     if rig.sensor is None:
         return None
     rms = [
@@ -205,7 +210,9 @@ def check_sensor(
     ]
     shape = pulse[:, int(np.argmax(np.abs(pulse).max(axis=0)))].astype(np.float64)
     pulses = [
-        measure_pulse(one, rate_hz, shape=shape) for one in recordings if len(one) >= len(shape)
+        measure_pulse(_take_strongest(one), rate_hz, shape=shape)
+        for one in recordings
+        if one.shape[-1] >= len(shape)
     ]
     sent_m_s2, full_scale_m_s2 = (min(rms), sum(rms)), rig.sensor.full_scale_m_s2
     faults = [
@@ -216,11 +223,17 @@ def check_sensor(
         n_recorded=len(pulses),
         level_m_s2=float(np.median([one.level_m_s2 for one in pulses] or [np.nan])),
         noise_m_s2=float(np.median([one.noise_m_s2 for one in pulses] or [np.nan])),
-        fault=_sum_up_faults(faults, channel=rig.sensor.channel),
+        fault=_sum_up_faults(faults, channel=" ".join(map(str, rig.sensor.inputs))),
     )
 
 
-def _sum_up_faults(faults: Sequence[str], *, channel: int) -> str:
+def _take_strongest(recording: Samples) -> Samples:
+    """Take the axis that moves most, shape (n,), of one or several."""
+    axes = np.atleast_2d(recording)
+    return np.asarray(axes[int(np.argmax(axes.std(axis=1)))])
+
+
+def _sum_up_faults(faults: Sequence[str], *, channel: str) -> str:
     where = f"sensor on channel {channel}"
     if not faults:
         return (

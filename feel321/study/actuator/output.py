@@ -22,7 +22,8 @@ from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.wav import write_wav
 from feel321.study.actuator import stream as portaudio
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
-from feel321.study.actuator.rig import FILE_DEVICE, Rig, identify
+from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify
+from feel321.study.actuator.simulated import SIMULATED, SimulatedStream
 from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
 from feel321.study.session.ports import Playback, Tone
 
@@ -159,7 +160,7 @@ class Connection:
         reset: Callable[[], None],
         preroll_s: float,
     ) -> None:
-        self.stream: portaudio.DeviceStream | None = None
+        self.stream: portaudio.DeviceStream | SimulatedStream | None = None
         self._rig, self._rate_hz, self._fill, self._reset = rig, rate_hz, fill, reset
         self._preroll_s = preroll_s
         self._n_frames = 0
@@ -168,12 +169,11 @@ class Connection:
 
     def open(self) -> None:
         """Find the device, open it, and wait until it runs steadily."""
-        wanted = self._rig.device
-        device = portaudio.find_device(
-            portaudio.list_devices(), wanted.name, host_api=wanted.host_api
+        is_simulated = self._rig.device.name == SIMULATED_DEVICE
+        device, source = (
+            (SIMULATED, SIMULATED) if is_simulated else portaudio.find_devices(self._rig)
         )
-        portaudio.check_channels(device, self._rig)
-        if not any(self._begin(device) for _ in range(N_OPENINGS)):
+        if not any(self._begin(device, source) for _ in range(N_OPENINGS)):
             raise OSError(f"device {device.name!r} does not run; is it in use elsewhere?")
 
     def revive(self) -> str:
@@ -195,12 +195,15 @@ class Connection:
             self.stream.close()
         self.stream = None
 
-    def _begin(self, device: portaudio.Device) -> bool:
+    def _begin(self, device: portaudio.Device, source: portaudio.Device) -> bool:
         self._n_frames = 0
         self._reset()
-        self.stream = portaudio.DeviceStream(
-            device, self._rig, rate_hz=self._rate_hz, fill=self._count
-        )
+        if device is SIMULATED:
+            self.stream = SimulatedStream(self._rig, rate_hz=self._rate_hz, fill=self._count)
+        else:
+            self.stream = portaudio.DeviceStream(
+                device, self._rig, rate_hz=self._rate_hz, fill=self._count, source=source
+            )
         patience = portaudio.Patience()
         while self._n_frames < self._preroll_s * self._rate_hz:
             if not self.stream.is_active or patience.look() > OPENING_S + self._preroll_s:
@@ -210,7 +213,7 @@ class Connection:
         return True
 
     @staticmethod
-    def _runs(stream: portaudio.DeviceStream) -> bool:
+    def _runs(stream: portaudio.DeviceStream | SimulatedStream) -> bool:
         patience = portaudio.Patience()
         while not stream.find_fault():
             if not stream.is_silent:
@@ -249,7 +252,8 @@ class StreamOutput:
         longest = max((len(sound) for sound in sounds.values()), default=0)
         self._room: Frames | None = None
         if rig.sensor is not None:
-            self._room = np.zeros(longest + round(BEYOND_S * rate_hz), dtype=np.float32)
+            n_room, n_axes = longest + round(BEYOND_S * rate_hz), len(rig.sensor.inputs)
+            self._room = np.zeros((n_room, n_axes), dtype=np.float32)
         self._take: Take | None = None
         self._requested_s = 0.0
         self._clock_ahead_s = 0.0
@@ -359,7 +363,7 @@ class StreamOutput:
         """
         if self._rig.sensor is None or not len(take.sensed):
             return {}
-        samples = take.sensed * np.float32(self._rig.sensor.full_scale_m_s2)
+        samples = take.sensed.T * np.float32(self._rig.sensor.full_scale_m_s2)
         return {
             "file_number": float(write_delivered(self._folder, samples, rate_hz=self._rate_hz)),
             "sensor_onset_sample": float(round(take.sensor_latency_s * self._rate_hz)),

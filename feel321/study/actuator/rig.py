@@ -14,6 +14,8 @@ from pydantic import AfterValidator, Field, model_validator
 from feel321.study.settings import fields
 
 FILE_DEVICE = "file"  # the name of the device that renders to WAV files
+SIMULATED_DEVICE = "simulated"  # the name of the device that `[simulation]` describes
+STANDARD_GRAVITY = 9.80665  # m/s² per g
 REDUCED = "reduced"  # what an actuator plays of one-axis stimuli
 AXES = ("x", "y", "z")  # of three-axis stimuli, in the order of the channels of their files
 LOUDEST_MASKING = 0.15  # of full scale: peaks of minutes of Gaussian noise are below 6 RMS
@@ -86,10 +88,78 @@ class MaskingTable(fields.TomlTable):
 
 
 class SensorTable(fields.TomlTable):
-    """`[sensor]`: an input channel that measures the vibration."""
+    """`[sensor]`: the inputs that measure the vibration, and their scale.
 
-    channel: Channel
+    One `channel`, or three `channels` (x, y, z); of another `device` than the one that plays, if it is named. The scale
+    is `full_scale_m_s2`, or a data sheet's `sensitivity_mv_per_g` with the input's peak voltage at full scale,
+    `input_peak_v`.
+    """
+
+    channel: Channel | None = None
+    channels: tuple[Channel, Channel, Channel] | None = None
+    device: fields.Words | None = None
+    sensitivity_mv_per_g: fields.Positive | None = None
+    input_peak_v: fields.Positive | None = None
     full_scale_m_s2: Acceleration
+
+    @model_validator(mode="before")
+    @classmethod
+    def _scale(cls, table: Any) -> Any:  # noqa: ANN401 - whatever the file holds
+        if not isinstance(table, dict):
+            return table
+        # What comes through here counts as Python's, whose lists are no tuples.
+        given: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value for key, value in table.items()
+        }
+        scale = [given.get(name) for name in ("sensitivity_mv_per_g", "input_peak_v")]
+        if not any(scale):
+            return given
+        if "full_scale_m_s2" in given or not all(isinstance(one, int | float) for one in scale):
+            raise ValueError(
+                "must have full_scale_m_s2 alone, or sensitivity_mv_per_g and input_peak_v together; take one pair"
+            )
+        sensitivity, peak = (float(one) for one in scale if one)
+        return given | {"full_scale_m_s2": 1e3 * peak / sensitivity * STANDARD_GRAVITY}
+
+    @model_validator(mode="after")
+    def _has_channels(self) -> Self:
+        if (self.channel is None) == (self.channels is None):
+            raise ValueError("must have either channel or channels (x, y, z); name one of them")
+        return self
+
+    @property
+    def inputs(self) -> tuple[int, ...]:
+        """The channels, from 1."""
+        return self.channels or (self.channel or 1,)
+
+
+class CoilTable(fields.TomlTable):
+    """`[[simulation.coils]]`: a simulated voice coil in place of the actuator of the same name; see `coil.Coil`."""
+
+    name: fields.Words
+    resonance_hz: fields.Positive = 160.0
+    q: fields.Positive = 3.0
+    full_scale_m_s2: Acceleration = 100.0
+    direction: Direction | None = None
+    latency: fields.Count = 0
+    noise_m_s2: fields.NotNegative = 0.0
+    saturation: fields.Positive | None = None
+    drift_db_per_min: fields.Finite = 0.0
+
+
+class SimulationTable(fields.TomlTable):
+    """`[simulation]`: hardware for machines that have none, played on by the device `simulated`.
+
+    speed: how many times as fast as real time it runs; latency: samples from sending to the sensor. It is no setting of
+    the rig: as real coils do, simulated ones may change without notice.
+    """
+
+    speed: Annotated[fields.Positive, Field(le=1000)] = 1.0
+    latency: fields.Count = 960
+    noise_m_s2: fields.NotNegative = 0.01
+    sensor_direction: Direction = (1.0, 1.0, 1.0)  # of a sensor with one axis
+    coils: tuple[CoilTable, ...] = ()
+    seed: fields.Count = 1
 
 
 class SyncTable(fields.TomlTable):
@@ -98,6 +168,40 @@ class SyncTable(fields.TomlTable):
     channel: Channel
     level: Level = 0.5
     duration_s: Annotated[fields.Positive, Field(le=1)] = 0.005
+
+
+def _check_band(band_hz: tuple[float, float]) -> tuple[float, float]:
+    if not 0 < band_hz[0] < band_hz[1]:
+        raise ValueError("must be two frequencies in Hz that rise, such as [20, 1000]")
+    return band_hz
+
+
+BandHz = Annotated[tuple[fields.Finite, fields.Finite], AfterValidator(_check_band)]
+Decibels = Annotated[fields.Positive, Field(le=60)]
+
+
+class CalibrationTable(fields.TomlTable):
+    """`[calibration]`: how `calibrate` measures the coils, and what a certificate must keep to pass.
+
+    level: peak of the loudest sweep, as a part of what device and limits allow. sensor_uncertainty_db: from
+    its data sheet; gain_uncertainty_db: of typed gains.
+    """
+
+    band_hz: BandHz = (20.0, 1000.0)
+    max_gain_db: Decibels = 20.0
+    phase: Annotated[str, fields.one_of(("minimum", "linear"))] = "minimum"
+    level: Level = 0.5
+    sweep_s: Annotated[fields.Positive, Field(le=60)] = 4.0
+    pause_s: Annotated[fields.Positive, Field(le=10)] = 1.0
+    repeats: Annotated[int, Field(ge=2, le=32)] = 3
+    valid_days: fields.Positive = 90.0
+    max_deviation_db: Decibels = 3.0
+    max_drift_db: Decibels = 1.0
+    max_uncertainty_db: Decibels = 2.0
+    max_distortion: fields.Share = 0.2
+    min_coherence: fields.Share = 0.95
+    sensor_uncertainty_db: Decibels = 0.5
+    gain_uncertainty_db: Decibels = 2.0
 
 
 VOICE_COILS = (
@@ -120,6 +224,8 @@ class Rig(fields.TomlTable):
     masking: MaskingTable | None = None
     sensor: SensorTable | None = None
     sync: SyncTable | None = None
+    calibration: CalibrationTable = CalibrationTable()
+    simulation: SimulationTable | None = None
 
     @property
     def n_channels(self) -> int:
@@ -159,13 +265,17 @@ def take_device(rig: Rig, name: str) -> Rig:
 
 
 def identify(rig: Rig) -> dict[str, Any]:
-    """List all that decides what a rig does to a stimulus, for a journal's header."""
-    settings = rig.model_dump(mode="json")
+    """List all that decides what a rig does to a stimulus, for a journal's header; how it is calibrated does not."""
+    settings = rig.model_dump(mode="json", exclude={"calibration"})
     for actuator in settings["actuators"]:
         # Journals of rigs without these settings were written before there were any.
         for name in ("direction", "weight"):
             if actuator[name] is None:
                 del actuator[name]
+    if rig.sensor is not None:
+        settings["sensor"] = rig.sensor.model_dump(mode="json", exclude_none=True)
+    if rig.simulation is None:
+        del settings["simulation"]
     return settings
 
 

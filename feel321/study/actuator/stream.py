@@ -78,16 +78,43 @@ def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = 
     return found[0]
 
 
-def check_channels(device: Device, rig: Rig) -> None:
-    """Refuse a device that lacks a channel that the rig names."""
-    n_inputs = rig.sensor.channel if rig.sensor else 0
-    for kind, needed, there in (
-        ("output", rig.n_channels, device.n_outputs),
-        ("input", n_inputs, device.n_inputs),
+def find_source(devices: Sequence[Device], rig: Rig, device: Device) -> Device:
+    """Find the device of the rig's sensor: the one that plays, or another input of the same interface."""
+    name = rig.sensor.device if rig.sensor else None
+    if name is None:
+        return device
+    inputs = [one for one in devices if one.n_inputs and one.host_api == device.host_api]
+    found = [one for one in inputs if one.name == name] or [
+        one for one in inputs if name.lower() in one.name.lower()
+    ]
+    if len(found) != 1:
+        reason = f"{len(found)} devices have it in their names" if found else "not found"
+        raise OSError(
+            f"device {name!r} of [sensor]: {reason}; name one of the inputs of {device.host_api}: {_list_names(inputs)}"
+        )
+    return found[0]
+
+
+def find_devices(rig: Rig) -> tuple[Device, Device]:
+    """Find the devices that play on a rig and measure there, and check that they have the channels it names."""
+    devices, wanted = list_devices(), rig.device
+    device = find_device(devices, wanted.name, host_api=wanted.host_api)
+    source = find_source(devices, rig, device)
+    check_channels(device, rig, source=source)
+    return device, source
+
+
+def check_channels(device: Device, rig: Rig, *, source: Device | None = None) -> None:
+    """Refuse a device that lacks a channel that the rig names; source: the sensor's device, if it is another one."""
+    source = source or device
+    n_inputs = max(rig.sensor.inputs) if rig.sensor else 0
+    for one, kind, needed, there in (
+        (device, "output", rig.n_channels, device.n_outputs),
+        (source, "input", n_inputs, source.n_inputs),
     ):
         if needed > there:
             raise OSError(
-                f"device {device.name!r} has {there} {kind} channel(s), the rig needs {needed}; "
+                f"device {one.name!r} has {there} {kind} channel(s), the rig needs {needed}; "
                 "take another device, or other channels in rig.toml"
             )
 
@@ -227,7 +254,7 @@ class BlockTimes:
 class Take:
     """The record of one playback; the callback writes it, the session reads it once it is out.
 
-    latency_s: of the device, there and back; sensor: room for what a sensor measures, shape (n,), if there is one.
+    latency_s: of the device, there and back; sensor: room for what a sensor measures, shape (n, axes), if there is one.
     """
 
     rate_hz: float
@@ -272,7 +299,7 @@ class Take:
             self.end_s = block.dac_s + (self.end_frame - frame) / self.rate_hz
 
     def record(self, samples: Frames, *, frame: int) -> None:
-        """Keep what the sensor measured, shape (n,), since the frame of the onset went out; it comes back later."""
+        """Keep what the sensor measured, shape (n, axes), since the onset's frame went out; it comes back later."""
         if self.sensor is None or self.cue is None or self.onset_s is None:
             return
         first = max(self.cue.onset_frame - frame, 0)
@@ -282,8 +309,8 @@ class Take:
 
     @property
     def sensed(self) -> Frames:
-        """What the sensor measured, in fractions of its full scale."""
-        room = np.zeros(0, dtype=np.float32) if self.sensor is None else self.sensor
+        """What the sensor measured, in fractions of its full scale, shape (n, axes)."""
+        room = np.zeros((0, 1), dtype=np.float32) if self.sensor is None else self.sensor
         return room[: self.n_sensed]
 
 
@@ -297,10 +324,12 @@ CLOCK_READS = 5  # of the device's clock beside the session's; the fastest readi
 class DeviceStream:
     """One open stream, from its opening to its closing; it runs at once."""
 
-    def __init__(self, device: Device, rig: Rig, *, rate_hz: float, fill: Fill) -> None:
-        self.device = device
+    def __init__(
+        self, device: Device, rig: Rig, *, rate_hz: float, fill: Fill, source: Device | None = None
+    ) -> None:
+        self.device, self._source = device, source or device
         self._fill = fill
-        self._column = rig.sensor.channel - 1 if rig.sensor else None
+        self._columns = [channel - 1 for channel in rig.sensor.inputs] if rig.sensor else None
         self._rate_hz = rate_hz
         # What the device has to play: sound servers do not always say that it ran out.
         self._held_s = OPENED_S
@@ -313,8 +342,8 @@ class DeviceStream:
             with _silence_stderr():
                 self._stream = self._open(rig, rate_hz=rate_hz)
                 latency = self._stream.latency
-                self.latency_s = float(latency if self._column is None else latency[1])
-                self.there_and_back_s = float(latency if self._column is None else sum(latency))
+                self.latency_s = float(latency if self._columns is None else latency[1])
+                self.there_and_back_s = float(latency if self._columns is None else sum(latency))
                 if self._stream.samplerate != rate_hz:
                     self._close()
                     raise OSError(
@@ -376,13 +405,15 @@ class DeviceStream:
             self._stream.close(ignore_errors=True)
 
     def _open(self, rig: Rig, *, rate_hz: float) -> Foreign:
-        settings = {"device": self.device.index, "samplerate": rate_hz, "dtype": "float32"}
-        settings["latency"] = rig.device.latency_s
+        settings = {"samplerate": rate_hz, "dtype": "float32", "latency": rig.device.latency_s}
         if rig.sensor is None:
-            answer = partial(self._serve, None)
-            return _load().OutputStream(channels=rig.n_channels, callback=answer, **settings)
-        channels = (rig.sensor.channel, rig.n_channels)
-        return _load().Stream(channels=channels, callback=self._serve, **settings)
+            settings |= {"device": self.device.index, "channels": rig.n_channels}
+            return _load().OutputStream(callback=partial(self._serve, None), **settings)
+        settings |= {
+            "device": (self._source.index, self.device.index),
+            "channels": (max(rig.sensor.inputs), rig.n_channels),
+        }
+        return _load().Stream(callback=self._serve, **settings)
 
     def _serve(self, sensed: Foreign, out: Foreign, *given: Foreign) -> None:
         """Fill a block, in the device's own thread."""
@@ -403,7 +434,7 @@ class DeviceStream:
             has_lost_input=bool(status.input_overflow or status.input_underflow),
             dac_source=dac_source,
         )
-        self._fill(out, block, None if sensed is None else sensed[:, self._column])
+        self._fill(out, block, None if sensed is None else sensed[:, self._columns])
 
     def _find_dac_time(self, times: Foreign) -> tuple[float, str]:
         """Find when the first sample of a block leaves the converter, and how that was got.

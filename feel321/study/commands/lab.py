@@ -84,8 +84,17 @@ class _Log:
     place: Place | None = None
 
     def note(self, place: Place) -> None:
+        from feel321.study.screen.input import CONFIRM
+
         if self.place is None:
             click.echo(f"{self.participant}: {place.done} of {place.total} done so far")
+        if place.fault:
+            key = CONFIRM["experimenter"].upper()
+            click.echo(
+                f"{self.participant}: the device failed ({place.fault}); check it, then press {key} in the "
+                "participant's window",
+                err=True,
+            )
         self.place = place
 
     @contextmanager
@@ -170,7 +179,7 @@ def doctor(
     from feel321.study.actuator.doctor import examine_rig, survey_devices
 
     rig, rate_hz = _find_rig(folder, device=device)
-    devices, found = survey_devices(), None
+    devices, found = survey_devices(rig), None
     if rig is not None and seconds:
         with shared.show_progress("pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)

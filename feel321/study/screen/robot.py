@@ -8,10 +8,10 @@ lost is pressed again, and one too many is taken back.
 from collections.abc import Callable, Mapping
 from math import copysign
 
-from feel321.protocols.trial import Part, Trial
+from feel321.protocols.trial import Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer.participant import Experience, Participant
-from feel321.study.screen.input import AGAIN, CONFIRM, REFERENCE, ROW_STEPS, STEPS
+from feel321.study.screen.input import AGAIN, CONFIRM, PAUSE, REFERENCE, ROW_STEPS, STEPS
 from feel321.study.screen.layout import Hand, View
 from feel321.study.session.ports import Tone
 
@@ -59,6 +59,10 @@ class XKeyboard:
         self._display.sync()
 
 
+RETRY_S, RETRIES = (
+    2.0,
+    15,
+)  # how long a failed device is left alone, and how often it is tried again at most
 THINKING_S = 0.3  # before the first key; answers in less than 0.2 s would count as too fast
 SETTLING_FRAMES = 2  # frames after a key was released until the screen shows what it did
 
@@ -83,6 +87,7 @@ class PressingHand(Hand):
         self._confirmed: Experience | None = None
         self._held = ""
         self._settling = 0
+        self._retries = 0
 
     def watch(self, view: View) -> None:
         """Look at what is on the screen, and press or release a key."""
@@ -91,12 +96,13 @@ class PressingHand(Hand):
             self._mind.before, self._confirmed = self._confirmed or self._mind.before, None
         if (task := (view.screen, view.state)) != self._task:
             self._task, self._since_s = task, self._clock()
+        wait_s = RETRY_S if view.page is not None and view.page.key == "call_us" else THINKING_S
         if self._held:
             self._keyboard.release(self._held)
             self._held, self._settling = "", SETTLING_FRAMES
         elif self._settling:
             self._settling -= 1
-        elif self._clock() - self._since_s >= THINKING_S and (key := self._choose_key(view)):
+        elif self._clock() - self._since_s >= wait_s and (key := self._choose_key(view)):
             self._keyboard.press(key)
             self._held = key
 
@@ -108,13 +114,18 @@ class PressingHand(Hand):
     def _choose_key(self, view: View) -> str:
         match view.state:
             case "reading":
-                by = view.page.by if view.page else "participant"
-                return "" if view.left_s else CONFIRM[by]
+                return "" if view.left_s else self._leave(view.page)
             case "stroking":
                 return CONFIRM["participant"]
             case "answering" if view.trial is not None:
                 return self._answer(view, view.trial)
         return ""
+
+    def _leave(self, page: Page | None) -> str:
+        if page is None or page.key != "call_us":
+            return CONFIRM[page.by if page else "participant"]
+        self._retries += 1
+        return PAUSE if self._retries > RETRIES else CONFIRM[page.by]
 
     def _answer(self, view: View, trial: Trial) -> str:
         """Feel what was not felt, answer what was not answered, confirm; empty to wait."""

@@ -7,7 +7,8 @@ Every event is in the journal before the next one may happen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import takewhile
 from math import isfinite
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -25,10 +26,13 @@ if TYPE_CHECKING:
 
     from feel321.protocols.agenda import Agenda
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.study.session.journal import Journal
+    from feel321.study.session.journal import Journal, Records
 
 DEVICE_ERRORS = 2
-"""Failures of the device in a row that end the session: trials must not be used up on a dead device."""
+"""Failures of the device in a row after which the experimenter is called: trials must not be used up on a dead one."""
+
+DEVICE_FLAGS = frozenset({"device_error", "not_delivered"})
+"""Flags of attempts in which the device failed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +71,10 @@ class Outcome(Result):
     done: int
     total: int
     stopped: str = ""
+
+
+BROKEN = "the device failed twice in a row; check it, then resume"
+"""Reason of a session that ends while the experimenter is called."""
 
 
 class Stopped(Exception):  # noqa: N818 - nothing went wrong
@@ -114,7 +122,7 @@ def run_session(
     setup = Setup(presenter, by_code, scales, journal, plan.flow, detection)
     agenda = replay(plan, journal.records)
     try:
-        _work_through(plan, agenda, setup, on_step=on_step)
+        _Lead(setup, agenda, {trial.number: trial for trial in plan.trials}).run(on_step)
     except Stopped as stop:
         reason, time_s = stop.args
         journal.write(events.SessionAborted(reason, time_s))
@@ -129,29 +137,63 @@ def run_session(
     return Outcome(agenda.done, agenda.total)
 
 
-def _work_through(
-    plan: Plan, agenda: Agenda, setup: Setup, *, on_step: Callable[[Place], None] | None
-) -> None:
-    trials = {trial.number: trial for trial in plan.trials}
-    failures = 0
-    while True:
-        place = Place(agenda.done, agenda.total)
-        if on_step is not None:
-            on_step(place)
-        if (step := agenda.ask()) is None:
+@dataclass(slots=True)
+class _Lead:
+    """Leads a participant from step to step; some pages come in between, aside from the agenda."""
+
+    setup: Setup
+    agenda: Agenda
+    trials: Mapping[int, Trial]
+    failures: int = 0
+    aside: Page | None = None
+    fault: str = ""
+
+    def run(self, on_step: Callable[[Place], None] | None) -> None:
+        agenda, records = self.agenda, self.setup.journal.records
+        if isinstance(agenda.ask(), Trial) and _is_back(records):
+            self.aside = Page("ready")
+        while True:
+            if on_step is not None:
+                on_step(Place(agenda.done, agenda.total, fault=self.fault))
+            if (step := self.aside or agenda.ask()) is None:
+                return
+            self.take(step)
+            # The agenda is told what is on the disk, by the same words as when a session is resumed.
+            event = records[-1].content
+            advance(agenda, event, self.trials, detection=self.setup.detection)
+            if isinstance(step, Trial):
+                self.look_after_device(getattr(event, "flags", ()))
+
+    def take(self, step: Page | Trial) -> None:
+        place = Place(self.agenda.done, self.agenda.total)
+        if isinstance(step, Trial):
+            place = replace(place, attempt=self.agenda.attempt(step.number))
+            conduct_trial(step, place, self.setup)
             return
-        if isinstance(step, Page):
-            conduct_page(step, place, setup)
-        else:
-            place = Place(agenda.done, agenda.total, agenda.attempt(step.number))
-            conduct_trial(step, place, setup)
-        # The agenda is told what is on the disk, by the same words as when a session is resumed.
-        event = setup.journal.records[-1].content
-        advance(agenda, event, trials, detection=setup.detection)
-        failures = failures + 1 if "device_error" in getattr(event, "flags", ()) else 0
-        if failures == DEVICE_ERRORS:
-            time_s = setup.journal.records.find_elapsed()
-            raise Stopped("the device failed twice in a row; check it, then resume", time_s)
+        try:
+            conduct_page(step, place, self.setup)
+        except Stopped as stop:
+            if self.fault:
+                raise Stopped(BROKEN, stop.args[1]) from None
+            raise
+        self.aside, self.fault = None, ""
+
+    def look_after_device(self, flags: Iterable[str]) -> None:
+        """Call the experimenter after failures in a row; once called, after each one more."""
+        self.failures = 0 if DEVICE_FLAGS.isdisjoint(flags) else self.failures + 1
+        if self.failures >= DEVICE_ERRORS:
+            journal = self.setup.journal
+            played = list(journal.records.find(events.PartPlayed))
+            self.fault = (played[-1].error if played else "") or ", ".join(flags)
+            self.aside = Page("call_us", by="experimenter")
+            journal.write(events.DeviceFailed(self.fault, journal.records.find_elapsed()))
+
+
+def _is_back(records: Records) -> bool:
+    """Whether the session was resumed, and nothing was shown since."""
+    opening = {kind.event for kind in (*events.OPENING, events.WarmUpBegun)}
+    recent = takewhile(lambda record: record.event in opening, reversed(records))
+    return any(record.event == events.SessionResumed.event for record in recent)
 
 
 def conduct_page(page: Page, place: Place, setup: Setup) -> None:

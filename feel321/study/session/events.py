@@ -114,6 +114,13 @@ class SessionAborted(SessionEvent, event="aborted"):
     time_s: float
 
 
+class DeviceFailed(SessionEvent, event="device_failed"):
+    """The device failed too often in a row; the experimenter is called."""
+
+    reason: str
+    time_s: float
+
+
 class SessionSuperseded(SessionEvent, event="superseded"):
     """Another session takes the place of this one."""
 

@@ -204,11 +204,15 @@ Act = Feel | Move | Confirm | Pause | Abort
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Progress of a session: trials of the main phase that are done, all of them, and the attempt (from 1)."""
+    """Progress of a session: trials of the main phase that are done, all of them, and the attempt (from 1).
+
+    fault: what the device says while the experimenter is called.
+    """
 
     done: int
     total: int
     attempt: int = 1
+    fault: str = ""
 
 
 class Presenter(Protocol):

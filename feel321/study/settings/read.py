@@ -15,7 +15,7 @@ from feel321.doors import describe
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import read_texts
-from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
+from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
@@ -155,9 +155,11 @@ def make_design(settings: Settings) -> Design:
 def make_identity(settings: Settings, folder: Path, presenter: dict[str, Any]) -> dict[str, Any]:
     """List what must not change within a session besides its plan, for the header of its journal."""
     texts = read_study_texts(settings, folder)
+    # Pages aside from the plan ask nothing: sessions that began before there were any have the same texts.
+    pages = {key: page for key, page in texts["pages"].items() if key not in ASIDE}
     return {
         "locale": settings.session.language,
-        "texts_sha256": digest(json.dumps(texts, sort_keys=True)),
+        "texts_sha256": digest(json.dumps(texts | {"pages": pages}, sort_keys=True)),
         "consent": texts["pages"][CONSENT]["text"],
         "rig": settings.rig.model_dump(),
         "calibration": None,

@@ -140,7 +140,18 @@ MASKING = "[masking]\nchannels = [3]\n"
             LIMITS + MASKING + "rms = 0.5\n",
             "masking.rms must be less than or equal to 0.15, got 0.5",
         ),
-        (LIMITS + "[sensor]\nfull_scale_m_s2 = 1.0\n", "sensor.channel: missing; add it"),
+        (
+            LIMITS + "[sensor]\nfull_scale_m_s2 = 1.0\n",
+            "sensor must have either channel or channels (x, y, z); name one of them",
+        ),
+        (
+            LIMITS + "[sensor]\nchannel = 1\nsensitivity_mv_per_g = 100.0\n",
+            "sensor must have full_scale_m_s2 alone, or sensitivity_mv_per_g and input_peak_v",
+        ),
+        (
+            LIMITS + "[calibration]\nband_hz = [1000, 20]\n",
+            "calibration.band_hz must be two frequencies in Hz that rise",
+        ),
         (
             LIMITS + "[sync]\nchannel = 0\n",
             "sync.channel must be greater than or equal to 1, got 0",
@@ -188,6 +199,8 @@ SENSOR = "[sensor]\nchannel = 1\nfull_scale_m_s2 = 50.0\n"
         ("", True),
         ("[device]\nlatency_s = 0.2\n", True),
         ("[sync]\nchannel = 9\n", True),
+        ("[calibration]\nlevel = 0.1\n", True),
+        ("[simulation]\nlatency = 9\n", True),
         ("[device]\nname = 'Box'\n", False),
         (SENSOR, False),
         ("[[actuators]]\nname = 'left coil'\nchannel = 2\n", False),
@@ -202,3 +215,18 @@ def test_the_digest_tells_what_decides_what_the_hand_gets(
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"rig\.toml"):
         read_rig(tmp_path / "rig.toml")
+
+
+def test_a_data_sheet_gives_the_sensors_scale(tmp_path: Path) -> None:
+    sheet = "[sensor]\nchannels = [1, 2, 3]\nsensitivity_mv_per_g = 100.0\ninput_peak_v = 2.0\n"
+    sensor = read(tmp_path, LIMITS + sheet).sensor
+    assert sensor is not None
+    assert sensor.inputs == (1, 2, 3)
+    assert sensor.full_scale_m_s2 == pytest.approx(20 * 9.80665)
+
+
+def test_identities_of_old_rigs_are_as_they_were(tmp_path: Path) -> None:
+    """The journals of sessions that are resumed have them."""
+    known = identify(read(tmp_path, LIMITS + SENSOR))
+    assert sorted(known) == ["actuators", "device", "limits", "masking", "sensor", "sync"]
+    assert known["sensor"] == {"channel": 1, "full_scale_m_s2": 50.0}

@@ -67,7 +67,7 @@ def make_views(
         *(f"instructions.{name}" for name in PROTOCOLS),
     ]
     for number, key in enumerate(keys):
-        by = "experimenter" if key == "training_failed" else "participant"
+        by = "experimenter" if key in {"training_failed", "call_us"} else "participant"
         left_s = 27 if key in {"break", "rest"} else 0
         notice = texts["prompts"]["end_next"] if key == "pause" else ""
         notice = texts["refusals"]["too_early"] if left_s else notice

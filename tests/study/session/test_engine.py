@@ -10,7 +10,7 @@ import pytest
 from feel321.study.session.events import PartPlayed
 from feel321.study.session.journal import Records
 from feel321.study.session.plan import replay
-from feel321.study.session.ports import Abort, Playback
+from feel321.study.session.ports import Abort, Confirm, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -134,20 +134,90 @@ def test_a_device_that_fails_once_costs_one_attempt(present: Present, scripted: 
     assert [r["attempt"] for r in list_events(records, "rated") if r["trial"] == 3] == [2]
 
 
-def test_a_device_that_fails_twice_in_a_row_ends_the_session(
+LEAVE = Abort(1.0, "the window was closed")
+
+
+def test_a_device_that_fails_twice_in_a_row_calls_the_experimenter(
     present: Present, scripted: type
 ) -> None:
-    records = present(scripted(playbacks={(3, 1): fail(), (4, 1): fail()}))
+    """Then after each further failure, and no longer once it played again."""
+    dead = {(3, 1): fail(), (4, 1): fail(), (5, 1): fail(), (8, 1): fail()}
+    presenter = scripted(playbacks=dead)
+    records = present(presenter)
+    assert [line for line in presenter.log if line.startswith(("page call_us", "show"))][:8] == [
+        *(f"show {number}.1 realism" for number in range(1, 5)),
+        "page call_us 2/20",
+        "show 5.1 realism",
+        "page call_us 2/20",
+        "show 3.2 realism",
+    ]
+    assert presenter.log.count("page call_us 2/20") == 2
+    failed = list_events(records, "device_failed")
+    assert [entry["reason"] for entry in failed] == ["device is gone"] * 2
+    rated = Counter(r["trial"] for r in list_events(records, "rated"))
+    assert rated == dict.fromkeys(range(1, 21), 1)
+    assert records[-1].data == {"trials": 20, "given_up": 0}
+
+
+def test_who_leaves_instead_of_retrying_ends_the_session_for_today(
+    present: Present, scripted: type
+) -> None:
+    dead = {(3, 1): fail(), (4, 1): fail()}
+    records = present(scripted(playbacks=dead, pages={"call_us": [LEAVE]}))
     assert records[-1].data["reason"] == "the device failed twice in a row; check it, then resume"
     assert len(list_events(records, "rated")) == 2
-    records = present(scripted())
+    again = scripted()
+    records = present(again)
+    assert again.log[0] == "page ready 2/20"
     assert sorted(r["trial"] for r in list_events(records, "rated")) == list(range(1, 21))
+
+
+@pytest.mark.parametrize("stop_after", [0, 1])
+def test_a_page_waits_before_the_first_vibration_of_a_resumed_session(
+    present: Present, scripted: type, stop_after: int
+) -> None:
+    """Again after each resume, and not where another page waits anyway."""
+    first = scripted(pages={"main": [LEAVE]})
+    present(first)
+    again = scripted(stop_after=stop_after)
+    with pytest.raises(KeyboardInterrupt):
+        present(again)
+    assert again.log[0] == "page main 0/20"
+    for _ in range(2):
+        unready = scripted(pages={"ready": [LEAVE]})
+        assert present(unready)[-1].event == "aborted"
+        assert unready.log == [f"page ready {stop_after}/20"]
+    last = scripted()
+    records = present(last)
+    pages = [line for line in (*first.log, *last.log) if line.startswith("page ready")]
+    assert pages == [f"page ready {stop_after}/20"]
+    assert records[-1].event == "finished"
+
+
+def test_pages_aside_from_the_plan_change_nothing_in_replay(
+    present: Present, scripted: type, plan: Plan
+) -> None:
+    """A journal of a version without them goes on as the same journal with them does."""
+    with pytest.raises(KeyboardInterrupt):
+        present(scripted(stop_after=5))
+    records = present(scripted(playbacks={(8, 1): fail(), (9, 1): fail()}))
+    aside = {"ready", "call_us"}
+    old = [
+        record
+        for record in records
+        if record.event != "device_failed" and record.data.get("key") not in aside
+    ]
+    assert {record.data.get("key") for record in records} >= aside
+    assert len(old) == len(records) - 3
+    assert replay(plan, old).done == replay(plan, records).done == 20
 
 
 def test_a_dead_device_uses_no_trial_up(present: Present, scripted: type) -> None:
     dead = {(number, attempt): fail() for number in range(1, 21) for attempt in range(1, 60)}
-    for _ in range(12):
-        assert present(scripted(playbacks=dead))[-1].event == "aborted"
+    for n_retries in (0, 3, 12):
+        retries = [Confirm(1.0, {})] * n_retries
+        records = present(scripted(playbacks=dead, pages={"call_us": [*retries, LEAVE]}))
+        assert records[-1].event == "aborted"
     records = present(scripted())
     assert sorted(r["trial"] for r in list_events(records, "rated")) == list(range(1, 21))
     assert records[-1].data == {"trials": 20, "given_up": 0}

@@ -1,0 +1,379 @@
+"""Certificates of calibration: what each coil makes of the samples sent to it, when it was measured, and how well.
+
+A certificate is two files in the study's folder `calibration`, never overwritten: `<id>.json` and `<id>.npz`. The first
+holds the digest of the second, and a digest of itself as seal. Recorded quantities are in m/s², responses in m/s² per
+full scale (of the device), frequencies in Hz.
+"""
+
+import hashlib
+import io
+import json
+import math
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, signal
+
+from feel321.files import create_text, file_named, write_bytes
+from feel321.records import to_json_value
+from feel321.study.actuator.calibration import Band, Spectrum
+from feel321.study.actuator.rig import ActuatorTable, CalibrationTable, Rig, digest
+from feel321.types import Samples
+
+FOLDER = "calibration"
+FORMAT = "feel321 calibration 1"
+MEASURED, MANUAL = "measured", "manual"
+UNCALIBRATED = "uncalibrated"  # in place of an identity, where there is no valid certificate
+TYPED = "typed"
+"""A value that somebody typed; others are measured."""
+
+FADED_DB = -80.0  # of a filter's energy: what comes after is cut off
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BudgetTerm:
+    """One term of the uncertainty of a coil's response, in dB (standard uncertainty); source: `measured` or `typed`."""
+
+    name: str
+    db: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CoilCertificate:
+    """One coil, as measured without its filter, and with it.
+
+    channel: of the device, from 1. full_scale_m_s2: median response in the band without the filter; target: response
+    everywhere in the band with it. latency: samples from sending to the sensor; delay: samples that the filter adds.
+    frequency_hz, response (complex, along `direction`, latency removed), coherence, distortion and equalised (NaN where
+    not measured): shape (k,). direction: unit vector, shape (3,). fir: shape (n,), [1] for no filter. levels,
+    linearity_db: amplitudes of the ladder (of full scale) and deviations from linear there, shape (m,). largest_db:
+    deviation from the target in the band, with the filter; crossed_db: of this coil onto the other axes.
+    """
+
+    name: str
+    channel: int
+    full_scale_m_s2: float
+    target: float
+    latency: int
+    delay: int = 0
+    gain_db: float = 0.0
+    largest_db: float = math.nan
+    least_coherence: float = math.nan
+    crossed_db: float = math.nan
+    noise_m_s2: float = math.nan
+    uncertainty_db: float = math.nan
+    budget: tuple[BudgetTerm, ...] = ()
+    direction: Samples
+    frequency_hz: Samples
+    response: Spectrum
+    coherence: Samples
+    distortion: Samples
+    equalised: Samples
+    fir: Samples
+    levels: Samples
+    linearity_db: Samples
+
+    def respond(self, drive: Samples, *, rate_hz: float) -> Samples:
+        """Predict the motion along `direction` in m/s², shape (n,), for samples sent, shape (n,); latency is left out.
+
+        Beyond the measured frequencies the response stays as at the last one.
+        """
+        n = fft.next_fast_len(
+            len(drive) + round(rate_hz), real=True
+        )  # what rings on is less than a second
+        grid_hz = fft.rfftfreq(n, 1 / rate_hz)
+        response = np.interp(grid_hz, self.frequency_hz, self.response)
+        moved: Samples = fft.irfft(fft.rfft(drive, n) * response, n)[: len(drive)]
+        return moved
+
+    def equalise(self, samples: Samples) -> Samples:
+        """Filter samples, shape (n,), so that full scale becomes `target` m/s²; shape (n + tail,)."""
+        energy = np.cumsum(self.fir[::-1] ** 2)[::-1]
+        kept = int(np.count_nonzero(energy > energy[0] * 10 ** (FADED_DB / 10)))
+        filtered: Samples = signal.oaconvolve(samples, self.fir[: max(kept, 1)])
+        return filtered
+
+
+ARRAYS = tuple(field.name for field in fields(CoilCertificate) if field.type in {Samples, Spectrum})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Certificate:
+    """The calibration of a rig: identity, validity, and its coils by actuator.
+
+    sha256: the seal of the file, empty before it is written; method: `measured` or `manual`; made_utc, expires_utc:
+    ISO 8601; settings: how it was measured; failures: limits that were not kept.
+    """
+
+    id: str
+    method: str
+    rig_sha256: str
+    made_utc: str
+    expires_utc: str
+    rate_hz: float
+    band_hz: Band
+    coils: Mapping[str, CoilCertificate]
+    device: str = ""
+    sensor: Mapping[str, Any] | None = None
+    settings: Mapping[str, Any]
+    failures: tuple[str, ...] = ()
+    sha256: str = ""
+
+    @property
+    def identity(self) -> dict[str, str]:
+        """What a journal's header says of it."""
+        return {"id": self.id, "sha256": self.sha256, "method": self.method}
+
+    @property
+    def passed(self) -> bool:
+        """Whether all limits were kept."""
+        return not self.failures
+
+    def find_faults(self, rig: Rig, now: datetime, *, rate_hz: float | None = None) -> list[str]:
+        """Find why the certificate is not valid for a rig today, one line each."""
+        found = []
+        if (own := digest(rig)) != self.rig_sha256:
+            found.append(
+                f"certificate {self.id} is of another rig (digest {self.rig_sha256[:12]}, this rig's is {own[:12]}); "
+                "put the old rig.toml back, or run feel321 calibrate"
+            )
+        if now >= datetime.fromisoformat(self.expires_utc):
+            found.append(
+                f"certificate {self.id} expired on {self.expires_utc[:10]}; run feel321 calibrate"
+            )
+        if rate_hz is not None and rate_hz != self.rate_hz:
+            found.append(
+                f"certificate {self.id} was measured at {self.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; "
+                "run feel321 calibrate"
+            )
+        found += [
+            f"certificate {self.id} did not pass: {failure}; mend that and run feel321 calibrate again"
+            for failure in self.failures
+        ]
+        return found
+
+    def predict(self, frames: NDArray[np.floating[Any]]) -> Samples:
+        """Predict the acceleration at the hand in m/s², shape (3, n), for frames sent, shape (n, channels).
+
+        Latency is left out; what differs between the coils is kept.
+        """
+        moved = np.zeros((3, len(frames)))
+        first = min(coil.latency for coil in self.coils.values())
+        for coil in self.coils.values():
+            drive = np.asarray(frames[:, coil.channel - 1], dtype=np.float64)
+            if not drive.any():
+                continue
+            late = min(coil.latency - first, len(drive))
+            own = coil.respond(drive, rate_hz=self.rate_hz)[: len(drive) - late]
+            moved[:, late:] += np.outer(coil.direction, own)
+        return moved
+
+
+def write_certificate(certificate: Certificate, folder: Path) -> Certificate:
+    """Write a certificate into a study's folder, where none of that name may be, and return it with its seal."""
+    place = folder / FOLDER
+    place.mkdir(parents=True, exist_ok=True)
+    path = place / f"{certificate.id}.json"
+    arrays = path.with_suffix(".npz")
+    for file in (path, arrays):
+        if file.exists():
+            raise FileExistsError(f"{file}: already exists and is not overwritten; calibrate again")
+    content = _pack(certificate)
+    entry = _describe(certificate) | {"arrays_sha256": hashlib.sha256(content).hexdigest()}
+    seal = _seal(entry)
+    write_bytes(arrays, content)
+    create_text(path, json.dumps(entry | {"sha256": seal}, indent=1, ensure_ascii=False) + "\n")
+    return read_certificate(path)
+
+
+def read_certificate(path: Path) -> Certificate:
+    """Read a certificate, or refuse one that was changed since it was written."""
+    with file_named(path):
+        try:
+            entry = json.loads(path.read_text(encoding="utf-8"))
+            name, seal = entry.pop("format"), entry.pop("sha256")
+        except (ValueError, KeyError, AttributeError, TypeError):
+            raise ValueError(
+                "not a certificate as calibrate writes them; calibrate again"
+            ) from None
+        if name != FORMAT:
+            raise ValueError(
+                f"got format {name!r}, expected {FORMAT!r}; calibrate again with this version"
+            )
+        if _seal({"format": name} | entry) != seal:
+            raise ValueError("was changed after it was written; restore it, or calibrate again")
+        content = path.with_suffix(".npz").read_bytes()
+        if hashlib.sha256(content).hexdigest() != entry.pop("arrays_sha256"):
+            raise ValueError(
+                f"its arrays in {path.stem}.npz were changed after they were written; restore them, or calibrate again"
+            )
+        return _unpack(entry, content, seal=seal)
+
+
+def list_certificates(folder: Path) -> list[Path]:
+    """List the certificates in a study's folder, the newest first."""
+    return sorted((folder / FOLDER).glob("[!.]*.json"), reverse=True)
+
+
+def find_certificate(
+    folder: Path, rig: Rig, *, now: datetime, rate_hz: float | None = None
+) -> Certificate | None:
+    """Find the newest valid certificate of a rig in a study's folder."""
+    return judge_certificates(folder, rig, now=now, rate_hz=rate_hz)[0]
+
+
+def judge_certificates(
+    folder: Path, rig: Rig, *, now: datetime, rate_hz: float | None = None
+) -> tuple[Certificate | None, list[str]]:
+    """Find the newest valid certificate of a rig; if there is none, the faults of the one that comes nearest.
+
+    Nearest is the newest of the same rig, else the newest of all.
+    """
+    candidates: list[tuple[bool, list[str]]] = []
+    for path in list_certificates(folder):
+        try:
+            certificate = read_certificate(path)
+        except (OSError, ValueError) as error:
+            candidates.append((False, [f"certificate {error}"]))
+            continue
+        if not (faults := certificate.find_faults(rig, now, rate_hz=rate_hz)):
+            return certificate, []
+        candidates.append((certificate.rig_sha256 != digest(rig), faults))
+    if not candidates:
+        return None, ["no certificate of calibration; run feel321 calibrate"]
+    return None, min(candidates, key=lambda candidate: candidate[0])[1]
+
+
+def _describe(certificate: Certificate) -> dict[str, Any]:
+    own = {
+        field.name: getattr(certificate, field.name)
+        for field in fields(Certificate)
+        if field.name not in {"coils", "sha256"}
+    }
+    coils = [
+        {
+            field.name: getattr(coil, field.name)
+            for field in fields(coil)
+            if field.name not in ARRAYS
+        }
+        for coil in certificate.coils.values()
+    ]
+    entry: dict[str, Any] = to_json_value({"format": FORMAT, **own, "coils": coils})
+    return entry
+
+
+def _seal(entry: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()
+
+
+def _pack(certificate: Certificate) -> bytes:
+    """Pack the arrays of all coils; their names are the coil's number and the field's name."""
+    buffer = io.BytesIO()
+    arrays = {
+        f"{number}.{name}": getattr(coil, name)
+        for number, coil in enumerate(certificate.coils.values())
+        for name in ARRAYS
+    }
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def _unpack(entry: dict[str, Any], content: bytes, *, seal: str) -> Certificate:
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            coils = [
+                _read_coil(coil, {name: arrays[f"{number}.{name}"] for name in ARRAYS})
+                for number, coil in enumerate(entry.pop("coils"))
+            ]
+        entry["band_hz"], entry["failures"] = tuple(entry["band_hz"]), tuple(entry["failures"])
+        return Certificate(coils={coil.name: coil for coil in coils}, sha256=seal, **entry)
+    except (KeyError, TypeError, ValueError, zipfile.BadZipFile):
+        raise ValueError("lacks a part of a certificate; calibrate again") from None
+
+
+def _read_coil(entry: dict[str, Any], arrays: Mapping[str, Any]) -> CoilCertificate:
+    budget = tuple(BudgetTerm(**term) for term in entry.pop("budget"))
+    known: dict[str, Any] = {
+        name: math.nan if value is None else value for name, value in entry.items()
+    }
+    return CoilCertificate(budget=budget, **known, **arrays)
+
+
+def make_manual(
+    rig: Rig,
+    gains: Mapping[str, float],
+    *,
+    directions: Mapping[str, Samples],
+    made: datetime,
+    rate_hz: float,
+) -> Certificate:
+    """Make a certificate of typed gains, in m/s² per full scale by actuator: no filter, nothing measured."""
+    names = [actuator.name for actuator in rig.actuators]
+    if wrong := [name for name in (*names, *gains) if (name in gains) != (name in names)]:
+        raise ValueError(
+            f"manual gains must name each actuator once ({', '.join(map(repr, names))}), not so: "
+            f"{', '.join(map(repr, wrong))}"
+        )
+    if wrong := [name for name, gain in gains.items() if not 0 < gain < math.inf]:
+        raise ValueError(
+            f"manual gain of {wrong[0]!r} must be positive m/s² per full scale, got {gains[wrong[0]]:g}"
+        )
+    coils = {
+        one.name: _make_typed_coil(
+            one, rig.calibration, gain=gains[one.name], direction=directions.get(one.name)
+        )
+        for one in rig.actuators
+    }
+    return begin_certificate(rig, coils, method=MANUAL, made=made, rate_hz=rate_hz)
+
+
+def begin_certificate(
+    rig: Rig, coils: Mapping[str, CoilCertificate], *, method: str, made: datetime, rate_hz: float
+) -> Certificate:
+    """Give coils an identity, the digest of their rig and a time of validity."""
+    rig_sha256, settings = digest(rig), rig.calibration
+    expires = made + timedelta(days=settings.valid_days)
+    return Certificate(
+        id=f"{made:%Y%m%dT%H%M%SZ}-{rig_sha256[:8]}",
+        method=method,
+        rig_sha256=rig_sha256,
+        made_utc=made.isoformat(timespec="seconds"),
+        expires_utc=expires.isoformat(timespec="seconds"),
+        rate_hz=rate_hz,
+        band_hz=settings.band_hz,
+        coils=coils,
+        device=rig.device.name,
+        sensor=rig.sensor.model_dump(mode="json") if rig.sensor and method == MEASURED else None,
+        settings=settings.model_dump(mode="json"),
+    )
+
+
+def _make_typed_coil(
+    actuator: ActuatorTable, settings: CalibrationTable, *, gain: float, direction: Samples | None
+) -> CoilCertificate:
+    unknown, nothing, db = np.full(2, np.nan), np.zeros(0), settings.gain_uncertainty_db
+    return CoilCertificate(
+        name=actuator.name,
+        channel=actuator.channel,
+        full_scale_m_s2=gain,
+        target=gain,
+        latency=0,
+        uncertainty_db=db,
+        budget=(BudgetTerm(name="typed gain", db=db, source=TYPED),),
+        direction=np.eye(3)[0] if direction is None else direction,
+        frequency_hz=np.array(settings.band_hz),
+        response=np.full(2, gain, dtype=np.complex128),
+        coherence=unknown,
+        distortion=unknown,
+        equalised=unknown,
+        fir=np.ones(1),
+        levels=nothing,
+        linearity_db=nothing,
+    )

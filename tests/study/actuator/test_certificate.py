@@ -1,0 +1,147 @@
+"""Certificates: what is written comes back, what was changed is refused, and predictions follow the exact filters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from feel321.study.actuator.certificate import (
+    ARRAYS,
+    Certificate,
+    CoilCertificate,
+    find_certificate,
+    judge_certificates,
+    make_manual,
+    read_certificate,
+    write_certificate,
+)
+from feel321.study.actuator.coil import Coil, discretise
+from feel321.study.actuator.rig import CalibrationTable, LimitsTable, Rig, digest, take_device
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RATE_HZ = 8000.0
+MADE = datetime(2026, 3, 1, 12, tzinfo=UTC)
+DAY = timedelta(days=1)
+RIG = Rig(
+    limits=LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=60.0),
+    calibration=CalibrationTable(valid_days=30.0),
+)
+GAINS = {"left coil": 12.5, "right coil": 10.0}
+COIL = Coil(resonance_hz=160, q=4, direction=(0, 0.6, 0.8))
+
+
+def make(**changes: Any) -> Certificate:
+    directions = {"left coil": np.eye(3)[0], "right coil": np.eye(3)[1]}
+    own = {"made": MADE, "rate_hz": RATE_HZ, "directions": directions}
+    return make_manual(RIG, GAINS, **{**own, **changes})
+
+
+def resonate(coil: CoilCertificate) -> CoilCertificate:
+    """Give a coil the exact response of a simulated one."""
+    frequency_hz = np.linspace(0, RATE_HZ / 2, 16001)
+    response = 10 * signal.freqz(*discretise(COIL, rate_hz=RATE_HZ), frequency_hz, fs=RATE_HZ)[1]
+    return replace(
+        coil, frequency_hz=frequency_hz, response=response, direction=np.array(COIL.direction)
+    )
+
+
+def test_what_is_written_comes_back(tmp_path: Path) -> None:
+    certificate = make()
+    coils = {name: resonate(coil) for name, coil in certificate.coils.items()}
+    written = write_certificate(replace(certificate, coils=coils, failures=("too late",)), tmp_path)
+    found = read_certificate(tmp_path / "calibration" / f"{certificate.id}.json")
+    assert (found.identity, found.method) == (written.identity, "manual")
+    assert (found.band_hz, found.failures, found.rig_sha256) == (
+        (20.0, 1000.0), ("too late",), digest(RIG),
+    )  # fmt: skip
+    for name, coil in coils.items():
+        assert found.coils[name].budget == coil.budget
+        for array in ARRAYS:
+            np.testing.assert_array_equal(getattr(found.coils[name], array), getattr(coil, array))
+    with pytest.raises(FileExistsError, match="not overwritten"):
+        write_certificate(certificate, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "old", "new", "reason"),
+    [
+        (".json", b'"target": 12.5', b'"target": 13.5', "changed after it was written"),
+        (".json", b"2026-03-31", b"2036-03-31", "changed after it was written"),
+        (".json", b"calibration 1", b"calibration 9", "got format 'feel321 calibration 9'"),
+        (".json", b"{", b"", "not a certificate"),
+        (".npz", b"PK", b"pk", "arrays in .* were changed"),
+    ],
+)
+def test_what_was_changed_is_refused(
+    tmp_path: Path, suffix: str, old: bytes, new: bytes, reason: str
+) -> None:
+    certificate = write_certificate(make(), tmp_path)
+    path = tmp_path / "calibration" / f"{certificate.id}{suffix}"
+    path.write_bytes(path.read_bytes().replace(old, new, 1))
+    with pytest.raises(ValueError, match=reason) as refusal:
+        read_certificate(path.with_suffix(".json"))
+    assert "\n" not in str(refusal.value)
+    found, faults = judge_certificates(tmp_path, RIG, now=MADE)
+    assert found is None
+    assert len(faults) == 1
+
+
+def test_the_newest_valid_certificate_of_the_rig_is_found(tmp_path: Path) -> None:
+    other = take_device(RIG, "other")
+    assert judge_certificates(tmp_path, RIG, now=MADE) == (
+        None, ["no certificate of calibration; run feel321 calibrate"],
+    )  # fmt: skip
+    first, second = (write_certificate(make(made=MADE + n * DAY), tmp_path) for n in (0, 1))
+    for later in (timedelta(), 29 * DAY):
+        found = find_certificate(tmp_path, RIG, now=MADE + DAY + later)
+        assert found is not None
+        assert found.id == second.id != first.id
+    for faulty, kind in (
+        (judge_certificates(tmp_path, RIG, now=MADE + 31 * DAY), "expired on 2026-04-01"),
+        (judge_certificates(tmp_path, other, now=MADE + DAY), "is of another rig"),
+        (judge_certificates(tmp_path, RIG, now=MADE + DAY, rate_hz=48000.0), "was measured at 8000 Hz"),
+    ):  # fmt: skip
+        assert faulty[0] is None
+        assert len(faulty[1]) == 1
+        assert kind in faulty[1][0]
+
+
+def test_a_prediction_is_the_sum_of_the_coils_exact_filters() -> None:
+    certificate = make()
+    left, right = certificate.coils.values()
+    late = replace(resonate(right), latency=5)
+    certificate = replace(certificate, coils={"left coil": left, "right coil": late})
+    frames = np.zeros((4000, 2))
+    frames[:2000] = 0.1 * np.random.default_rng(1).standard_normal((2000, 2))
+    found = certificate.predict(frames)
+    moved = 10 * signal.lfilter(*discretise(COIL, rate_hz=RATE_HZ), frames[:, 1])
+    expected = np.outer([0, 0.6, 0.8], np.concatenate([np.zeros(5), moved[:-5]]))
+    expected[0] += 12.5 * frames[:, 0]
+    assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
+
+
+def test_a_filter_is_cut_where_it_has_faded() -> None:
+    coil = replace(make().coils["left coil"], fir=0.5 ** np.arange(100.0))
+    found = coil.equalise(np.ones(10))
+    np.testing.assert_allclose(found[:10], np.cumsum(coil.fir[:10]), rtol=1e-12)
+    assert 20 < len(found) < 30
+
+
+@pytest.mark.parametrize(
+    ("gains", "reason"),
+    [
+        ({"left coil": 1.0}, "not so: 'right coil'"),
+        ({**GAINS, "third": 1.0}, "not so: 'third'"),
+        ({"left coil": 0.0, "right coil": 1.0}, "must be positive m/s² per full scale, got 0"),
+    ],
+)
+def test_typed_gains_must_be_of_the_rigs_coils(gains: Any, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        make_manual(RIG, gains, directions={}, made=MADE, rate_hz=RATE_HZ)

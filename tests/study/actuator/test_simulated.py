@@ -1,0 +1,101 @@
+"""The simulated device: what its sensor measures is what the coils of `[simulation]` make of what is sent."""
+
+from __future__ import annotations
+
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.coil import Coil, discretise
+from feel321.study.actuator.output import open_stream
+from feel321.study.actuator.rig import read_rig
+from feel321.study.actuator.simulated import BLOCK_FRAMES, Hardware
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RATE_HZ = 8000.0
+RIG = """
+[device]
+name = "simulated"
+latency_s = 0.1
+[[actuators]]
+name = "left coil"
+channel = 1
+direction = [1, 0, 0]
+[[actuators]]
+name = "right coil"
+channel = 2
+[limits]
+peak_m_s2 = 100.0
+rms_m_s2 = 60.0
+duration_s = 30.0
+[sensor]
+{sensor}
+full_scale_m_s2 = 200.0
+[simulation]
+speed = 10
+latency = 40
+noise_m_s2 = 0.0
+[[simulation.coils]]
+name = "right coil"
+resonance_hz = 100
+q = 2
+full_scale_m_s2 = 50
+direction = [0, 3, 4]
+latency = 3
+"""
+
+
+def make_rig(tmp_path: Path, *, sensor: str = "channels = [1, 2, 3]", extra: str = "") -> Any:
+    (tmp_path / "rig.toml").write_text(RIG.format(sensor=sensor) + extra, encoding="utf-8")
+    return read_rig(tmp_path / "rig.toml")
+
+
+def test_a_playback_comes_back_through_coils_and_sensor(tmp_path: Path) -> None:
+    sound = np.zeros((4000, 2), dtype=np.float32)
+    sound[:, 1] = np.random.default_rng(1).uniform(-0.5, 0.5, 4000)
+    rig = make_rig(tmp_path)
+    with open_stream(
+        rig, {"noise": sound}, rate_hz=RATE_HZ, folder=tmp_path, clock=perf_counter
+    ) as output:
+        output.start("noise", gap_s=0.05)
+        while output.is_playing:
+            sleep(0.001)
+        playback = output.collect()
+    assert (playback.completed, playback.error, playback.underruns) == (True, "", 0)
+    measured, rate_hz = read_wav(tmp_path / f"{playback.measured['file_number']:04.0f}.wav")
+    late = BLOCK_FRAMES + 40 + 3
+    coil = Coil(resonance_hz=100, q=2)
+    moved = 50 * signal.lfilter(*discretise(coil, rate_hz=RATE_HZ), sound[:, 1])
+    expected = np.outer([0, 0.6, 0.8], moved)
+    assert rate_hz == RATE_HZ
+    np.testing.assert_allclose(measured[:, late : late + 4000], expected, atol=1e-4)
+    assert not measured[:, :late].any()
+
+
+def test_a_sensor_with_one_axis_measures_along_it_up_to_its_full_scale(tmp_path: Path) -> None:
+    axis = "[simulation]\nsensor_direction = [0, 0, 1]"
+    text = RIG.format(sensor="channel = 1").replace("[simulation]", axis)
+    (tmp_path / "rig.toml").write_text(text.replace("200.0", "30.0"), encoding="utf-8")
+    rig = read_rig(tmp_path / "rig.toml")
+    frames = np.zeros((400, 2), dtype=np.float32)
+    frames[:, 1] = np.random.default_rng(1).uniform(-1, 1, 400)
+    motion = Hardware(rig, rate_hz=RATE_HZ).move(frames)
+    sensed = Hardware(rig, rate_hz=RATE_HZ).sense(frames)
+    assert motion.shape == (1, 400)
+    assert np.abs(motion).max() > 30
+    assert sensed is not None
+    np.testing.assert_allclose(sensed[:, 0], np.clip(motion[0] / 30, -1, 1), atol=1e-6)
+
+
+def test_coils_must_be_actuators(tmp_path: Path) -> None:
+    rig = make_rig(tmp_path, extra='[[simulation.coils]]\nname = "thrid"\n')
+    with pytest.raises(
+        ValueError, match=r"names of actuators \('left coil', 'right coil'\), got 'thrid'"
+    ):
+        Hardware(rig, rate_hz=RATE_HZ)
