@@ -15,6 +15,7 @@ from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
+from feel321.study.sensation import find_own_levels
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -30,7 +31,6 @@ from feel321.study.session.plan import (
     read_as_written,
     require_own_plan,
 )
-from feel321.study.thresholds import find_own_levels
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 

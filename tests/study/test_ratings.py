@@ -49,7 +49,8 @@ def read(path: Path) -> list[dict[str, str]]:
 def test_columns_are_those_that_were_promised() -> None:
     assert ", ".join(RATING_COLUMNS) == (
         "participant, session, protocol, block, trial, repeat, stimulus_id, recording, reducer, level, reference_id, "
-        "scale, rating, response_time_s, onset_s, underruns, rejected, simulated"
+        "scale, rating, response_time_s, onset_s, underruns, rejected, simulated, "
+        "sensation_level_db"
     )
 
 

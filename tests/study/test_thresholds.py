@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import runpy
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -20,22 +21,16 @@ from feel321.study.folder import create_study
 from feel321.study.ledger.progress import ROSTER_FILE
 from feel321.study.observer.participant import ObserverModel, SimulatedObserver
 from feel321.study.ratings import write_ratings
+from feel321.study.sensation import LOW_RATE_HZ, find_shift
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import require_plan
 from feel321.study.simulation import simulate_study
 from feel321.study.status import read_status
-from feel321.study.thresholds import (
-    LOW_RATE_HZ,
-    find_shift,
-    find_warnings,
-    is_usable,
-    list_columns,
-    read_thresholds,
-)
+from feel321.study.thresholds import find_warnings, is_usable, list_columns, read_thresholds
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from feel321.study.folder import StudyFolder
 
@@ -68,6 +63,14 @@ def make_study(folder: Path, frequencies: str = "[40.0, 250.0]") -> StudyFolder:
     study.settings.write_text(STUDY.format(frequencies=frequencies), encoding="utf-8")
     build_study(study)
     return study
+
+
+@pytest.fixture(autouse=True, scope="module")
+def unsynced() -> Iterator[None]:
+    """Nothing here is about power cuts, and thousands of records would wait for the disk."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
 
 
 @pytest.fixture(scope="module")
