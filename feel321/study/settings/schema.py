@@ -148,7 +148,7 @@ class ThresholdTable(kinds.TomlTable):
         AfterValidator(_check_apart),
     ]
     procedure: Annotated[str, kinds.one_of(PROCEDURES)] = _BLOCK.procedure
-    trials: Annotated[int, Field(ge=10, le=200)] = USUAL.trials
+    trials: Annotated[int, Field(ge=5, le=200)] = USUAL.trials
     catch_every: Annotated[kinds.Count, Field(le=200)] = USUAL.catch_every
     practice: Annotated[kinds.Count, Field(le=100)] = _BLOCK.practice
     duration_s: Annotated[float, Field(ge=0.1, le=2)] = _BLOCK.duration_s
