@@ -9,6 +9,7 @@ The ledger may lag behind a journal: a kill may come between a record and the no
 has noted every session that came beyond its opening.
 """
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -23,7 +24,7 @@ from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import ASIDE, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
-from feel321.study.folder import MANIFEST_JSON, StudyFolder, read_origin
+from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
 from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
 from feel321.study.ledger.slots import Entry, find_lost, read_study_ledger
 from feel321.study.ratings import find_misplaced
@@ -302,7 +303,24 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
         is_older = datetime.fromisoformat(record.utc) < datetime.fromisoformat(before.utc)
         if is_older and record.event != events.ClockStepped.event:
             yield f", line {record.sequence + 1}: is older than the line before, and nothing says why"
-    yield from audit_steps(chain.records, plan)
+    steps = list(audit_steps(chain.records, plan))
+    yield from steps
+    if not steps:  # else records need not be as they should
+        yield from _audit_delivered(chain.records, path.parent / DELIVERED)
+
+
+def _audit_delivered(records: Sequence[Record], folder: Path) -> Iterator[str]:
+    """Compare the files of what was rendered or measured with their digests in the journal."""
+    for record in records:
+        played = record.content if record.event == events.PartPlayed.event else None
+        if not isinstance(played, events.PartPlayed) or not played.delivered_sha256:
+            continue
+        path = folder / name_delivered(int(played.measured.get("file_number", 0)))
+        name = f", line {record.sequence + 1}: {folder.name}/{path.name}"
+        if not path.is_file():
+            yield f"{name} is gone; restore it from a copy"
+        elif hashlib.sha256(path.read_bytes()).hexdigest() != played.delivered_sha256:
+            yield f"{name} was changed since it was written; restore it from a copy"
 
 
 def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) -> Iterator[str]:

@@ -10,6 +10,7 @@ LAST_PARTICIPANT_COLUMNS = ("first_utc", "last_utc", "training_passed")
 RATING_COLUMNS = (
     "participant", "session", "protocol", "block", "trial", "repeat", "stimulus_id", "recording", "reducer",
     "level", "reference_id", "scale", "rating", "response_time_s", "onset_s", "underruns", "rejected", "simulated",
-    "sensation_level_db",
+    "spectral_match_delivered", "temporal_match_delivered", "spectral_match_bounded_delivered", "level_error_db",
+    "delivered_by", "sensation_level_db",
 )  # fmt: skip
 """The columns of `ratings.csv`, in order."""

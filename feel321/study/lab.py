@@ -25,20 +25,24 @@ from feel321.study.actuator.rig import (
     read_rig,
     take_device,
 )
+from feel321.study.folder import DELIVERED
 from feel321.study.ledger.slots import read_ledger
+from feel321.study.minutes import SIMULATED, read_pace
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import DeviceOpened
 from feel321.study.settings.read import (
     list_surfaces,
     make_identity,
+    make_recipe,
     read_settings,
     read_study_texts,
+    try_recordings,
 )
 from feel321.study.strength import find_unfelt
 
 if TYPE_CHECKING:
-    from feel321.study.actuator.output import Output
+    from feel321.study.actuator.output import Check, Output
     from feel321.study.folder import StudyFolder
     from feel321.study.screen.layout import Hand
     from feel321.study.session.journal import Clock, Journal
@@ -54,9 +58,6 @@ from feel321.study.sessions import (
     require_current_set,
 )
 from feel321.study.simulation import Casting, cast_observers, find_person
-
-DELIVERED = "delivered"
-"""Folder, in the participant's, of the samples that were rendered or measured at each playback."""
 
 INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
 
@@ -139,6 +140,7 @@ def _open_output(
     from feel321.study.actuator.render import render_set
 
     rate_hz, full_scale_m_s2 = lab.settings.rig.rate_hz, lab.settings.rig.full_scale_m_s2
+    check = _make_check(lab)
     sounds = render_set(lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2)
     if plan.threshold:
         from feel321.study.actuator.tone import render_tones
@@ -148,10 +150,24 @@ def _open_output(
     if lab.rig.device.name == FILE_DEVICE:
         from feel321.study.actuator.output import FileOutput
 
-        return nullcontext(FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock))
+        return nullcontext(
+            FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock, check=check)
+        )
     from feel321.study.actuator.output import open_stream
 
-    return open_stream(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
+    return open_stream(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock, check=check)
+
+
+def _make_check(lab: Lab) -> Check | None:
+    """Make what compares playbacks with what was asked; without their recordings, stimuli have no delivered metrics."""
+    if lab.rig.sensor is None or lab.rig.device.name == FILE_DEVICE:
+        return None
+    from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
+
+    recordings, _ = try_recordings(lab.settings, lab.study.path)
+    reduced = reduce_stimuli(lab.stimuli, recordings, make_recipe(lab.settings))
+    full_scale_m_s2 = lab.settings.rig.full_scale_m_s2
+    return DeliveryCheck(lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2, reduced=reduced)
 
 
 @contextmanager
@@ -215,6 +231,7 @@ def run_participant(
         identity=make_identity(settings, study.path, identify_lab(lab)),
         make_presenter=partial(open_lab, lab=lab),
         on_step=on_step,
+        pace=SIMULATED if visit.simulated else read_pace(study, stimuli),
     )
     for line in filter(None, (notice, repaired)):
         warn(line)

@@ -134,7 +134,7 @@ def _judge(
     trial: Trial, rated: TrialRated, played: Sequence[PartPlayed], *, superseded: bool
 ) -> Iterator[dict[str, Any]]:
     points = score_trial(trial, rated.values)
-    onsets = {part.part: part.onset_s for part in played if part.completed}
+    felt = {part.part: part for part in played if part.completed}
     for judgement in trial.judgements:
         yield {
             "protocol": trial.protocol,
@@ -146,10 +146,22 @@ def _judge(
             "scale": trial.scale,
             "rating": points[judgement.part],
             "response_time_s": rated.response_time_s,
-            "onset_s": onsets[judgement.part],
+            "onset_s": felt[judgement.part].onset_s,
             "underruns": sum(part.underruns for part in played),
             "rejected": _write_flag(rated.rejected or superseded),
+            **_describe_delivered(felt[judgement.part].delivered),
         }
+
+
+def _describe_delivered(delivered: Mapping[str, float]) -> dict[str, Any]:
+    """Describe what the hand got of a playback; only a sensor gives a coherence."""
+    matches = ("spectral_match", "temporal_match", "spectral_match_bounded")
+    source = ("sensor" if "coherence" in delivered else "certificate") if delivered else ""
+    return {
+        **{f"{name}_delivered": delivered.get(name, "") for name in matches},
+        "level_error_db": delivered.get("level_error_db", ""),
+        "delivered_by": source,
+    }
 
 
 def _write_flag(flag: bool) -> str:  # noqa: FBT001 - the flag is the value, not an option

@@ -260,7 +260,8 @@ class _Attempt(events.Attempt):
             self.take(played)
             self._time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
             _stop_or_pause(playback.act)
-            if playback.error or not playback.completed:
+            is_lost = events.find_loss(played.delivered, self._setup.flow)
+            if playback.error or not playback.completed or is_lost:
                 return
 
     def _present(self, detection: Detection) -> tuple[float, dict[str, ports.Tone]]:
@@ -367,6 +368,8 @@ def _describe_playback(playback: ports.Playback) -> dict[str, Any]:
         "error": playback.error,
         "measured": {name: float(value) for name, value in measured if isfinite(value)},
         "dac_source": playback.dac_source,
+        "delivered": {k: float(v) for k, v in playback.delivered.items() if isfinite(v)},
+        "delivered_sha256": playback.delivered_sha256,
     }
 
 
