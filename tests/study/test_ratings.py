@@ -154,7 +154,7 @@ def test_a_row_has_what_was_delivered_of_the_playback_that_was_judged(
     (row,) = (
         row for row in read_judgements(tmp_path / "sessions" / "p01", stimuli) if row["trial"] == 11
     )
-    assert tuple(row[name] for name in RATING_COLUMNS[-5:]) == expected
+    assert tuple(row[name] for name in RATING_COLUMNS[-6:-1]) == expected
 
 
 def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(
