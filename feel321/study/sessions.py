@@ -45,6 +45,7 @@ class Room:
     ledger: Engine
     stale: Stale
     now: Clock
+    pace: Pace = SIMULATED
 
 
 def lead_session(
@@ -54,7 +55,6 @@ def lead_session(
     identity: Mapping[str, Any],
     make_presenter: MakePresenter,
     on_step: Callable[[Place], None] | None = None,
-    pace: Pace = SIMULATED,
     accept_rig: bool = False,
 ) -> tuple[Outcome, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
@@ -69,9 +69,8 @@ def lead_session(
             room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1
         )
 
-        left_s = find_left(
-            stored, journal.records, durations=find_durations(room.stimuli), pace=pace
-        )
+        durations = find_durations(room.stimuli)
+        left_s = find_left(stored, journal.records, durations=durations, pace=room.pace)
 
         def note(place: Place) -> None:
             keeper.see(place)

@@ -29,6 +29,7 @@ from feel321.study.minutes import (
 )
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
+from feel321.study.thresholds import find_warnings, read_thresholds
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -335,6 +336,7 @@ def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
         yield "training not passed"
     if given_up := sum(end.given_up for end in chain.records.find(SessionFinished)):
         yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
+    yield from find_warnings(read_thresholds(plan, chain.records))
     caught = find_catches(plan, chain.records)
     if missed := sum(not as_expected for as_expected in caught):
         yield f"{missed} of {len(caught)} catch trials not as expected"

@@ -479,11 +479,7 @@ def _open_newest(
         journal.write(_make_header(journal, plan, identity))
         return journal
     header = _make_header(journal, plan, identity).to_data()
-    as_left = events.describe_as_left(begun, journal.records.find(events.RigAccepted))
-    if as_left.get("calibration") is None and header.get("calibration") == events.UNCALIBRATED:
-        as_left["calibration"] = (
-            events.UNCALIBRATED
-        )  # before there were certificates, none was named
+    as_left = _describe_as_left(begun, journal, header)
     if differences := find_differences(as_left, header, ignore=UNCOMPARED):
         untouched = {kind.event for kind in events.UNTOUCHED}
         names = {line.partition(" ")[0] for line in differences}
@@ -497,6 +493,17 @@ def _open_newest(
             rig = header.get("presenter", {}).get("rig")
             journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
     return _resume(journal, plan, identity, now=now, stale=stale)
+
+
+def _describe_as_left(
+    begun: events.SessionBegun, journal: Journal, header: Mapping[str, Any]
+) -> dict[str, Any]:
+    data = events.describe_as_left(begun, journal.records.find(events.RigAccepted))
+    if data.get("calibration") is None and header.get("calibration") == events.UNCALIBRATED:
+        data["calibration"] = (
+            events.UNCALIBRATED
+        )  # no journal named it before there were certificates
+    return data
 
 
 def _describe_refusal(
