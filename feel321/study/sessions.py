@@ -14,10 +14,11 @@ from feel321.study.folder import StudyFolder, find_changes
 from feel321.study.ledger.progress import Anchor, check_anchors
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
+from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.events import SessionFinished
 from feel321.study.session.journal import Clock, Journal
-from feel321.study.session.plan import Plan, Stale, list_by_code, make_plan, open_session
+from feel321.study.session.plan import Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Place, Presenter
 from feel321.study.settings.read import find_language, make_design, make_recipe
 
