@@ -37,6 +37,7 @@ class Terminated(KeyboardInterrupt):
 @click.option(
     "--device", metavar="NAME", help="Audio device; 'file' writes WAV files.  [default: rig.toml's]"
 )
+@shared.flag("--accept-rig", "Resume on a rig or certificate that changed; the journal records it.")
 @shared.flag("--rehearse", "Try it out: the session is stored in rehearsals/ and never analysed.")
 @shared.flag("--simulate-participant", "A simulated participant presses the keys.", "simulated")
 @shared.seed_option(" of the simulated participant")
@@ -49,6 +50,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     windowed: bool,
     screen: int,
     device: str | None,
+    accept_rig: bool,
     rehearse: bool,
     simulated: bool,
     seed: int | None,
@@ -59,7 +61,13 @@ def run(  # noqa: PLR0913 - one parameter per option
     from feel321.study.lab import Visit, run_participant
 
     visit = Visit(
-        participant, windowed=windowed, screen=screen, device=device, simulated=simulated, seed=seed
+        participant,
+        windowed=windowed,
+        screen=screen,
+        device=device,
+        simulated=simulated,
+        seed=seed,
+        accept_rig=accept_rig,
     )
     log = _Log(participant, _write_command(context))
     folder = replace(study.folder, is_rehearsal=rehearse)
@@ -130,6 +138,8 @@ def _write_command(context: click.Context) -> str:
     for parameter in context.command.params:
         value = context.params.get(str(parameter.name))
         is_given = value is not None and value is not False and value != parameter.default
+        if parameter.name == "accept_rig":  # of this change, not of the next one
+            continue
         if isinstance(parameter, click.Option) and is_given:
             words += parameter.opts if value is True else [*parameter.opts, str(value)]
     return join(words)

@@ -10,7 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from pydantic import TypeAdapter
 
@@ -67,6 +67,23 @@ class SessionResumed(SessionEvent, event="resumed"):
     versions: dict[str, str]
     system: str
     clock: dict[str, float]
+
+
+class RigAccepted(SessionEvent, event="rig_accepted"):
+    """The session goes on with another rig or certificate than it was begun with; changes: old -> new, by setting."""
+
+    rig: dict[str, Any] | None
+    calibration: dict[str, Any] | str | None
+    changes: list[str]
+
+
+def describe_as_left(begun: SessionBegun, accepted: Iterable[RigAccepted]) -> dict[str, Any]:
+    """Describe a session as it was begun, but with the rig that it went on with."""
+    data = begun.to_data()
+    for event in accepted:
+        presenter = data.get("presenter", {}) | {"rig": event.rig}
+        data |= {"presenter": presenter, "calibration": event.calibration}
+    return data
 
 
 class DeviceOpened(SessionEvent, event="device"):
@@ -255,7 +272,7 @@ class TrialSpoiled(AttemptEvent, event="spoiled"):
 REPAIRS = (ClockStepped, LineRecovered)
 """May come anywhere in a journal."""
 
-OPENING = (*REPAIRS, NoteTaken, DeviceOpened, SessionResumed)
+OPENING = (*REPAIRS, NoteTaken, DeviceOpened, RigAccepted, SessionResumed)
 """May come before anybody has come back to work."""
 
 UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)
