@@ -363,6 +363,32 @@ def _as_tasks(tasks: Sequence[Task | str]) -> list[Task]:
     return [make_task(task) if isinstance(task, str) else task for task in tasks]
 
 
+TASK_ORDERS = ("fixed", "counterbalanced")
+"""Whether all participants have the tasks in the same order, or in those of a Williams square."""
+
+
+def order_tasks(tasks: Sequence[Task], *, number: int) -> tuple[Task, ...]:
+    """Order the tasks of participant `number` (from 1) by successive rows of a Williams square."""
+    square = williams_square(len(tasks))
+    return tuple(tasks[place] for place in square[(number - 1) % len(square)])
+
+
+def arrange_sections(trials: Iterable[Trial], tasks: Sequence[Task]) -> Trials:
+    """Put the sections of a session into the order of tasks, and number trials and blocks anew.
+
+    What is inside a section stays as it is, so that its balance over participants does not depend on its place.
+    """
+    places = {task.protocol: place for place, task in enumerate(tasks)}
+    ordered = sorted(trials, key=lambda trial: places[trial.protocol])
+    blocks = {
+        block: place for place, block in enumerate(dict.fromkeys(t.block for t in ordered), 1)
+    }
+    return Trials(
+        replace(trial, number=number, block=blocks[trial.block])
+        for number, trial in enumerate(ordered, start=1)
+    )
+
+
 TURNS = 2**16
 """So many turns to draw from: more than any trial has arrangements, so that all are about equally likely."""
 

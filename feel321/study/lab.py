@@ -27,6 +27,7 @@ from feel321.study.actuator.rig import (
 )
 from feel321.study.folder import DELIVERED
 from feel321.study.ledger.slots import read_ledger
+from feel321.study.minutes import SIMULATED, read_pace
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import DeviceOpened
@@ -232,6 +233,7 @@ def run_participant(
         make_presenter=partial(open_lab, lab=lab),
         on_step=on_step,
         accept_rig=visit.accept_rig,
+        pace=SIMULATED if visit.simulated else read_pace(study, stimuli),
     )
     for line in filter(None, (notice, repaired)):
         warn(line)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import StudyFolder, find_changes
 from feel321.study.ledger.progress import Anchor, check_anchors
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
+from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.events import SessionFinished
 from feel321.study.session.journal import Clock, Journal
@@ -53,6 +54,7 @@ def lead_session(
     make_presenter: MakePresenter,
     on_step: Callable[[Place], None] | None = None,
     accept_rig: bool = False,
+    pace: Pace = SIMULATED,
 ) -> tuple[Outcome, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
@@ -66,10 +68,14 @@ def lead_session(
             room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1
         )
 
+        left_s = find_left(
+            stored, journal.records, durations=find_durations(room.stimuli), pace=pace
+        )
+
         def note(place: Place) -> None:
             keeper.see(place)
             if on_step is not None:
-                on_step(place)
+                on_step(replace(place, left_s=left_s.get(place.done)))
 
         with ExitStack() as stack:
             stack.callback(keeper.write)

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import groupby
 from math import lcm, prod
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.files import is_held
+from feel321.protocols.agenda import SECONDS
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
+from feel321.protocols.order import TASK_ORDERS
 from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
+from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
 from feel321.study.ledger.rigs import RigUse, describe_rigs, find_rig_use
+from feel321.study.minutes import (
+    Length,
+    Sitting,
+    find_durations,
+    find_left,
+    measure_length,
+    observe_pace,
+)
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
@@ -64,19 +75,22 @@ def measure_realised(dossiers: Iterable[Dossier]) -> BalanceAsRun | None:
         for task, what, among, conditions in _split(dossier.plan, trials):
             groups[task, what][among].append(conditions)
     # Successive participants belong to successive groups, and each group has its own cycle.
-    cycles = max(
-        prod(map(len, plan.between.values())) if plan.order == "williams" else 0
-        for plan in (dossier.plan for dossier, _ in run)
-    )
+    plans = [dossier.plan for dossier, _ in run]
+    cycles = max(prod(map(len, plan.between.values())) for plan in plans)
+    of_trials = cycles * any(plan.order == "williams" for plan in plans)
     return BalanceAsRun(
         simulated=simulated,
         participants=len(run),
         finished=sum(_is_finished(dossier.records) for dossier, _ in run),
         evenness=tuple(
-            _measure(task, what, sequences, cycles=cycles)
+            _measure(task, what, sequences, cycles=cycles if what == TASKS else of_trials)
             for (task, what), sequences in groups.items()
         ),
     )
+
+
+SESSION, TASKS = "session", "tasks"
+"""What is put in order where tasks are counterbalanced."""
 
 
 def describe_balance(realised: BalanceAsRun | None) -> list[str]:
@@ -119,9 +133,12 @@ def _list_accepted(records: Records, numbers: Collection[int]) -> list[TrialRate
 
 
 def _split(
-    plan: Plan, trials: Iterable[Trial]
+    plan: Plan, trials: Sequence[Trial]
 ) -> Iterator[tuple[str, str, tuple[str, ...], list[str]]]:
-    """Yield task, what was put in order, among which, and the order that it was run in."""
+    """Yield task (or `SESSION`), what was put in order, among which, and the order that it was run in."""
+    if plan.task_order != TASK_ORDERS[0] and len(plan.tasks) > 1:
+        among = tuple(sorted(task.protocol for task in plan.tasks))
+        yield SESSION, TASKS, among, list(dict.fromkeys(trial.protocol for trial in trials))
     planned = _gather_blocks(trial for trial in plan.trials if trial.phase == "main")
     run = _gather_blocks(trials)
     for block, own in run.items():
@@ -173,7 +190,10 @@ def _name_condition(trial: Trial) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ParticipantStatus:
-    """Progress of one participant; a session that no live process writes is `aborted`, not `running`."""
+    """Progress of one participant; a session that no live process writes is `aborted`, not `running`.
+
+    left_min: minutes that are left; None of those who do not go on, and where there is no stimulus set.
+    """
 
     participant: str
     state: str = ""
@@ -187,6 +207,7 @@ class ParticipantStatus:
     problem: str = ""
     notes: tuple[Note, ...] = ()
     rig: RigUse | None = None
+    left_min: float | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -195,6 +216,7 @@ class Status(Result):
 
     participants: tuple[ParticipantStatus, ...]
     balance: BalanceAsRun | None
+    length: Length | None = None
 
     def to_frame(self) -> DataFrame:
         """Return one row per participant."""
@@ -205,11 +227,12 @@ class Status(Result):
 
     def summary(self) -> str:
         """Write what `feel321 status` prints."""
-        lines = [f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}  last activity"]
+        lines = [f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}{'min':>5}  last activity"]
         for entry in self.participants:
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         uses = [entry.rig for entry in self.participants if entry.rig]
-        return "\n".join([*lines, *describe_rigs(uses), *describe_balance(self.balance)])
+        length = [] if self.length is None else [self.length.describe()]
+        return "\n".join([*lines, *length, *describe_rigs(uses), *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
         """Write what `feel321 status --notes` adds."""
@@ -226,10 +249,13 @@ class Status(Result):
 
 def _describe(entry: ParticipantStatus) -> str:
     if entry.problem:
-        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}  {entry.problem}"
+        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}{'':5}  {entry.problem}"
     notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
     tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
-    return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{tail}"
+    minutes = "" if entry.left_min is None else f"{entry.left_min:.0f}"
+    return (
+        f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{minutes:>5}{tail}"
+    )
 
 
 def read_status(
@@ -245,7 +271,28 @@ def read_status(
             dossiers.append(dossier)
         if progress is not None:
             progress(count, len(folders))
-    return Status(tuple(entries), measure_realised(dossiers))
+    timed, length = _add_minutes(study, entries, dossiers)
+    return Status(tuple(timed), measure_realised(dossiers), length)
+
+
+def _add_minutes(
+    study: StudyFolder, entries: Sequence[ParticipantStatus], dossiers: Sequence[Dossier]
+) -> tuple[list[ParticipantStatus], Length | None]:
+    """Add the minutes that participants have left, and measure how long whole sessions take."""
+    try:
+        durations = find_durations(read_stimuli(study.stimuli))
+    except (OSError, ValueError):
+        return list(entries), None
+    pace = observe_pace(dossiers, durations)
+    timed = {entry.participant: entry for entry in entries}
+    for dossier in dossiers:
+        entry = timed[dossier.plan.participant]
+        if entry.state in {"claimed", "running", "aborted"}:
+            left = find_left(dossier.plan, dossier.records, durations=durations, pace=pace)
+            left_min = max(left.values()) / SECONDS
+            timed[entry.participant] = replace(entry, left_min=left_min)
+    sittings = [Sitting.plan(dossier.plan, dossier.plan.flow, durations) for dossier in dossiers]
+    return list(timed.values()), measure_length(sittings, pace) if sittings else None
 
 
 def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:

@@ -2,11 +2,11 @@
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import read_scales
-from feel321.protocols.trial import CHOOSING
+from feel321.protocols.trial import CHOOSING, Item
 from feel321.stimuli.condition import condition, fade
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.anchors import quietest_hz
@@ -18,7 +18,8 @@ from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import Rig, read_rig
 from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, find_changes, is_in_use
-from feel321.study.session.plan import PLAN_FILE, make_plan
+from feel321.study.minutes import measure_design
+from feel321.study.session.plan import PLAN_FILE, Design, make_plan
 from feel321.study.sessions import list_rig_problems
 from feel321.study.settings.read import (
     find_language,
@@ -122,9 +123,10 @@ def _find_strength(
     foreseen: Sequence[Foreseen],
     rig: Rig | None,
 ) -> Problems:
-    """Find out how strong stimuli are, and, where there is a rig, how it brings them to the hand."""
+    """Find out how strong stimuli are, how long a session takes, and, with a rig, how it brings them to the hand."""
     recipe = make_recipe(settings)
     found = strength.find_strength(settings, foreseen, recipe)
+    found = _add_minutes(found, settings, recordings, foreseen=foreseen)
     is_built = study.manifest.exists()  # then its files are examined themselves
     problems = [*found.problems, *([] if is_built else strength.find_clipping(foreseen, recipe))]
     if rig is None:
@@ -138,6 +140,36 @@ def _find_strength(
         notes=(*(f"{name}: {line}" for line in reach.notes), *found.notes),
         figures={**found.figures, **reach.figures},
     )
+
+
+def _add_minutes(
+    found: Problems,
+    settings: Settings,
+    recordings: Sequence[Recording],
+    *,
+    foreseen: Sequence[Foreseen],
+) -> Problems:
+    """Add how long a session takes."""
+    design, groups = _keep_choosing(make_design(settings))
+    items = [
+        Item(one.stimulus_id, one.recording, one.reducer, one.level, one.role) for one in foreseen
+    ]
+    crop_s = settings.stimuli.conditioning.crop_s
+    durations = {
+        one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in recordings
+    }
+    try:
+        length = measure_design(design, items, durations=durations, groups=groups)
+    except ValueError:
+        return found  # what keeps trials from being made is found by itself
+    notes = (*found.notes, f"study.toml: {length.describe()}")
+    return replace(found, notes=notes, figures={**found.figures, "session": asdict(length)})
+
+
+def _keep_choosing(design: Design) -> tuple[Design, int]:
+    """Leave out labels, which make no difference to stimuli and tasks; also counts the groups that are left."""
+    choosing = {factor: levels for factor, levels in design.between.items() if factor in CHOOSING}
+    return replace(design, between=choosing), count_groups(choosing)
 
 
 def _check_set(
@@ -166,12 +198,10 @@ def _check_set(
 
 
 def _check_plan(study: StudyFolder, settings: Settings) -> Iterator[str]:
-    """Check that the tasks of every group find the stimuli that they need; labels make no difference to that."""
-    design, stimuli = make_design(settings), read_stimuli(study.stimuli)
-    choosing = {factor: levels for factor, levels in design.between.items() if factor in CHOOSING}
-    design = replace(design, between=choosing)
+    """Check that the tasks of every group find the stimuli that they need."""
+    (design, groups), stimuli = _keep_choosing(make_design(settings)), read_stimuli(study.stimuli)
     problems: dict[str, None] = {}
-    for number in range(1, count_groups(choosing) + 1):
+    for number in range(1, groups + 1):
         try:
             make_plan(design, stimuli, "check", number=number, simulated=False)
         except ValueError as error:

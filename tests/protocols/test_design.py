@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import combinations, pairwise, product
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from feel321.protocols.balance import measure_balance, williams_square
-from feel321.protocols.order import ORDERS, make_order
+from feel321.protocols.order import ORDERS, arrange_sections, make_order, order_tasks
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import Item
 
@@ -351,3 +351,41 @@ def test_a_table_of_items_names_of_tasks_and_a_seed_give_the_same_order(items: l
 def test_what_is_no_list_is_refused(items: list[Item], make: Any, message: str) -> None:
     with pytest.raises(TypeError, match=message):
         make(items)
+
+
+TASKS = ("realism", "similarity", "dissimilarity", "abx")
+
+
+@given(orders, numbers, repeat_counts, st.integers(1, 3), st.integers(1, 4), seeds)
+def test_counterbalanced_tasks_are_a_permutation_of_the_sections_and_of_nothing_else(
+    name: str, number: int, repeats: int, n_recordings: int, n_tasks: int, seed: int
+) -> None:
+    tasks = [make_task(protocol) for protocol in TASKS[:n_tasks]]
+    fixed = order(
+        list_items(n_recordings, 3), number, repeats, tasks=TASKS[:n_tasks], order=name, seed=seed
+    )
+    own = order_tasks(tasks, number=number)
+    moved = arrange_sections(fixed, own)
+    assert list(dict.fromkeys(t.protocol for t in moved)) == [task.protocol for task in own]
+    assert [t.number for t in moved] == list(range(1, len(fixed) + 1))
+    blocks = [t.block for t in moved]
+    assert blocks == sorted(blocks)
+    assert set(blocks) == {t.block for t in fixed}
+    for task in tasks:  # inside a section, all is as it was
+        before, after = (
+            [replace(t, number=0, block=0) for t in trials if t.protocol == task.protocol]
+            for trials in (fixed, moved)
+        )
+        assert before == after
+
+
+@pytest.mark.parametrize("n_tasks", [1, 2, 3, 4])
+def test_tasks_are_as_often_at_each_place_and_after_each_other(n_tasks: int) -> None:
+    tasks = [make_task(protocol) for protocol in TASKS[:n_tasks]]
+    rows = [
+        [task.protocol for task in order_tasks(tasks, number=number)]
+        for number in range(1, len(williams_square(n_tasks)) + 1)
+    ]
+    balance = measure_balance(rows)
+    assert (balance.position_index, balance.carry_over_index, balance.repeats) == (0, 0, 0)
+    assert rows[0] == list(TASKS[:n_tasks]) or n_tasks > 2

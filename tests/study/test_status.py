@@ -218,6 +218,20 @@ def test_groups_go_round_their_own_circles(
     assert [entry.cycle for entry in realised.evenness] == [20, 20, 4, 4]
 
 
+def test_counterbalanced_tasks_have_a_circle_of_their_own(
+    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+) -> None:
+    turned = replace(design, task_order="counterbalanced", order="random")
+    for number in (1, 2, 3):
+        present(
+            scripted(), plan=make_plan(turned, stimuli, f"n{number}", number=number, simulated=True)
+        )
+    lines = describe_balance(read_status(StudyFolder(tmp_path)).balance)
+    assert lines[1] == (
+        "  session, tasks: 1 to 2 at each position, 1 to 2 after each other; even over 2, 1 to go"
+    )
+
+
 def test_simulated_participants_do_not_fill_the_places_of_real_ones(
     present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
 ) -> None:

@@ -83,6 +83,9 @@ def run(  # noqa: PLR0913 - one parameter per option
     click.echo(f"{participant}: all {outcome.total} done")
 
 
+LINE = 60  # characters of the line that says what is left; it is overwritten by the next
+
+
 @dataclass(slots=True)
 class _Log:
     """Prints how far the session is, and how to resume it."""
@@ -92,18 +95,25 @@ class _Log:
     place: Place | None = None
 
     def note(self, place: Place) -> None:
-        from feel321.study.screen.input import CONFIRM
-
         if self.place is None:
             click.echo(f"{self.participant}: {place.done} of {place.total} done so far")
         if place.fault:
-            key = CONFIRM["experimenter"].upper()
-            click.echo(
-                f"{self.participant}: the device failed ({place.fault}); check it, then press {key} in the "
-                "participant's window",
-                err=True,
-            )
+            self._call(place.fault)
+        elif shared.is_terminal():
+            minutes = "" if place.left_s is None else f", about {place.left_s / 60:.0f} min left"
+            line = f"{self.participant}: {place.done} of {place.total} done{minutes}"
+            click.echo(f"\r{line:<{LINE}}", nl=place.done == place.total, err=True)
         self.place = place
+
+    def _call(self, fault: str) -> None:
+        from feel321.study.screen.input import CONFIRM
+
+        begin = "\n" if shared.is_terminal() else ""
+        click.echo(
+            f"{begin}{self.participant}: the device failed ({fault}); check it, then press "
+            f"{CONFIRM['experimenter'].upper()} in the participant's window",
+            err=True,
+        )
 
     @contextmanager
     def watch(self) -> Iterator[None]:
@@ -117,6 +127,8 @@ class _Log:
 
     def say_how_to_resume(self, reason: str) -> None:
         if self.place is not None:
+            if shared.is_terminal():
+                click.echo(err=True)  # what is left stays where it is
             done = f"{self.place.done} of {self.place.total} done"
             click.echo(
                 f"{self.participant}: {done} (aborted: {reason}); resume with: {self.command}",

@@ -23,7 +23,13 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import create_text, hold_lock
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import THRESHOLD, Detection, ThresholdBlock, draw_block, make_block
-from feel321.protocols.order import make_order, make_rehearsal
+from feel321.protocols.order import (
+    TASK_ORDERS,
+    arrange_sections,
+    make_order,
+    make_rehearsal,
+    order_tasks,
+)
 from feel321.protocols.tasks import is_as_expected
 from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
 from feel321.study.session import events
@@ -65,6 +71,7 @@ class Design:
     between: Mapping[str, tuple[str, ...]]
     flow: Flow
     threshold: ThresholdBlock | None = None
+    task_order: str = TASK_ORDERS[0]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -99,6 +106,8 @@ class Plan:
         The trials: those of the main phase in order, then training and practice, then the threshold block.
     threshold : ThresholdBlock or None
         The threshold block, where the session has one.
+    task_order : str
+        Whether the order of tasks is `fixed` or `counterbalanced` between participants.
     sha256 : str
         Digest of the plan as it was stored; empty before that.
     """
@@ -116,6 +125,7 @@ class Plan:
     stimuli_sha256: str
     trials: tuple[Trial, ...]
     threshold: ThresholdBlock | None = None
+    task_order: str = TASK_ORDERS[0]
     sha256: str = field(default="", compare=False)
 
     def to_frame(self) -> DataFrame:
@@ -137,14 +147,45 @@ def make_plan(
     design: Design, stimuli: StimulusSet, participant: str, *, number: int, simulated: bool
 ) -> Plan:
     """Plan the session of participant `number` (from 1); the same arguments always give the same plan."""
-    import numpy as np
-
     if not PARTICIPANT_ID.fullmatch(participant):
         raise ValueError(f"participant must be letters, digits, - and _, got {participant!r}")
-    groups, place = place_in_groups(design.between, number)
     by_code = list_by_code(stimuli, seed=design.seed).items()
     named = [Item(code, row.recording, row.reducer, row.level, row.role) for code, row in by_code]
-    items, tasks = select_group(named, design.tasks, groups)
+    own = make_trials(design, named, number=number)
+    return Plan(
+        participant=participant,
+        number=number,
+        simulated=simulated,
+        seed=design.seed,
+        between=design.between,
+        groups=own.groups,
+        order=design.order,
+        repeats=design.repeats,
+        tasks=own.tasks,
+        flow=design.flow,
+        stimuli_sha256=stimuli.sha256,
+        trials=own.trials,
+        threshold=own.threshold,
+        task_order=design.task_order,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """The trials of a participant, and the groups and tasks that they follow from."""
+
+    groups: Mapping[str, str]
+    tasks: tuple[Task, ...]
+    trials: tuple[Trial, ...]
+    threshold: ThresholdBlock | None
+
+
+def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Course:
+    """Make the trials of participant `number` (from 1)."""
+    import numpy as np
+
+    groups, place = place_in_groups(design.between, number)
+    items, tasks = select_group(stimuli, design.tasks, groups)
     main = make_order(
         items,
         tasks,
@@ -157,24 +198,14 @@ def make_plan(
     rehearsal = make_rehearsal(
         items, tasks, first_number=len(main) + 1, rng=np.random.default_rng([design.seed, number])
     )
+    if design.task_order != TASK_ORDERS[0]:
+        tasks = order_tasks(tasks, number=place)
+        main = arrange_sections(main, tasks)
     block, first = design.threshold, len(main) + len(rehearsal) + 1
     if block:
         block = draw_block(block, seed=design.seed, number=number)
-    return Plan(
-        participant=participant,
-        number=number,
-        simulated=simulated,
-        seed=design.seed,
-        between=design.between,
-        groups=groups,
-        order=design.order,
-        repeats=design.repeats,
-        tasks=tasks,
-        flow=design.flow,
-        stimuli_sha256=stimuli.sha256,
-        trials=(*main, *rehearsal, *(make_block(block, first_number=first) if block else ())),
-        threshold=block,
-    )
+    trials = (*main, *rehearsal, *(make_block(block, first_number=first) if block else ()))
+    return Course(groups, tasks, trials, block)
 
 
 def list_codes(stimuli: StimulusSet, *, seed: int) -> dict[str, str]:
@@ -212,6 +243,8 @@ def create_plan(path: Path, plan: Plan) -> None:
     del entry["sha256"]
     if plan.threshold is None:
         del entry["threshold"]  # so were plans stored before there were any
+    if plan.task_order == TASK_ORDERS[0]:
+        del entry["task_order"]
     create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())
 
 

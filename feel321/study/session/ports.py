@@ -213,13 +213,14 @@ Act = Feel | Move | Confirm | Pause | Abort
 class Place:
     """Progress of a session: trials of the main phase that are done, all of them, and the attempt (from 1).
 
-    fault: what the device says while the experimenter is called.
+    fault: what the device says while the experimenter is called; left_s: about how long the rest of the session takes.
     """
 
     done: int
     total: int
     attempt: int = 1
     fault: str = ""
+    left_s: float | None = None
 
 
 class Presenter(Protocol):

@@ -142,6 +142,7 @@ def make_design(settings: Settings) -> Design:
     return Design(
         seed=settings.study.seed,
         order=session.order,
+        task_order=session.task_order,
         repeats=session.repeats,
         tasks=tuple(make_task(name, **trials, **own.get(name, {})) for name in session.protocols),
         between=dict(settings.between),

@@ -13,7 +13,7 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from feel321.protocols.detection import ThresholdBlock, name_tone
-from feel321.protocols.order import ORDERS
+from feel321.protocols.order import ORDERS, TASK_ORDERS
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import list_languages
 from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdPlan
@@ -180,6 +180,7 @@ class SessionTable(kinds.TomlTable):
     )
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
     order: Annotated[str, kinds.one_of(ORDERS)] = "williams"
+    task_order: Annotated[str, kinds.one_of(TASK_ORDERS)] = TASK_ORDERS[0]
     language: Annotated[str, AfterValidator(_check_language)] = "en"
     consent: kinds.Words | None = None
     rehearsal: RehearsalTable = RehearsalTable()

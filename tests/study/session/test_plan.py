@@ -106,7 +106,7 @@ def test_same_arguments_give_the_same_digest_and_any_other_another(
     assert store(usual) == store(remake(design, stimuli))
     changes: list[dict[str, Any]] = [
         {"seed": 8}, {"repeats": 2}, {"order": "random"}, {"tasks": design.tasks[::-1]}, {"flow": Flow(gap_s=1.0)},
-        {"between": {"grip": ("pen",)}},
+        {"between": {"grip": ("pen",)}}, {"task_order": "counterbalanced"},
     ]  # fmt: skip
     digests = {
         store(usual),
@@ -117,7 +117,7 @@ def test_same_arguments_give_the_same_digest_and_any_other_another(
         store(remake(design, replace(stimuli, sha256="6"))),
         store(replace(usual, simulated=False)),
     }
-    assert len(digests) == 11
+    assert len(digests) == 12
 
 
 @pytest.mark.parametrize("name", ["", "a b", "../a", "-a", "ä"])
@@ -220,3 +220,26 @@ def test_differences_are_named(
     changed = replace(design, seed=8, flow=replace(design.flow, rest_s=1.0, break_min=None))
     differences = compare_plans(plan, remake(changed, stimuli))
     assert differences == ["seed 7 -> 8", "flow.break_min 10.0 -> None", "flow.rest_s 60.0 -> 1.0"]
+
+
+def test_plans_with_tasks_in_a_fixed_order_are_stored_as_before_there_was_another(
+    design: Design, stimuli: StimulusSet, plan: Plan, tmp_path: Path
+) -> None:
+    create_plan(tmp_path / "fixed.json", plan)
+    assert b"task_order" not in (tmp_path / "fixed.json").read_bytes()
+    assert require_plan(tmp_path / "fixed.json").task_order == "fixed"
+    turned = [
+        remake(replace(design, task_order="counterbalanced"), stimuli, number=number)
+        for number in (1, 2, 3)
+    ]
+    sections = [list(dict.fromkeys(t.protocol for t in own.trials)) for own in turned]
+    assert sections == [[task.protocol for task in own.tasks] for own in turned]
+    assert sections == [["realism", "similarity"], ["similarity", "realism"], sections[0]]
+    create_plan(tmp_path / "turned.json", turned[1])
+    assert require_plan(tmp_path / "turned.json") == turned[1]
+    # What everybody feels in a task does not depend on when it comes.
+    for number, own in enumerate(turned, start=1):
+        usual = remake(design, stimuli, number=number)
+        assert [t.parts for t in own.trials if t.protocol == "similarity"] == [
+            t.parts for t in usual.trials if t.protocol == "similarity"
+        ]

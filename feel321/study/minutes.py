@@ -1,0 +1,217 @@
+"""How long a session takes: its agenda is worked through on paper, at the pace of those who were there before.
+
+What is felt takes as long as the stimuli do. What people add, by answering, feeling again and reading, is taken from
+the journals of real participants; before there are any, from the response times of simulated ones.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from contextlib import suppress
+from dataclasses import dataclass, field
+from math import exp
+from statistics import median
+from typing import TYPE_CHECKING
+
+from feel321.protocols.agenda import SECONDS, Agenda
+from feel321.protocols.detection import name_tone
+from feel321.protocols.trial import Page
+from feel321.study.observer.participant import STROKE_S, UNHURRIED
+from feel321.study.session.events import PageRead, TrialRated, TrialShown
+from feel321.study.session.plan import make_trials, read_dossier, replay
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from feel321.protocols.trial import Flow, Item, Trial
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.folder import StudyFolder
+    from feel321.study.session.journal import Records
+    from feel321.study.session.plan import Course, Design, Dossier, Plan
+
+PAGE_S = 10.0
+"""Time for a page that may be left at once, until real participants have read some."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """The time that people add to what is felt.
+
+    answer_s: mean time of a judgement beyond feeling every part once, by protocol; other_s: that of other protocols;
+    page_s: median time on a page beyond its shortest; participants: number of real people behind it.
+    """
+
+    answer_s: Mapping[str, float] = field(default_factory=dict)
+    other_s: float = exp(UNHURRIED[0] + UNHURRIED[1] ** 2 / 2)
+    page_s: float = PAGE_S
+    participants: int = 0
+
+
+SIMULATED = Pace(page_s=0.0)
+"""The pace of simulated participants, who do not read."""
+
+
+@dataclass(frozen=True, slots=True)
+class Length:
+    """Minutes that sessions of a study take, from the shortest to the longest group; see `Pace`."""
+
+    low_min: float
+    high_min: float
+    trials: int
+    participants: int
+
+    def describe(self) -> str:
+        """Write it in one line.
+
+        Examples
+        --------
+        >>> Length(20.6, 24.2, 96, 0).describe()
+        'a session takes about 21 to 24 min with 96 trials (at the pace of simulated participants)'
+        """
+        ends = dict.fromkeys(f"{end:.0f}" for end in (self.low_min, self.high_min))
+        who = f"{self.participants} so far" if self.participants else "simulated participants"
+        return (
+            f"a session takes about {' to '.join(ends)} min with {self.trials} trials "
+            f"(at the pace of {who})"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Sitting:
+    """A session as far as its length goes; durations: of the stimuli of each recording, in s."""
+
+    trials: Sequence[Trial]
+    flow: Flow
+    durations: Mapping[str, float]
+
+    @classmethod
+    def plan(cls, course: Plan | Course, flow: Flow, durations: Mapping[str, float]) -> Sitting:
+        """Take trials from a plan, and the duration of tones from its threshold block, if it has one."""
+        if (block := course.threshold) is None:
+            return cls(course.trials, flow, durations)
+        # Silence before a tone is the block's own.
+        tone_s = block.duration_s + block.gap_s - flow.gap_s
+        tones = {name_tone(frequency): tone_s for frequency in block.frequencies_hz}
+        return cls(course.trials, flow, {**durations, **tones})
+
+    def measure_felt(self, trial: Trial) -> float:
+        """Compute how long it takes to feel every part of a trial once, in s."""
+        gap_s = 0.0 if trial.timing == "free" else self.flow.gap_s
+        stimulus_s = gap_s + self.durations.get(trial.recording, 0.0)
+        return sum(stimulus_s if part.stimulus_id else STROKE_S for part in trial.parts)
+
+    def count_down(
+        self, pace: Pace, *, agenda: Agenda | None = None, clock_s: float = 0.0
+    ) -> dict[int, float]:
+        """Work the session through; returns the time that is left in s, by the trials that are done.
+
+        agenda: what is still to be done, all by default; clock_s: time since the session began. Every answer is taken
+        as a good one, and as expected where any is.
+        """
+        agenda = agenda or Agenda(self.trials, self.flow)
+        reached: dict[int, float] = {}
+        while (step := agenda.ask()) is not None:
+            reached.setdefault(agenda.done, clock_s)
+            if isinstance(step, Page):
+                clock_s += step.least_s + pace.page_s
+                agenda.tell_page(step.key, time_s=clock_s)
+            else:
+                answer_s = pace.answer_s.get(step.protocol, pace.other_s) * len(step.judgements)
+                clock_s += self.measure_felt(step) + answer_s
+                is_known = any(judgement.expected for judgement in step.judgements)
+                agenda.tell_trial(
+                    step.number, accepted=True, as_expected=is_known or None, time_s=clock_s
+                )
+        reached.setdefault(agenda.done, clock_s)
+        return {done: clock_s - time_s for done, time_s in reached.items()}
+
+
+def measure_length(sittings: Iterable[Sitting], pace: Pace) -> Length:
+    """Measure how long whole sessions take, at least one."""
+    whole = [(sitting.count_down(pace)[0] / SECONDS, sitting.trials) for sitting in sittings]
+    low, high = (end(minutes for minutes, _ in whole) for end in (min, max))
+    most = max(sum(trial.phase == "main" for trial in trials) for _, trials in whole)
+    return Length(low, high, most, pace.participants)
+
+
+def measure_design(
+    design: Design, items: Sequence[Item], *, durations: Mapping[str, float], groups: int
+) -> Length:
+    """Measure how long the sessions of a design take, in each of so many groups."""
+    numbers = range(1, groups + 1)
+    courses = (make_trials(design, items, number=number) for number in numbers)
+    sittings = [Sitting.plan(course, design.flow, durations) for course in courses]
+    return measure_length(sittings, Pace())
+
+
+def find_durations(stimuli: StimulusSet) -> dict[str, float]:
+    """Find the duration of the stimuli of each recording, in s."""
+    return {row.recording: row.duration_s for row in stimuli.stimuli}
+
+
+# The pace of those who were there.
+
+
+def observe_pace(dossiers: Iterable[Dossier], durations: Mapping[str, float]) -> Pace:
+    """Measure the pace of a study's real participants; that of simulated ones where there are none yet."""
+    spent: dict[str, list[float]] = defaultdict(list)
+    pages: list[float] = []
+    participants = 0
+    for dossier in dossiers:
+        if dossier.plan.simulated or not dossier.records.has(TrialRated):
+            continue
+        participants += 1
+        pages += _list_readings(dossier.plan, dossier.records)
+        for trial, took_s in _list_answers(dossier.plan, dossier.records, durations):
+            spent[trial.protocol] += [took_s / len(trial.judgements)] * len(trial.judgements)
+    if not participants:
+        return Pace()
+    every = [took_s for own in spent.values() for took_s in own]
+    return Pace(
+        {protocol: sum(own) / len(own) for protocol, own in spent.items()},
+        other_s=sum(every) / len(every),
+        page_s=median(pages) if pages else PAGE_S,
+        participants=participants,
+    )
+
+
+def _list_answers(
+    plan: Plan, records: Records, durations: Mapping[str, float]
+) -> Iterator[tuple[Trial, float]]:
+    """List the rated trials of the main phase, each with its time beyond feeling every part once."""
+    trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
+    sitting = Sitting.plan(plan, plan.flow, durations)
+    last_s = shown_s = 0.0
+    for record in records:
+        if record.event == TrialShown.event:
+            shown_s = last_s
+        last_s = record.data.get("time_s", last_s)
+        if record.event == TrialRated.event and record.data["trial"] in trials:
+            trial = trials[record.data["trial"]]
+            yield trial, max(0.0, last_s - shown_s - sitting.measure_felt(trial))
+
+
+def _list_readings(plan: Plan, records: Records) -> Iterator[float]:
+    """List the time on each page beyond the shortest."""
+    least_s = {"break": plan.flow.break_s, "rest": plan.flow.rest_s}
+    for page in records.find(PageRead):
+        yield max(0.0, page.stood_s - least_s.get(page.key, 0.0))
+
+
+def find_left(
+    plan: Plan, records: Records, *, durations: Mapping[str, float], pace: Pace
+) -> dict[int, float]:
+    """Compute the time that is left of a session as its journal leaves it, in s, by the trials that are done."""
+    sitting = Sitting.plan(plan, plan.flow, durations)
+    own = SIMULATED if plan.simulated else pace
+    clock_s = records.find_elapsed()
+    return sitting.count_down(own, agenda=replay(plan, records), clock_s=clock_s)
+
+
+def read_pace(study: StudyFolder, stimuli: StimulusSet) -> Pace:
+    """Read the pace of a study's participants; those who cannot be read are left out."""
+    dossiers = []
+    for folder in study.participants:
+        with suppress(OSError, ValueError):
+            dossiers.append(read_dossier(folder))
+    return observe_pace(dossiers, find_durations(stimuli))

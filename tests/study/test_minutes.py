@@ -1,0 +1,154 @@
+"""How long sessions take: against the clocks of simulated ones, and at a pace that was planted."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from feel321.protocols.trial import Flow
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.commands import lab, shared
+from feel321.study.folder import StudyFolder, create_study
+from feel321.study.minutes import (
+    SIMULATED,
+    Pace,
+    Sitting,
+    find_durations,
+    find_left,
+    measure_length,
+    observe_pace,
+)
+from feel321.study.session.journal import utc_now
+from feel321.study.session.plan import read_dossier
+from feel321.study.session.ports import Place
+from feel321.study.simulation import simulate_study
+from feel321.study.status import read_status
+from feel321.study.workflow import build_study, check_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from feel321.study.session.plan import Plan
+
+TOLERANCE, TOGETHER = 0.1, 0.05
+"""Share by which sessions of simulated participants may differ, one and all together: they draw their response times
+(of 16, all without a second round of training were within 4 %, with it within 10 %, and their mean within 1 %)."""
+
+STUDY = """
+[[recordings]]
+scene = "bumps"
+duration_s = 0.4
+[[recordings]]
+scene = "hard_taps"
+duration_s = 0.2
+[stimuli]
+reducers = ["sax321", "mag321", "dft321"]
+[session]
+protocols = ["similarity", "mushra", "abx"]
+repeats = 4
+[session.breaks]
+every_trials = 7
+every_min = 2
+break_s = 20
+"""
+DURATIONS = {"bumps": 0.25, "taps": 0.25}
+
+
+def test_sessions_take_as_long_as_was_foreseen(tmp_path: Path) -> None:
+    """Also what is left of one that is broken off."""
+    folder = create_study(tmp_path / "study")
+    folder.settings.write_text(STUDY, encoding="utf-8")
+    foreseen = check_study(folder).figures["session"]
+    build_study(folder)
+    simulate_study(folder, participants=3, seed=1, now=utc_now)
+    durations = find_durations(read_stimuli(folder.stimuli))
+    ratios = []
+    for participant in folder.participants:
+        dossier = read_dossier(participant)
+        took_s, plan = dossier.records.find_elapsed(), dossier.plan
+        own = measure_length([Sitting.plan(plan, plan.flow, durations)], SIMULATED)
+        assert own.low_min * 60 == pytest.approx(took_s, rel=TOLERANCE)
+        ratios.append(own.low_min * 60 / took_s)
+        half = dossier.records[: len(dossier.records) // 2]
+        left = find_left(plan, type(dossier.records)(half), durations=durations, pace=SIMULATED)
+        gone_s = max(record.data.get("time_s", 0.0) for record in half)
+        assert max(left.values()) == pytest.approx(took_s - gone_s, abs=TOLERANCE * took_s)
+    assert sum(ratios) / len(ratios) == pytest.approx(1, abs=TOGETHER)
+    # Nobody has read a page so far; people will.
+    whole = read_status(folder).length
+    assert whole is not None
+    assert own.low_min < whole.low_min == pytest.approx(foreseen["low_min"], rel=0.01)
+    assert (whole.trials, whole.participants) == (foreseen["trials"], 0)
+
+
+def test_the_pace_of_real_people_is_learnt_from_their_journals(
+    present: Callable[..., Any], scripted: type, plan: Plan, tmp_path: Path
+) -> None:
+    """One second per vibration, page and answer, and 100 ms are due before each vibration."""
+    plan = replace(plan, simulated=False, flow=replace(plan.flow, gap_s=0.1, rest_s=1.0))
+    present(scripted(), plan=plan)
+    dossier = read_dossier(tmp_path / "sessions" / "p01")
+    pace = observe_pace([dossier], DURATIONS)
+    assert pace.answer_s == pytest.approx({"realism": 2 - 0.35, "similarity": 3 - 0.7})
+    assert (pace.page_s, pace.participants) == (0.0, 1)  # the script says how long pages stood
+    with_pages = replace(pace, page_s=1.0)
+    length = measure_length([Sitting.plan(plan, plan.flow, DURATIONS)], with_pages)
+    # The rest is one page whose shortest time counts too.
+    assert length.low_min * 60 == pytest.approx(dossier.records.find_elapsed() + 1.0)
+    simulated = replace(dossier, plan=replace(plan, simulated=True))
+    assert observe_pace([simulated], DURATIONS) == Pace()
+
+
+def test_minutes_are_left_to_those_who_go_on(
+    present: Callable[..., Any], scripted: type, tmp_path: Path, smallest: StudyFolder
+) -> None:
+    with suppress(KeyboardInterrupt):
+        present(scripted(stop_after=5))
+    (entry,) = read_status(StudyFolder(tmp_path)).participants
+    assert entry.left_min is None  # there is no stimulus set
+    status = read_status(replace(smallest, path=smallest.path))
+    assert (status.participants, status.length) == ((), None)
+
+
+def test_breaks_and_rests_are_counted(plan: Plan) -> None:
+    def measure(**rules: Any) -> float:
+        flow = replace(Flow(break_trials=None, break_min=None, rest_s=0.0), **rules)
+        return Sitting(plan.trials, flow, DURATIONS).count_down(SIMULATED)[0]
+
+    plain = measure()
+    assert measure(rest_s=60.0) - plain == pytest.approx(60.0)
+    # Of ten trials each, after every third but not before the rest or the end: 3, 6, 9; 13, 16, 19.
+    assert measure(break_trials=3, break_s=7.0) - plain == pytest.approx(6 * 7.0)
+    assert measure(break_min=0.2, break_s=7.0) > plain
+
+
+def test_less_and_less_is_left(plan: Plan) -> None:
+    left = Sitting(plan.trials, plan.flow, DURATIONS).count_down(Pace())
+    assert list(left) == list(range(21))
+    assert list(left.values()) == sorted(left.values(), reverse=True)
+    assert left[20] == pytest.approx(Pace().page_s)  # the last page
+
+
+def test_the_terminal_shows_what_is_left(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(shared, "is_terminal", lambda: True)
+    log = lab._Log("p07", "feel321 run")
+    log.note(Place(12, 48, left_s=14 * 60.0))
+    log.note(Place(13, 48, left_s=13 * 60.0))
+    log.note(Place(13, 48, fault="device 'pulse' stopped"))
+    out, err = capsys.readouterr()
+    assert out == "p07: 12 of 48 done so far\n"
+    shown = [line.rstrip() for line in err.replace("\n", "\r").split("\r") if line.strip()]
+    assert shown == [
+        "p07: 12 of 48 done, about 14 min left",
+        "p07: 13 of 48 done, about 13 min left",
+        "p07: the device failed (device 'pulse' stopped); check it, then press F12 in the participant's window",
+    ]
+    monkeypatch.setattr(shared, "is_terminal", lambda: False)
+    log.note(Place(14, 48, left_s=12 * 60.0))
+    assert capsys.readouterr() == ("", "")
