@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from sqlalchemy import Engine
 
     from feel321.protocols.trial import Scale
+    from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.rig import Rig
     from feel321.study.settings.schema import Settings
 
@@ -46,7 +47,7 @@ class Room:
     now: Clock
 
 
-def lead_session(
+def lead_session(  # noqa: PLR0913 - all that one session needs
     room: Room,
     plan: Plan,
     *,
@@ -139,7 +140,12 @@ def require_current_set(study: StudyFolder, settings: Settings) -> None:
 
 
 def list_rig_problems(
-    study: StudyFolder, rig: Rig, *, settings: Settings, stimuli: StimulusSet
+    study: StudyFolder,
+    rig: Rig,
+    *,
+    settings: Settings,
+    stimuli: StimulusSet,
+    certificate: Certificate | None = None,
 ) -> list[str]:
     """List the problems that keep a rig from playing the stimuli of a study as they are."""
     from feel321.study.actuator.render import find_mix, find_rig_problems
@@ -150,7 +156,11 @@ def list_rig_problems(
         return [f"{study.rig.name}: {error}"]
     own = settings.rig
     problems = find_rig_problems(
-        rig, stimuli, rate_hz=own.rate_hz, full_scale_m_s2=own.full_scale_m_s2
+        rig,
+        stimuli,
+        rate_hz=own.rate_hz,
+        full_scale_m_s2=own.full_scale_m_s2,
+        certificate=certificate,
     )
     if settings.session.threshold:
         from feel321.study.actuator.tone import find_tone_problems
