@@ -59,6 +59,7 @@ guards: .venv/.tests # sizes, docstrings, faces, wheel, pins, exclusions
 bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor, cost of the session engine
 	$(PYTHON) tests/bench/bench.py
 	$(PYTHON) tests/bench/engine.py
+	$(PYTHON) tests/bench/delivered.py
 
 soak: .venv/.tests ## the tests that take minutes
 	$(PYTHON) -m pytest -m "soak or hypothesis" --hypothesis-profile=soak $(ARGS) || [ $$? -eq 5 ]  # pytest's 5: there is none

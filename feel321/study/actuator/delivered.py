@@ -35,6 +35,7 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import Recipe, Reduction, reduce_again
+from feel321.study.actuator.calibration import Band, find_inside
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.render import find_directions, find_mix
@@ -119,13 +120,22 @@ def _find_power(
 ) -> tuple[np.float64, np.float64, np.float64]:
     """Sum over axes and the band: power asked, power that follows what was asked, and all power measured."""
     n = min(round(SEGMENT_S * rate_hz), 2 * asked.shape[-1] // (LEAST_SEGMENTS + 1))
-    frequency_hz = fft.rfftfreq(n, 1 / rate_hz)
-    inside = (frequency_hz >= LOWEST_HZ) & (frequency_hz <= HIGHEST_HZ)
+    band_hz = (LOWEST_HZ, HIGHEST_HZ)
+    inside = find_inside(fft.rfftfreq(n, 1 / rate_hz), band_hz=band_hz)
+    # What is strong below the band would leak into it.
+    asked, felt = (_limit(one, rate_hz, band_hz=band_hz) for one in (asked, felt))
     x, y = (_transform(one, n)[..., inside] for one in (asked, felt))
     sxx, syy = (np.square(np.abs(one)).sum(axis=1) for one in (x, y))
     sxy = (x.conj() * y).sum(axis=1)
     followed = np.square(np.abs(sxy)) / np.maximum(sxx, TINY)
     return sxx.sum(), followed.sum(), syy.sum()
+
+
+def _limit(samples: Samples, rate_hz: float, *, band_hz: Band) -> Samples:
+    """Take out of signals, (axes, n), what lies outside a band."""
+    n = samples.shape[-1]
+    inside = find_inside(fft.rfftfreq(n, 1 / rate_hz), band_hz=band_hz)
+    return np.asarray(fft.irfft(fft.rfft(samples) * inside, n))
 
 
 def _transform(samples: Samples, n: int) -> Samples:
@@ -167,9 +177,8 @@ class Baseline:
         """Bring the rig's error to the rate, length and strength of the reduced signal, in the band that counts."""
         rate, shape = self.reduction.rate_hz, self.reduction.samples.shape
         at_rate = _cut(resample(error, rate_hz, to_hz=rate) / self.gain, 0, shape[-1])
-        grid_hz = fft.rfftfreq(shape[-1], 1 / rate)
-        counts = (grid_hz >= LOWEST_HZ * (1 - REACH)) & (grid_hz <= HIGHEST_HZ * (1 + REACH))
-        return np.asarray(fft.irfft(fft.rfft(at_rate) * counts, shape[-1])).reshape(shape)
+        band_hz = (LOWEST_HZ * (1 - REACH), HIGHEST_HZ * (1 + REACH))
+        return _limit(at_rate, rate, band_hz=band_hz).reshape(shape)
 
 
 def find_moves(rig: Rig, n_tracks: int, directions: Mapping[str, Samples] | None = None) -> Samples:
