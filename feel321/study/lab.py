@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from time import perf_counter
@@ -28,7 +28,7 @@ from feel321.study.actuator.rig import (
 )
 from feel321.study.folder import DELIVERED
 from feel321.study.ledger.slots import read_ledger
-from feel321.study.minutes import SIMULATED, read_pace
+from feel321.study.minutes import read_pace
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
@@ -246,7 +246,7 @@ def run_participant(
         if entry.state == "finished":  # No window is opened for it.
             return Outcome(entry.done, entry.total)
     outcome, repaired = lead_session(
-        room,
+        replace(room, pace=read_pace(study, stimuli)),
         plan,
         identity=make_identity(
             settings, study.path, identify_lab(lab), calibration=lab.calibration
@@ -254,7 +254,6 @@ def run_participant(
         make_presenter=partial(open_lab, lab=lab),
         on_step=on_step,
         accept_rig=visit.accept_rig,
-        pace=SIMULATED if visit.simulated else read_pace(study, stimuli),
     )
     for line in filter(None, (notice, repaired)):
         warn(line)

@@ -15,6 +15,8 @@ from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
+from feel321.study.sensation import find_own_levels
+from feel321.study.session.codes import list_by_code
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -23,13 +25,7 @@ from feel321.study.session.events import (
     TrialShown,
 )
 from feel321.study.session.journal import Records, list_journals, name_journal, read_journal
-from feel321.study.session.plan import (
-    TOMBSTONE_FILE,
-    Plan,
-    list_by_code,
-    read_as_written,
-    require_own_plan,
-)
+from feel321.study.session.plan import TOMBSTONE_FILE, Plan, read_as_written, require_own_plan
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
@@ -72,7 +68,8 @@ def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
                 remedy = "move a copy out of sessions/, or restore the plan from one"
                 raise ValueError(f"{path}{fault}; {remedy}")
             judged = _list_judgements(plan, records, path=path)
-            own = [_decode(row, header, by_code) for row in judged]
+            levels = find_own_levels(plan, records, stimuli)
+            own = [_decode(row, header, by_code, levels=levels) for row in judged]
             rows += sorted(own, key=lambda row: row["trial"])
     return rows
 
@@ -86,7 +83,11 @@ def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str
 
 
 def _decode(
-    row: dict[str, Any], header: SessionBegun, by_code: Mapping[str, Stimulus]
+    row: dict[str, Any],
+    header: SessionBegun,
+    by_code: Mapping[str, Stimulus],
+    *,
+    levels: Mapping[str, float],
 ) -> dict[str, Any]:
     stimulus, reference = by_code[row["stimulus_id"]], by_code.get(row["reference_id"])
     return row | {
@@ -98,6 +99,7 @@ def _decode(
         "level": stimulus.level,
         "reference_id": reference.stimulus_id if reference else row["reference_id"],
         "simulated": _write_flag(header.identity["presenter"]["simulated"]),
+        "sensation_level_db": levels.get(stimulus.stimulus_id, ""),
     }
 
 

@@ -14,10 +14,11 @@ from feel321.study.folder import StudyFolder, find_changes
 from feel321.study.ledger.progress import Anchor, check_anchors
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
+from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.events import SessionFinished
 from feel321.study.session.journal import Clock, Journal
-from feel321.study.session.plan import Plan, Stale, list_by_code, make_plan, open_session
+from feel321.study.session.plan import Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Place, Presenter
 from feel321.study.settings.read import find_language, make_design, make_recipe
 
@@ -45,9 +46,10 @@ class Room:
     ledger: Engine
     stale: Stale
     now: Clock
+    pace: Pace = SIMULATED
 
 
-def lead_session(  # noqa: PLR0913 - all that one session needs
+def lead_session(
     room: Room,
     plan: Plan,
     *,
@@ -55,7 +57,6 @@ def lead_session(  # noqa: PLR0913 - all that one session needs
     make_presenter: MakePresenter,
     on_step: Callable[[Place], None] | None = None,
     accept_rig: bool = False,
-    pace: Pace = SIMULATED,
 ) -> tuple[Outcome, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
@@ -69,9 +70,8 @@ def lead_session(  # noqa: PLR0913 - all that one session needs
             room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1
         )
 
-        left_s = find_left(
-            stored, journal.records, durations=find_durations(room.stimuli), pace=pace
-        )
+        durations = find_durations(room.stimuli)
+        left_s = find_left(stored, journal.records, durations=durations, pace=room.pace)
 
         def note(place: Place) -> None:
             keeper.see(place)

@@ -29,6 +29,7 @@ from feel321.study.minutes import (
 )
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
+from feel321.study.thresholds import find_warnings, read_thresholds
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -206,8 +207,8 @@ class ParticipantStatus:
     warnings: tuple[str, ...] = ()
     problem: str = ""
     notes: tuple[Note, ...] = ()
-    rig: RigUse | None = None
     left_min: float | None = None
+    rig: RigUse | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -230,9 +231,9 @@ class Status(Result):
         lines = [f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}{'min':>5}  last activity"]
         for entry in self.participants:
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
-        uses = [entry.rig for entry in self.participants if entry.rig]
         length = [] if self.length is None else [self.length.describe()]
-        return "\n".join([*lines, *length, *describe_rigs(uses), *describe_balance(self.balance)])
+        uses = [entry.rig for entry in self.participants if entry.rig]
+        return "\n".join([*lines, *describe_rigs(uses), *length, *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
         """Write what `feel321 status --notes` adds."""
@@ -335,6 +336,7 @@ def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
         yield "training not passed"
     if given_up := sum(end.given_up for end in chain.records.find(SessionFinished)):
         yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
+    yield from find_warnings(read_thresholds(plan, chain.records))
     caught = find_catches(plan, chain.records)
     if missed := sum(not as_expected for as_expected in caught):
         yield f"{missed} of {len(caught)} catch trials not as expected"

@@ -110,7 +110,8 @@ class Contents:
         """
         import pandas as pd
 
-        from feel321.study.session.plan import PLAN_FILE, list_codes, require_plan
+        from feel321.study.session.codes import list_codes
+        from feel321.study.session.plan import PLAN_FILE, require_plan
 
         plan = require_plan(self._find(participant) / PLAN_FILE)
         rows = [

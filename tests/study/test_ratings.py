@@ -12,8 +12,9 @@ from feel321.protocols.tasks import make_task
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ratings import read_judgements, write_ratings
+from feel321.study.session.codes import list_codes
 from feel321.study.session.journal import START, create_journal, digest, write_line
-from feel321.study.session.plan import Stale, create_plan, list_codes, make_plan
+from feel321.study.session.plan import Stale, create_plan, make_plan
 from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def test_columns_are_those_that_were_promised() -> None:
     assert ", ".join(RATING_COLUMNS) == (
         "participant, session, protocol, block, trial, repeat, stimulus_id, recording, reducer, level, reference_id, "
         "scale, rating, response_time_s, onset_s, underruns, rejected, simulated, spectral_match_delivered, "
-        "temporal_match_delivered, spectral_match_bounded_delivered, level_error_db, delivered_by"
+        "temporal_match_delivered, spectral_match_bounded_delivered, level_error_db, delivered_by, sensation_level_db"
     )
 
 
@@ -154,7 +155,7 @@ def test_a_row_has_what_was_delivered_of_the_playback_that_was_judged(
     (row,) = (
         row for row in read_judgements(tmp_path / "sessions" / "p01", stimuli) if row["trial"] == 11
     )
-    assert tuple(row[name] for name in RATING_COLUMNS[-5:]) == expected
+    assert tuple(row[name] for name in RATING_COLUMNS[-6:-1]) == expected
 
 
 def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(

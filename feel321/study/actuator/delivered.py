@@ -237,7 +237,7 @@ class DeliveryCheck:
         self._stimuli, self._rig, self._full_scale = stimuli, rig, full_scale_m_s2
         self._reduced, self._certificate = reduced, certificate
         self._predicted: dict[str, dict[str, float]] = {}
-        self._own = {stimulus.stimulus_id for stimulus in stimuli.stimuli}
+        self._own = {stimulus.stimulus_id for stimulus in stimuli}
 
     def describe(
         self, stimulus_id: str, sent: Frames, measured: ArrayLike | None

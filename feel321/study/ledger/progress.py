@@ -7,7 +7,7 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -19,6 +19,7 @@ from feel321.study.ledger.rigs import find_rig_use
 from feel321.study.session import plan as plans
 from feel321.study.session.events import NoteTaken, PageRead, SessionFinished, SessionReleased
 from feel321.study.session.journal import START, Chain, Records, digest, list_journals
+from feel321.study.thresholds import list_columns, read_thresholds
 
 ROSTER_FILE = "participants.csv"
 
@@ -173,6 +174,7 @@ class Progress:
     calibration: str = ""
     estimated: int = 0
     problem: str = ""
+    thresholds: Mapping[str, float | str] = field(default_factory=dict)
 
 
 def list_progress(study: StudyFolder) -> list[Progress]:
@@ -217,6 +219,7 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             rig=use.rig,
             calibration=use.calibration,
             estimated=use.estimated,
+            thresholds=list_columns(read_thresholds(plan, newest)),
         )
 
 
@@ -251,13 +254,14 @@ def write_roster(study: StudyFolder, everybody: Sequence[Progress] | None = None
             raise ValueError(progress.problem)
     factors = dict.fromkeys(factor for progress in everybody for factor in progress.groups)
     text = io.StringIO(newline="")
-    columns = [*PARTICIPANT_COLUMNS, *factors, *LAST_PARTICIPANT_COLUMNS]
+    measured = dict.fromkeys(name for progress in everybody for name in progress.thresholds)
+    columns = [*PARTICIPANT_COLUMNS, *factors, *LAST_PARTICIPANT_COLUMNS, *measured]
     table = csv.DictWriter(text, columns, extrasaction="ignore")
     table.writeheader()
     flags = {True: "true", False: "false", None: ""}
     for progress in everybody:
         row = {name: getattr(progress, name) for name in Progress.__slots__}
-        row |= progress.groups
+        row |= {**progress.groups, **progress.thresholds}
         row["sessions"] = len(progress.anchors)
         row |= {name: flags[row[name]] for name in ("simulated", "training_passed")}
         table.writerow(row)

@@ -18,7 +18,8 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
 from feel321.study.session import events, ports
-from feel321.study.session.plan import Plan, advance, list_by_code, recall_detection, replay
+from feel321.study.session.codes import list_by_code
+from feel321.study.session.plan import Plan, advance, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:

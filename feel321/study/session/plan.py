@@ -1,14 +1,10 @@
 """The plan of one participant, a frozen, seeded list of trials; and how a session by it is begun or resumed.
 
-Its trials name stimuli by blind codes, as do journals and all that is read from them before the analysis: a
-stimulus's own name holds its recording and reducer. Codes are no secret, for the software turns them back; they keep
-experimenters from learning by accident what a participant feels.
+Its trials name stimuli by blind codes.
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -34,6 +30,7 @@ from feel321.protocols.tasks import is_as_expected
 from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
 from feel321.study.session import events
 from feel321.study.session import journal as journals
+from feel321.study.session.codes import list_by_code
 from feel321.study.session.identity import (
     ACCEPTABLE,
     compare_headers,
@@ -48,11 +45,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from pydantic import TypeAdapter
 
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.stimuli.sets.manifest import StimulusSet
 
-
-LEAST_LETTERS = 6
-"""Letters of a blind code; more where two codes would be the same."""
 
 PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 """Allowed codes of participants: they name folders."""
@@ -212,35 +206,6 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
         block = draw_block(block, seed=design.seed, number=number)
     trials = (*main, *rehearsal, *(make_block(block, first_number=first) if block else ()))
     return Course(groups, tasks, trials, block)
-
-
-def list_codes(stimuli: StimulusSet, *, seed: int) -> dict[str, str]:
-    """Give every stimulus of a study its blind code."""
-    return make_codes((row.stimulus_id for row in stimuli.stimuli), f"{stimuli.sha256} {seed}")
-
-
-def list_by_code(stimuli: StimulusSet, *, seed: int) -> dict[str, Stimulus]:
-    """List the stimuli of a study by blind code."""
-    codes = list_codes(stimuli, seed=seed)
-    return {codes[row.stimulus_id]: row for row in stimuli.stimuli}
-
-
-def make_codes(stimulus_ids: Iterable[str], key: str) -> dict[str, str]:
-    """Give every stimulus a code of letters and digits.
-
-    Examples
-    --------
-    >>> make_codes(["oak-dft321"], "study 321")
-    {'oak-dft321': '7K6ZGV'}
-    """
-    digests = {
-        name: base64.b32encode(hashlib.sha256(f"{key}\n{name}".encode()).digest()).decode()
-        for name in stimulus_ids
-    }
-    letters = LEAST_LETTERS
-    while len({text[:letters] for text in digests.values()}) < len(digests):
-        letters += 1
-    return {name: text[:letters] for name, text in digests.items()}
 
 
 def create_plan(path: Path, plan: Plan) -> None:

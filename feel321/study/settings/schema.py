@@ -130,7 +130,7 @@ class StaleTable(kinds.TomlTable):
 
 
 MOST_FREQUENCIES = 8
-"""Each frequency takes about three minutes."""
+"""Each frequency takes four to five minutes."""
 
 
 Level = Annotated[float, Field(ge=-120, le=60)]
@@ -150,7 +150,7 @@ class ThresholdTable(kinds.TomlTable):
         AfterValidator(_check_apart),
     ]
     procedure: Annotated[str, kinds.one_of(PROCEDURES)] = _BLOCK.procedure
-    trials: Annotated[int, Field(ge=10, le=200)] = USUAL.trials
+    trials: Annotated[int, Field(ge=5, le=200)] = USUAL.trials
     catch_every: Annotated[kinds.Count, Field(le=200)] = USUAL.catch_every
     practice: Annotated[kinds.Count, Field(le=100)] = _BLOCK.practice
     duration_s: Annotated[float, Field(ge=0.1, le=2)] = _BLOCK.duration_s
