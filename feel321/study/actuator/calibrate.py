@@ -144,7 +144,12 @@ def calibrate_rig(
     """Measure the coils of a rig, make their filters, and verify them by playing through them."""
     require_sensor(rig)
     coils = {}
-    with _open_session(rig, rate_hz=rate_hz, on_step=on_step, is_stopping=is_stopping) as session:
+    n_longest, n_all = _count_samples(rig, rate_hz=rate_hz)
+    advance = _make_advance(on_step, total_s=n_all / rate_hz)
+    opened = open_session(
+        rig, rate_hz=rate_hz, n_longest=n_longest, advance=advance, is_stopping=is_stopping
+    )
+    with opened as session:
         noise_m_s2 = _measure_silence(session)
         for actuator in rig.actuators:
             try:
@@ -170,25 +175,16 @@ def require_sensor(rig: Rig) -> SensorTable:
 
 
 @contextmanager
-def _open_session(
-    rig: Rig, *, rate_hz: float, on_step: OnStep | None, is_stopping: Callable[[], bool]
+def open_session(
+    rig: Rig,
+    *,
+    rate_hz: float,
+    n_longest: int,
+    advance: Callable[[float], None] = lambda _: None,
+    is_stopping: Callable[[], bool] = lambda: False,
 ) -> Iterator[Session]:
-    """Open the stream; the longest sound is there from the start, because it decides how much can be recorded."""
-    main = make_main(rig, rate_hz=rate_hz, peak=1.0)
-    quiet = make_quiet(rig, rate_hz=rate_hz, peak=1.0)
-    per_coil = (2 * main.period * main.n_repeats + _count_noise(main)) + (
-        (1 + len(LADDER)) * quiet.period * quiet.n_repeats
-    )
-    total_s, done_s = SILENCE_S + len(rig.actuators) * per_coil / rate_hz, 0.0
-
-    def advance(seconds: float) -> None:
-        nonlocal done_s
-        done_s += seconds
-        if on_step is not None:
-            on_step(round(done_s), max(round(total_s), round(done_s)))
-
-    longest = max(main.period * main.n_repeats, _count_noise(main))
-    sounds: dict[str, Frames] = {"": np.zeros((longest, rig.n_channels), dtype=np.float32)}
+    """Open the stream; n_longest: samples of the longest sound, which decides how much can be recorded."""
+    sounds: dict[str, Frames] = {"": np.zeros((n_longest, rig.n_channels), dtype=np.float32)}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         with open_stream(rig, sounds, rate_hz=rate_hz, folder=folder, clock=perf_counter) as output:
@@ -203,10 +199,32 @@ def _open_session(
             )
 
 
+def _count_samples(rig: Rig, *, rate_hz: float) -> tuple[int, int]:
+    """Count the samples of the longest sound of a calibration, and of all sounds."""
+    main = make_main(rig, rate_hz=rate_hz, peak=1.0)
+    quiet = make_quiet(rig, rate_hz=rate_hz, peak=1.0)
+    lengths = [main.period * main.n_repeats, quiet.period * quiet.n_repeats, _count_noise(main)]
+    per_coil = 2 * lengths[0] + (1 + len(LADDER)) * lengths[1] + lengths[2]
+    return max(lengths), round(SILENCE_S * rate_hz) + len(rig.actuators) * per_coil
+
+
+def _make_advance(on_step: OnStep | None, *, total_s: float) -> Callable[[float], None]:
+    """Make the function that adds up the seconds played, and reports them."""
+    done_s = 0.0
+
+    def advance(seconds: float) -> None:
+        nonlocal done_s
+        done_s += seconds
+        if on_step is not None:
+            on_step(round(done_s), round(total_s))
+
+    return advance
+
+
 def measure_rest(rig: Rig, *, rate_hz: float) -> Samples:
     """Measure the mean of each axis of the sensor while nothing plays, shape (axes,) in m/s²."""
-    with _open_session(rig, rate_hz=rate_hz, on_step=None, is_stopping=lambda: False) as session:
-        n = round(SILENCE_S * rate_hz)
+    n = round(SILENCE_S * rate_hz)
+    with open_session(rig, rate_hz=rate_hz, n_longest=n) as session:
         rest: Samples = session.play(np.zeros(n), rig.actuators[0].channel).mean(axis=1)
         return rest
 

@@ -13,8 +13,14 @@ import numpy as np
 import pytest
 
 from feel321.study.actuator import calibrate as module
+from feel321.study.actuator import doctor, drift
 from feel321.study.actuator.calibrate import SweepStopped, calibrate_rig, find_failures
-from feel321.study.actuator.certificate import Certificate, find_certificate, list_certificates
+from feel321.study.actuator.certificate import (
+    Certificate,
+    find_certificate,
+    list_certificates,
+    write_certificate,
+)
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig
 from feel321.study.actuator.simulated import BLOCK_FRAMES, SimulatedStream
 from feel321.study.cli import main
@@ -296,3 +302,69 @@ def test_rest_is_what_the_sensor_measures_while_nothing_plays(rig: Rig) -> None:
     rest = module.measure_rest(rig, rate_hz=RATE_HZ)
     assert rest.shape == (3,)
     assert 0 < np.abs(rest).max() < 0.001
+
+
+def test_tones_are_of_whole_periods() -> None:
+    tones = drift.find_tones((20.0, 1000.0))
+    assert np.allclose(tones % 4, 0)
+    assert 15 <= len(tones) <= 18
+    assert (tones[0], tones[-1] > 800) == (20.0, True)
+
+
+def test_no_drift_is_found_where_there_is_none(rig: Rig, certificate: Certificate) -> None:
+    for one in drift.measure_drift(rig, certificate):
+        assert abs(one.median_db) < 0.2  # a coil that saturates is not the same at another level
+        assert abs(one.largest_db) < 0.5
+        assert one.n_tones > 10
+        assert one.find_fault(allowed_db=1.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "median_db", "reason"),
+    [
+        ({"full_scale_m_s2": 60.0 * 10 ** (-2 / 20)}, -2.0, "'right coil' drifted by -"),
+        ({"full_scale_m_s2": 30.0}, -6.0, "'right coil' drifted by -"),  # amplifier half
+        ({"direction": (1.0, 0.0, 0.0)}, -10.8, "'right coil' drifted by -1"),  # channels swapped
+        ({"resonance_hz": 220.0}, None, "'right coil' drifted by"),  # the mounting changed
+        ({"full_scale_m_s2": 1e-6}, None, " tones above the noise, expected 3"),  # coil dead
+    ],
+)
+def test_drift_is_measured_and_named(
+    rig: Rig, certificate: Certificate, changes: Any, median_db: float | None, reason: str
+) -> None:
+    left, right = drift.measure_drift(plant(rig, 1, **changes), certificate)
+    assert left.find_fault(allowed_db=1.0) == ""
+    assert reason in right.find_fault(allowed_db=1.0)
+    if median_db is not None:
+        assert right.median_db == pytest.approx(median_db, abs=0.25)
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "line"),
+    [({}, 0, ""), ({"full_scale_m_s2": 31.8}, 1, "coil 'left coil' drifted by -2.")],
+)
+def test_doctor_compares_with_the_certificate(
+    certificate: Certificate,
+    tmp_path: Path,
+    capsys: Any,
+    monkeypatch: Any,
+    change: Any,
+    code: int,
+    line: str,
+) -> None:
+    monkeypatch.setattr(doctor, "try_stops", lambda *_, **__: [])  # in real time
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    fresh = replace(certificate, expires_utc="2999-01-01T00:00:00+00:00")
+    write_certificate(fresh, tmp_path)
+    text = RIG if not change else RIG.replace("full_scale_m_s2 = 40.0", "full_scale_m_s2 = 31.8")
+    (tmp_path / "rig.toml").write_text(text.replace("speed = 100", "speed = 10"), encoding="utf-8")
+    assert main(["doctor", str(tmp_path), "--seconds", "0.01", "--json"]) == code
+    printed = capsys.readouterr()
+    assert line in printed.err
+    assert json.loads(printed.out)["calibration"]["certificate"] == certificate.id
+    expired = replace(certificate, id="29990101", expires_utc="2026-03-02T00:00:00+00:00")
+    for path in (tmp_path / "calibration").iterdir():
+        path.unlink()
+    write_certificate(expired, tmp_path)
+    assert main(["doctor", str(tmp_path), "--seconds", "0.01"]) == 1
+    assert "certificate 29990101 expired on 2026-03-02" in capsys.readouterr().err
