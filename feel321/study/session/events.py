@@ -10,7 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from pydantic import TypeAdapter
 
@@ -75,15 +75,6 @@ class RigAccepted(SessionEvent, event="rig_accepted"):
     rig: dict[str, Any] | None
     calibration: dict[str, Any] | str | None
     changes: list[str]
-
-
-def describe_as_left(begun: SessionBegun, accepted: Iterable[RigAccepted]) -> dict[str, Any]:
-    """Describe a session as it was begun, but with the rig that it went on with."""
-    data = begun.to_data()
-    for event in accepted:
-        presenter = data.get("presenter", {}) | {"rig": event.rig}
-        data |= {"presenter": presenter, "calibration": event.calibration}
-    return data
 
 
 class DeviceOpened(SessionEvent, event="device"):
