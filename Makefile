@@ -56,9 +56,10 @@ duplicates: .venv/.tests
 guards: .venv/.tests # sizes, docstrings, faces, wheel, pins, exclusions
 	$(PYTHON) -m pytest tests/house
 
-bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor, cost of the session engine
+bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor, cost of the session engine, thresholds recovered
 	$(PYTHON) tests/bench/bench.py
 	$(PYTHON) tests/bench/engine.py
+	$(PYTHON) tests/bench/thresholds.py
 
 soak: .venv/.tests ## the tests that take minutes
 	$(PYTHON) -m pytest -m "soak or hypothesis" --hypothesis-profile=soak $(ARGS) || [ $$? -eq 5 ]  # pytest's 5: there is none

@@ -107,7 +107,7 @@ class ThresholdPlan:
         return self.trials + (self.trials // self.catch_every if self.catch_every else 0)
 
 
-USUAL = ThresholdPlan(lowest_db=-60.0, highest_db=0.0, start_db=-5.0, trials=40, catch_every=8)
+USUAL = ThresholdPlan(lowest_db=-60.0, highest_db=0.0, start_db=-5.0, trials=60, catch_every=10)
 """Settings for vibrations of 20 to 300 Hz at the hand, in dB relative to 1 m/s² RMS."""
 
 
@@ -124,7 +124,8 @@ class ThresholdEstimate(Result):
     """A person's detection threshold in dB and Weibull slope, with 95 % intervals; NaN where there is no estimate.
 
     trials: answered, with vibration. at_limit: those at the rig's lowest or highest level. reversals: of a staircase
-    that entered its estimate. catch_correct: of `catch_trials`; by guessing, half.
+    that entered its estimate. catch_correct: of `catch_trials`; by guessing, half. is_beyond: the interval reaches
+    beyond the rig's levels.
     """
 
     procedure: str
@@ -140,6 +141,7 @@ class ThresholdEstimate(Result):
     reversals: int
     catch_trials: int
     catch_correct: int
+    is_beyond: bool
     notes: tuple[str, ...]
 
 
@@ -316,6 +318,7 @@ def estimate_threshold(procedure: Procedure) -> ThresholdEstimate:
         reversals=len(late),
         catch_trials=len(silent),
         catch_correct=sum(silent),
+        is_beyond=low < plan.lowest_db or high > plan.highest_db,
         notes=(*_note_range(plan, (mean, low, high)), *_note_answers(procedure, silent)),
     )
 
@@ -341,15 +344,15 @@ def _note_answers(procedure: Procedure, silent: Sequence[bool]) -> list[str]:
     notes = {
         f"broken off: {left} trials not answered": left > 0,
         f"{sum(silent)} of {len(silent)} silent catch trials correct: the vibration may be known "
-        "by something else than feeling it": _find_tail(sum(silent), len(silent)) < UNLIKELY,
+        "by something else than feeling it": find_tail(sum(silent), len(silent)) < UNLIKELY,
         f"interval 1 answered in {first} of {len(answers)} trials": 2
-        * _find_tail(max(first, len(answers) - first), len(answers))
+        * find_tail(max(first, len(answers) - first), len(answers))
         < UNLIKELY,
     }
     return [note for note, holds in notes.items() if holds]
 
 
-def _find_tail(hits: int, trials: int) -> float:
+def find_tail(hits: int, trials: int) -> float:
     """Probability of so many hits or more by guessing."""
     return sum(math.comb(trials, count) for count in range(hits, trials + 1)) / (1 << trials)
 

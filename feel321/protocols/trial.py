@@ -26,7 +26,7 @@ SURFACE = "surface"
 ORIGINAL = "original"
 """Name of the recording itself as a reference."""
 
-FLAGS = ("underrun", "clipped", "device_error", "too_fast", "not_felt")
+FLAGS = ("underrun", "clipped", "device_error", "not_delivered", "too_fast", "not_felt")
 """What can be wrong with an attempt at a trial."""
 
 PAGES = (
@@ -266,9 +266,13 @@ class Flow:
     reject : tuple of str
         Flags that make a trial bad, of `underrun`, `clipped`, `device_error`, `too_fast` and `not_felt`: its
         rating does not count, and it is tried again. Where no answer could be given, because the device
-        failed or a stimulus that is felt only once was cut short, it always is.
+        failed, did not deliver what was asked, or a stimulus that is felt only once was cut short, it always is.
     gap_s : float
         Silence in s before each part of a trial.
+    level_error_db : float or None
+        Largest deviation of a measured playback's level, in dB, on a calibrated rig; None for any.
+    min_coherence : float
+        Least coherence of a measured playback with what was asked, 0 to 1.
 
     Examples
     --------
@@ -287,6 +291,8 @@ class Flow:
     max_attempts: int = 3
     reject: tuple[str, ...] = ("underrun", "device_error", "too_fast", "not_felt")
     gap_s: float = 0.5
+    level_error_db: float | None = 3.0
+    min_coherence: float = 0.3
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ The ledger may lag behind a journal: a kill may come between a record and the no
 has noted every session that came beyond its opening.
 """
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
@@ -23,8 +24,9 @@ from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import ASIDE, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
-from feel321.study.folder import MANIFEST_JSON, StudyFolder, read_origin
+from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
 from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
+from feel321.study.ledger.rigs import describe_rigs, find_rig_use
 from feel321.study.ledger.slots import Entry, find_lost, read_study_ledger
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
@@ -302,7 +304,24 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
         is_older = datetime.fromisoformat(record.utc) < datetime.fromisoformat(before.utc)
         if is_older and record.event != events.ClockStepped.event:
             yield f", line {record.sequence + 1}: is older than the line before, and nothing says why"
-    yield from audit_steps(chain.records, plan)
+    steps = list(audit_steps(chain.records, plan))
+    yield from steps
+    if not steps:  # else records need not be as they should
+        yield from _audit_delivered(chain.records, path.parent / DELIVERED)
+
+
+def _audit_delivered(records: Sequence[Record], folder: Path) -> Iterator[str]:
+    """Compare the files of what was rendered or measured with their digests in the journal."""
+    for record in records:
+        played = record.content if record.event == events.PartPlayed.event else None
+        if not isinstance(played, events.PartPlayed) or not played.delivered_sha256:
+            continue
+        path = folder / name_delivered(int(played.measured.get("file_number", 0)))
+        name = f", line {record.sequence + 1}: {folder.name}/{path.name}"
+        if not path.is_file():
+            yield f"{name} is gone; restore it from a copy"
+        elif hashlib.sha256(path.read_bytes()).hexdigest() != played.delivered_sha256:
+            yield f"{name} was changed since it was written; restore it from a copy"
 
 
 def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) -> Iterator[str]:
@@ -348,6 +367,19 @@ def audit_entry(study: StudyFolder, folder: Path, entry: Entry) -> Iterator[str]
         yield f"{who} has done {entry.done}, the journals say {reached}; {rebuild}"
     if entry.total not in {0, total}:
         yield f"{who} has total {entry.total}, the plan says {total}; {rebuild}"
+
+
+def list_remarks(study: StudyFolder) -> Iterator[str]:
+    """List what no record contradicts and is worth knowing: participants on another rig, onsets that are estimates."""
+    uses = []
+    for folder in study.participants:
+        journals = list_journals(folder)
+        try:
+            if journals and not (folder / TOMBSTONE_FILE).exists():
+                uses.append(find_rig_use(folder.name, read_journal(journals[-1]).records))
+        except (*MALFORMED, OSError, ValueError):
+            continue  # among the findings
+    yield from describe_rigs(uses)
 
 
 # The whole study: plans, journals, stimuli, ledger.

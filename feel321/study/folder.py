@@ -25,8 +25,22 @@ LEDGER_FILE = "ledger.sqlite"
 LEDGER_FILES = "ledger."
 """How the names of all files of the ledger begin: the database, what it keeps beside itself, the log."""
 
+DELIVERED = "delivered"
+"""Folder, in each participant's, of the samples that were rendered or measured at each playback."""
+
 TEMPLATES = files("feel321.study") / "settings"
 BUNDLED = TEMPLATES / "bundled"
+
+
+def name_delivered(number: int) -> str:
+    """Name the file of a playback.
+
+    Examples
+    --------
+    >>> name_delivered(12)
+    '0012.wav'
+    """
+    return f"{number:04}.wav"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +83,11 @@ class StudyFolder:
     def ledger_log(self) -> Path:
         """What the ledger forgot when it was rebuilt."""
         return self.sessions / "ledger.log"
+
+    @property
+    def calibration(self) -> Path:
+        """The certificates of the rig."""
+        return self.path / "calibration"
 
     @property
     def ratings(self) -> Path:

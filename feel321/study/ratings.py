@@ -15,6 +15,8 @@ from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
+from feel321.study.sensation import find_own_levels
+from feel321.study.session.codes import list_by_code
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -23,13 +25,7 @@ from feel321.study.session.events import (
     TrialShown,
 )
 from feel321.study.session.journal import Records, list_journals, name_journal, read_journal
-from feel321.study.session.plan import (
-    TOMBSTONE_FILE,
-    Plan,
-    list_by_code,
-    read_as_written,
-    require_own_plan,
-)
+from feel321.study.session.plan import TOMBSTONE_FILE, Plan, read_as_written, require_own_plan
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
@@ -72,7 +68,8 @@ def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
                 remedy = "move a copy out of sessions/, or restore the plan from one"
                 raise ValueError(f"{path}{fault}; {remedy}")
             judged = _list_judgements(plan, records, path=path)
-            own = [_decode(row, header, by_code) for row in judged]
+            levels = find_own_levels(plan, records, stimuli)
+            own = [_decode(row, header, by_code, levels=levels) for row in judged]
             rows += sorted(own, key=lambda row: row["trial"])
     return rows
 
@@ -86,7 +83,11 @@ def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str
 
 
 def _decode(
-    row: dict[str, Any], header: SessionBegun, by_code: Mapping[str, Stimulus]
+    row: dict[str, Any],
+    header: SessionBegun,
+    by_code: Mapping[str, Stimulus],
+    *,
+    levels: Mapping[str, float],
 ) -> dict[str, Any]:
     stimulus, reference = by_code[row["stimulus_id"]], by_code.get(row["reference_id"])
     return row | {
@@ -98,6 +99,7 @@ def _decode(
         "level": stimulus.level,
         "reference_id": reference.stimulus_id if reference else row["reference_id"],
         "simulated": _write_flag(header.identity["presenter"]["simulated"]),
+        "sensation_level_db": levels.get(stimulus.stimulus_id, ""),
     }
 
 
@@ -127,7 +129,7 @@ def _judge(
     trial: Trial, rated: TrialRated, played: Sequence[PartPlayed], *, superseded: bool
 ) -> Iterator[dict[str, Any]]:
     points = score_trial(trial, rated.values)
-    onsets = {part.part: part.onset_s for part in played if part.completed}
+    felt = {part.part: part for part in played if part.completed}
     for judgement in trial.judgements:
         yield {
             "protocol": trial.protocol,
@@ -139,10 +141,22 @@ def _judge(
             "scale": trial.scale,
             "rating": points[judgement.part],
             "response_time_s": rated.response_time_s,
-            "onset_s": onsets[judgement.part],
+            "onset_s": felt[judgement.part].onset_s,
             "underruns": sum(part.underruns for part in played),
             "rejected": _write_flag(rated.rejected or superseded),
+            **_describe_delivered(felt[judgement.part].delivered),
         }
+
+
+def _describe_delivered(delivered: Mapping[str, float]) -> dict[str, Any]:
+    """Describe what the hand got of a playback; only a sensor gives a coherence."""
+    matches = ("spectral_match", "temporal_match", "spectral_match_bounded")
+    source = ("sensor" if "coherence" in delivered else "certificate") if delivered else ""
+    return {
+        **{f"{name}_delivered": delivered.get(name, "") for name in matches},
+        "level_error_db": delivered.get("level_error_db", ""),
+        "delivered_by": source,
+    }
 
 
 def _write_flag(flag: bool) -> str:  # noqa: FBT001 - the flag is the value, not an option

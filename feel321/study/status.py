@@ -18,6 +18,7 @@ from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
+from feel321.study.ledger.rigs import RigUse, describe_rigs, find_rig_use
 from feel321.study.minutes import (
     Length,
     Sitting,
@@ -28,6 +29,7 @@ from feel321.study.minutes import (
 )
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
+from feel321.study.thresholds import find_warnings, read_thresholds
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -206,6 +208,7 @@ class ParticipantStatus:
     problem: str = ""
     notes: tuple[Note, ...] = ()
     left_min: float | None = None
+    rig: RigUse | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -229,7 +232,8 @@ class Status(Result):
         for entry in self.participants:
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         length = [] if self.length is None else [self.length.describe()]
-        return "\n".join([*lines, *length, *describe_balance(self.balance)])
+        uses = [entry.rig for entry in self.participants if entry.rig]
+        return "\n".join([*lines, *describe_rigs(uses), *length, *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
         """Write what `feel321 status --notes` adds."""
@@ -318,6 +322,7 @@ def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
         last_activity=progress.last_utc,
         warnings=tuple(warnings),
         notes=notes,
+        rig=find_rig_use(progress.participant, dossier.records),
     )
     return entry, dossier
 
@@ -331,6 +336,7 @@ def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
         yield "training not passed"
     if given_up := sum(end.given_up for end in chain.records.find(SessionFinished)):
         yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
+    yield from find_warnings(read_thresholds(plan, chain.records))
     caught = find_catches(plan, chain.records)
     if missed := sum(not as_expected for as_expected in caught):
         yield f"{missed} of {len(caught)} catch trials not as expected"

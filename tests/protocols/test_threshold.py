@@ -285,7 +285,7 @@ def test_catch_trials_do_not_touch_levels(name: str) -> None:
 
 
 def test_guessing_by_the_binomial_distribution() -> None:
-    tails = [module._find_tail(hits, 6) for hits in (0, 5, 6)]
+    tails = [module.find_tail(hits, 6) for hits in (0, 5, 6)]
     assert tails == [1, 7 / 64, 1 / 64]
     assert module._binary_entropy(np.array([0, 0.5, 1 + 2**-50])).tolist() == [0, 1, 0]
 

@@ -12,8 +12,9 @@ from feel321.protocols.tasks import make_task
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ratings import read_judgements, write_ratings
+from feel321.study.session.codes import list_codes
 from feel321.study.session.journal import START, create_journal, digest, write_line
-from feel321.study.session.plan import Stale, create_plan, list_codes, make_plan
+from feel321.study.session.plan import Stale, create_plan, make_plan
 from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:
@@ -49,7 +50,8 @@ def read(path: Path) -> list[dict[str, str]]:
 def test_columns_are_those_that_were_promised() -> None:
     assert ", ".join(RATING_COLUMNS) == (
         "participant, session, protocol, block, trial, repeat, stimulus_id, recording, reducer, level, reference_id, "
-        "scale, rating, response_time_s, onset_s, underruns, rejected, simulated"
+        "scale, rating, response_time_s, onset_s, underruns, rejected, simulated, spectral_match_delivered, "
+        "temporal_match_delivered, spectral_match_bounded_delivered, level_error_db, delivered_by, sensation_level_db"
     )
 
 
@@ -108,6 +110,52 @@ def test_onset_is_that_of_what_is_judged_as_felt_last_and_underruns_add_up(
         *range(1, 21),
         11,
     ])  # though it came again later
+
+
+MEASURED = {
+    "spectral_match": 0.5,
+    "temporal_match": 0.25,
+    "level_error_db": -1.5,
+    "lag": 300.0,
+    "polarity": 1.0,
+    "coherence": 0.9,
+    "rms_m_s2": 2.0,
+    "is_calibrated": 1.0,
+}
+
+
+@pytest.mark.parametrize(
+    ("delivered", "expected"),
+    [
+        (MEASURED, (0.5, 0.25, "", -1.5, "sensor")),
+        (
+            {"spectral_match_bounded": 0.75, "level_error_db": 2.0},
+            ("", "", 0.75, 2.0, "certificate"),
+        ),
+        ({}, ("", "", "", "", "")),
+    ],
+)
+def test_a_row_has_what_was_delivered_of_the_playback_that_was_judged(
+    present: Present,
+    scripted: type,
+    stimuli: StimulusSet,
+    tmp_path: Path,
+    delivered: dict[str, float],
+    expected: tuple[Any, ...],
+) -> None:
+    again = [Feel(0.0), Confirm(0.0, {"test": 50.0}, 1.5)]
+    other = {**MEASURED, "spectral_match": 0.125}
+    plays = [
+        Playback(1.0, 1.0, delivered=other),  # of the reference
+        Playback(2.0, 2.5, delivered=other),
+        Playback(3.0, 3.5, delivered=other),
+        Playback(4.0, 4.5, delivered=delivered),
+    ]
+    present(scripted(acts={(11, 1): again}, playbacks={(11, 1): plays}))
+    (row,) = (
+        row for row in read_judgements(tmp_path / "sessions" / "p01", stimuli) if row["trial"] == 11
+    )
+    assert tuple(row[name] for name in RATING_COLUMNS[-6:-1]) == expected
 
 
 def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(

@@ -49,6 +49,9 @@ NAMING = ("recording", "reducer", "level")
 IDENTITY = ("stimulus_id", "recording", "reducer")
 AMPLITUDE, GAIN, SENSATION = "rms_m_s2", "gain", "sensation_level_db"
 
+ERROR, SOURCE = "level_error_db", "delivered_by"
+"""Columns on what was delivered, beside the metrics."""
+
 YES = frozenset({"true", "1", "yes"})
 NO = frozenset({"false", "0", "no", ""})
 
@@ -106,6 +109,8 @@ RATINGS: Mapping[str, ColumnInfo] = {
     "underruns": ColumnInfo("interruptions of playback", "count", kind="count"),
     "rejected": ColumnInfo("whether the judgement does not count", "true or false", kind="flag"),
     "simulated": ColumnInfo("whether the participant is a program", "true or false", kind="flag"),
+    ERROR: ColumnInfo("level of the vibration delivered, over that asked for", "dB", kind="error"),
+    SOURCE: ColumnInfo("what the delivered metrics rest on: sensor, certificate, or nothing"),
 }
 """One row per judgement."""
 
@@ -224,6 +229,7 @@ KINDS: Mapping[str, Kind] = {
         f"be 1 or less, and no more than {LARGEST:g} in size", "",
         lambda values: ~(values.abs() > LARGEST),
     ),
+    "error": Kind("be a number or empty", "", lambda values: ~(values.abs() > LARGEST)),
     "known": Kind("be a number or empty", "", lambda values: values.notna()),
 }  # fmt: skip
 """Kinds of columns that hold numbers; others are ``name``, ``flag``, and plain text."""

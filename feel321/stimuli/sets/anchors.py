@@ -165,9 +165,15 @@ def felt_level(
 
 
 def loudest_levels(
-    acceleration: Samples, rate_hz: float, thresholds: Iterable[str] = (CONTACTOR,)
+    acceleration: Samples,
+    rate_hz: float,
+    thresholds: Iterable[str] = (CONTACTOR,),
+    *,
+    shift_db: Callable[[Samples], Samples] | None = None,
 ) -> dict[str, float]:
     """Largest root mean square in any 200 ms, 20 to 1000 Hz, as a multiple of each threshold; axes add by energy.
+
+    shift_db: how far a person's own threshold lies above each of these, by frequency in Hz.
 
     Before and after the signal is silence, so that appending some changes nothing, and a signal shorter than 200 ms
     has the level that its energy gives over 200 ms.
@@ -183,6 +189,8 @@ def loudest_levels(
     levels = {}
     for name in thresholds:
         weights = _weigh(frequency[felt], threshold=name, edge_octaves=EDGE_OCTAVES)
+        if shift_db is not None:
+            weights[1:] *= 10 ** (-shift_db(frequency[felt][1:]) / 20)  # nothing is felt at 0 Hz
         energy = np.square(np.atleast_2d(fft.irfft(spectrum * weights, padded))).sum(axis=0)
         summed = np.concatenate([[0.0], np.cumsum(energy)])
         most = max((summed[window:] - summed[:-window]).max(), 0.0)

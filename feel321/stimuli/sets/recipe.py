@@ -247,6 +247,36 @@ def measure_recording(
     return {draft.key: note for draft, _, note in _render(recording, drafts, recipe)}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduction:
+    """What a stimulus was made from, at the recording's rate, as its metrics saw it.
+
+    acceleration: of the conditioned recording, shape (3, n); samples: its reduction, (n,), or itself, (3, n), in m/s²;
+    factor: m/s² that are played at unit gain per m/s² of the samples.
+    """
+
+    acceleration: Samples
+    rate_hz: float
+    samples: Samples
+    factor: float
+
+
+def reduce_again(
+    recording: Recording, reducers: Collection[str], recipe: Recipe
+) -> dict[str, Reduction]:
+    """Make again what stimuli of one recording were made from, by reducer; `original` and anchors are among them."""
+    scale = _make_scale(condition(recording, recipe.conditioning), recipe)
+    ready, found = scale.recording, {}
+    for name in reducers:
+        samples, played = _play(name, scale, recipe)
+        factor = 1.0
+        if name in ANCHORS:  # made as strong as its recording
+            own = _for_the_rig(samples, ready.rate_hz, recipe)
+            factor = float(np.linalg.norm(played) / np.linalg.norm(own))
+        found[name] = Reduction(ready.acceleration, ready.rate_hz, samples, factor)
+    return found
+
+
 def part_path(parts: Path, key: str) -> Path:
     """Path of a rendered stimulus, in m/s², until the set is complete."""
     return parts / f"{key}.wav"

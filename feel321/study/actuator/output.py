@@ -7,6 +7,7 @@ that was just opened loses its first samples on some devices, so nothing is sche
 a device that runs dry, stands still or disappears is reported in the playback, not raised.
 """
 
+import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from math import isnan
@@ -25,7 +26,18 @@ from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify
 from feel321.study.actuator.simulated import SIMULATED, SimulatedStream
 from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
+from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Tone
+from feel321.types import Samples
+
+
+class Check(Protocol):
+    """Compares playbacks with what was asked: `delivered.DeliveryCheck`."""
+
+    def describe(
+        self, stimulus_id: str, sent: Frames, measured: ArrayLike | None
+    ) -> Mapping[str, float]:
+        """Describe a completed playback; sent: (n, channels); measured: m/s², (axes, m), None without a sensor."""
 
 
 class Output(Protocol):
@@ -49,13 +61,17 @@ class Output(Protocol):
         """Report what became of the stimulus that was started last, once it no longer plays."""
 
 
-def write_delivered(folder: Path, samples: ArrayLike, *, rate_hz: float) -> int:
-    """Write samples to a WAV file with the next free number; a name would tell the experimenter what was played."""
+def write_delivered(folder: Path, samples: ArrayLike, *, rate_hz: float) -> tuple[int, str]:
+    """Write samples to a WAV file with the next free number, and return that and the file's digest.
+
+    A name would tell the experimenter what was played.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     numbers = [int(path.stem) for path in folder.glob("*.wav") if path.stem.isdecimal()]
     number = max(numbers, default=0) + 1
-    write_wav(folder / f"{number:04}.wav", samples, rate_hz)
-    return number
+    path = folder / name_delivered(number)
+    write_wav(path, samples, rate_hz)
+    return number, hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 BLOCK_FRAMES = 512  # longest delay of a stop, as with a device
@@ -68,9 +84,17 @@ class FileOutput:
     """
 
     def __init__(
-        self, rig: Rig, sounds: Sounds, *, rate_hz: float, folder: Path, clock: SessionClock
+        self,
+        rig: Rig,
+        sounds: Sounds,
+        *,
+        rate_hz: float,
+        folder: Path,
+        clock: SessionClock,
+        check: Check | None = None,
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
+        self._check, self._name = check, ""
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=0.0)
         self._block = np.zeros((BLOCK_FRAMES, rig.n_channels), dtype=np.float32)
         self._blocks: list[Frames] = []
@@ -90,8 +114,9 @@ class FileOutput:
 
     def start(self, stimulus: Stimulus | Tone, *, gap_s: float) -> None:
         """Begin a playback."""
+        self._name = stimulus.stimulus_id
         scale = stimulus.scale if isinstance(stimulus, Tone) else 1.0
-        self._cue = self._mixer.start(stimulus.stimulus_id, gap_s=gap_s, scale=scale)
+        self._cue = self._mixer.start(self._name, gap_s=gap_s, scale=scale)
         self._blocks = []
         self._begin_s, self._first_frame = self._clock(), self._mixer.frame
         self._requested_s = self._begin_s + gap_s
@@ -118,10 +143,10 @@ class FileOutput:
         if cue is None or not cue.is_over:
             raise ValueError("no playback is over; start one and wait until is_playing is False")
         onset_s = self._begin_s + (cue.onset_frame - self._first_frame) / self._rate_hz
-        error, measured = "", {"n_samples": float(cue.n_played)}
+        error, sha256, measured = "", "", {"n_samples": float(cue.n_played)}
         try:
             samples = np.concatenate(self._blocks).T
-            number = write_delivered(self._folder, samples, rate_hz=self._rate_hz)
+            number, sha256 = write_delivered(self._folder, samples, rate_hz=self._rate_hz)
             measured["file_number"] = float(number)
         except OSError as problem:
             error = str(problem)
@@ -132,6 +157,8 @@ class FileOutput:
             completed=cue.is_complete,
             error=error,
             measured=measured,
+            delivered=_describe(self._check, self._name, cue, measured=None),
+            delivered_sha256=sha256,
         )
 
     def _fill(self) -> None:
@@ -241,9 +268,17 @@ class StreamOutput:
     """Plays stimuli, shape (n_samples, channels), through one running stream; `open_stream` opens and closes it."""
 
     def __init__(
-        self, rig: Rig, sounds: Sounds, *, rate_hz: float, folder: Path, clock: SessionClock
+        self,
+        rig: Rig,
+        sounds: Sounds,
+        *,
+        rate_hz: float,
+        folder: Path,
+        clock: SessionClock,
+        check: Check | None = None,
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
+        self._check, self._name = check, ""
         preroll_s = PREROLL_S + 2 * rig.device.latency_s
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=preroll_s)
         self._connection = Connection(
@@ -284,7 +319,7 @@ class StreamOutput:
 
     def start(self, stimulus: Stimulus | Tone | str, *, gap_s: float) -> None:
         """Schedule silence, then a stimulus; a dead device is opened again first, if it can be."""
-        name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
+        self._name = name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
         self._error = self._connection.revive()
         stream = self._connection.stream
         self._requested_s = self._clock() + gap_s
@@ -339,10 +374,14 @@ class StreamOutput:
         was_cut = 0 < cue.n_played < len(cue.sound)
         if self._stopped_s is not None and take.end_s is not None and was_cut:
             measured["stop_s"] = take.end_s + ahead_s - self._stopped_s
+        sensed, sha256 = self._scale_sensed(take), ""
         try:
-            measured |= self._write_sensed(take)
+            if sensed is not None:
+                number, sha256 = write_delivered(self._folder, sensed, rate_hz=self._rate_hz)
+                measured |= self._describe_sensed(take, number)
         except OSError as problem:
             self._error = self._error or str(problem)
+        is_whole = take.is_out and not take.n_underruns and not take.n_sensor_gaps
         return Playback(
             requested_s=self._requested_s,
             onset_s=None if take.onset_s is None else take.onset_s + ahead_s,
@@ -352,20 +391,24 @@ class StreamOutput:
             error=self._error,
             measured=measured | {"latency_s": self._latency_s},
             dac_source=take.dac_source,
+            delivered=_describe(self._check, self._name, cue, measured=sensed) if is_whole else {},
+            delivered_sha256=sha256,
         )
 
-    def _write_sensed(self, take: Take) -> dict[str, float]:
-        """Write what the sensor measured, in m/s², from the frame on in which the onset was sent.
+    def _scale_sensed(self, take: Take) -> Samples | None:
+        """Scale what the sensor measured to m/s², (axes, n), from the frame on in which the onset was sent.
 
         So recordings of one session are aligned to the sample: the onset stands at the same sample in all of them,
         which is the way there and back and is measured by doctor. They are not cut there by the times that the device
         gives of its input, which can be wrong by much more (10 ms and, at a stream's begin, 0.4 s were seen).
         """
         if self._rig.sensor is None or not len(take.sensed):
-            return {}
-        samples = take.sensed.T * np.float32(self._rig.sensor.full_scale_m_s2)
+            return None
+        return np.asarray(take.sensed.T * np.float32(self._rig.sensor.full_scale_m_s2))
+
+    def _describe_sensed(self, take: Take, number: int) -> dict[str, float]:
         return {
-            "file_number": float(write_delivered(self._folder, samples, rate_hz=self._rate_hz)),
+            "file_number": float(number),
             "sensor_onset_sample": float(round(take.sensor_latency_s * self._rate_hz)),
             "sensor_gaps": float(take.n_sensor_gaps),
         }
@@ -382,12 +425,27 @@ class StreamOutput:
         take.longest_s = max(take.longest_s, perf_counter() - begin_s)
 
 
+def _describe(
+    check: Check | None, stimulus_id: str, cue: Cue, *, measured: ArrayLike | None
+) -> Mapping[str, float]:
+    """Compare a playback that came to its end with what was asked."""
+    if check is None or not cue.is_complete:
+        return {}
+    return check.describe(stimulus_id, cue.sound, measured)
+
+
 @contextmanager
 def open_stream(
-    rig: Rig, sounds: Sounds, *, rate_hz: float, folder: Path, clock: SessionClock
+    rig: Rig,
+    sounds: Sounds,
+    *,
+    rate_hz: float,
+    folder: Path,
+    clock: SessionClock,
+    check: Check | None = None,
 ) -> Iterator[StreamOutput]:
     """Open the device of a rig, and silence and close it whatever happens."""
-    output = StreamOutput(rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock)
+    output = StreamOutput(rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock, check=check)
     try:
         output.open()
         yield output

@@ -7,7 +7,7 @@ import csv
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -15,9 +15,11 @@ from typing import Any
 from feel321.files import write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
 from feel321.study.folder import StudyFolder
+from feel321.study.ledger.rigs import find_rig_use
 from feel321.study.session import plan as plans
 from feel321.study.session.events import NoteTaken, PageRead, SessionFinished, SessionReleased
 from feel321.study.session.journal import START, Chain, Records, digest, list_journals
+from feel321.study.thresholds import list_columns, read_thresholds
 
 ROSTER_FILE = "participants.csv"
 
@@ -168,7 +170,10 @@ class Progress:
     first_utc: str = ""
     last_utc: str = ""
     training_passed: bool | None = None
+    rig: str = ""
+    calibration: str = ""
     problem: str = ""
+    thresholds: Mapping[str, float | str] = field(default_factory=dict)
 
 
 def list_progress(study: StudyFolder) -> list[Progress]:
@@ -195,6 +200,7 @@ def make_progress(dossier: plans.Dossier) -> Progress:
     """Derive the progress of one participant from plan and journals."""
     plan, newest = dossier.plan, dossier.records
     records = [record for chain in dossier.chains for record in chain.records]
+    use = find_rig_use(plan.participant, newest)
     times = [record.utc for record in records if record.event != NoteTaken.event]
     with plans.read_as_written(dossier.newest):
         return Progress(
@@ -209,6 +215,9 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             first_utc=times[0] if times else "",
             last_utc=times[-1] if times else "",
             training_passed=_find_training(newest),
+            rig=use.rig,
+            calibration=use.calibration,
+            thresholds=list_columns(read_thresholds(plan, newest)),
         )
 
 
@@ -234,13 +243,14 @@ def write_roster(study: StudyFolder) -> Path:
             raise ValueError(progress.problem)
     factors = dict.fromkeys(factor for progress in everybody for factor in progress.groups)
     text = io.StringIO(newline="")
-    columns = [*PARTICIPANT_COLUMNS, *factors, *LAST_PARTICIPANT_COLUMNS]
+    measured = dict.fromkeys(name for progress in everybody for name in progress.thresholds)
+    columns = [*PARTICIPANT_COLUMNS, *factors, *LAST_PARTICIPANT_COLUMNS, *measured]
     table = csv.DictWriter(text, columns, extrasaction="ignore")
     table.writeheader()
     flags = {True: "true", False: "false", None: ""}
     for progress in everybody:
         row = {name: getattr(progress, name) for name in Progress.__slots__}
-        row |= progress.groups
+        row |= {**progress.groups, **progress.thresholds}
         row["sessions"] = len(progress.anchors)
         row |= {name: flags[row[name]] for name in ("simulated", "training_passed")}
         table.writerow(row)

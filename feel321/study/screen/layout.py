@@ -518,8 +518,10 @@ class _TrialLayout:
     def add_choice(self, box: Box) -> None:
         """Set what can be chosen side by side; what was chosen is framed and marked."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        count = len(self.scale.choices)
-        width, height, gap = 34 * unit, min(22 * unit, box.height), 8 * unit
+        count, names = len(self.scale.choices), map(self.texts.name_part, self.scale.choices)
+        widest = max(sheet.measure(name, 2 * QUESTION, bold=True) for name in names)
+        width, height = max(34 * unit, widest + 6 * unit), min(22 * unit, box.height)
+        gap = 8 * unit
         left = (sheet.width - count * width - (count - 1) * gap) / 2
         top = box.top + (box.height - height) / 2
         for place, name in enumerate(self.scale.choices):

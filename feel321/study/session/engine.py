@@ -18,7 +18,8 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
 from feel321.study.session import events, ports
-from feel321.study.session.plan import Plan, advance, list_by_code, recall_detection, replay
+from feel321.study.session.codes import list_by_code
+from feel321.study.session.plan import Plan, advance, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:
@@ -184,7 +185,9 @@ class _Lead:
         if self.failures >= DEVICE_ERRORS:
             journal = self.setup.journal
             played = list(journal.records.find(events.PartPlayed))
-            self.fault = (played[-1].error if played else "") or ", ".join(flags)
+            last = played[-1] if played else None
+            found = last and (last.error or events.find_loss(last.delivered, self.setup.flow))
+            self.fault = found or ", ".join(flags)
             self.aside = Page("call_us", by="experimenter")
             journal.write(events.DeviceFailed(self.fault, journal.records.find_elapsed()))
 
@@ -260,7 +263,8 @@ class _Attempt(events.Attempt):
             self.take(played)
             self._time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
             _stop_or_pause(playback.act)
-            if playback.error or not playback.completed:
+            is_lost = events.find_loss(played.delivered, self._setup.flow)
+            if playback.error or not playback.completed or is_lost:
                 return
 
     def _present(self, detection: Detection) -> tuple[float, dict[str, ports.Tone]]:
@@ -367,6 +371,8 @@ def _describe_playback(playback: ports.Playback) -> dict[str, Any]:
         "error": playback.error,
         "measured": {name: float(value) for name, value in measured if isfinite(value)},
         "dac_source": playback.dac_source,
+        "delivered": {k: float(v) for k, v in playback.delivered.items() if isfinite(v)},
+        "delivered_sha256": playback.delivered_sha256,
     }
 
 

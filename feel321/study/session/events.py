@@ -10,7 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from pydantic import TypeAdapter
 
@@ -67,6 +67,23 @@ class SessionResumed(SessionEvent, event="resumed"):
     versions: dict[str, str]
     system: str
     clock: dict[str, float]
+
+
+class RigAccepted(SessionEvent, event="rig_accepted"):
+    """The session goes on with another rig or certificate than it was begun with; changes: old -> new, by setting."""
+
+    rig: dict[str, Any] | None
+    calibration: dict[str, Any] | str | None
+    changes: list[str]
+
+
+def describe_as_left(begun: SessionBegun, accepted: Iterable[RigAccepted]) -> dict[str, Any]:
+    """Describe a session as it was begun, but with the rig that it went on with."""
+    data = begun.to_data()
+    for event in accepted:
+        presenter = data.get("presenter", {}) | {"rig": event.rig}
+        data |= {"presenter": presenter, "calibration": event.calibration}
+    return data
 
 
 class DeviceOpened(SessionEvent, event="device"):
@@ -186,10 +203,13 @@ class PartPlayed(AttemptEvent, event="played"):
     error: str
     measured: dict[str, float] = field(default_factory=dict)
     dac_source: str = ""
+    delivered: dict[str, float] = field(default_factory=dict)
+    delivered_sha256: str = ""
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields; what only some devices give is left out where it is empty."""
-        optional = {"measured": self.measured, "dac_source": self.dac_source}
+        names = ("measured", "dac_source", "delivered", "delivered_sha256")
+        optional = {name: getattr(self, name) for name in names}
         return {k: v for k, v in super().to_data().items() if optional.get(k, True)}
 
 
@@ -252,11 +272,15 @@ class TrialSpoiled(AttemptEvent, event="spoiled"):
 REPAIRS = (ClockStepped, LineRecovered)
 """May come anywhere in a journal."""
 
-OPENING = (*REPAIRS, NoteTaken, DeviceOpened, SessionResumed)
+OPENING = (*REPAIRS, NoteTaken, DeviceOpened, RigAccepted, SessionResumed)
 """May come before anybody has come back to work."""
 
 UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)
 """May come in a journal in which nobody has done anything yet."""
+
+
+UNCALIBRATED = "uncalibrated"
+"""In a header, in place of the identity of a certificate, where the rig has no valid one."""
 
 
 def find_kind(name: str) -> type[SessionEvent]:
@@ -325,6 +349,7 @@ class Attempt:
             "underrun": any(part.underruns for part in parts),
             "clipped": any(part.clipped for part in parts),
             "device_error": any(part.error for part in parts),
+            "not_delivered": any(find_loss(part.delivered, flow) for part in parts),
             "too_fast": response_time_s is not None and response_time_s < flow.min_response_s,
             "not_felt": self.trial.timing == "strict"
             and response_time_s is None
@@ -333,5 +358,31 @@ class Attempt:
         return [flag for flag, is_fault in faults.items() if is_fault]
 
 
-ENDS_UNANSWERED = frozenset({"device_error", "not_felt"})
-"""Flags with which an attempt can no longer be answered: the device failed, or what is felt only once was cut short."""
+ENDS_UNANSWERED = frozenset({"device_error", "not_delivered", "not_felt"})
+"""Flags with which an attempt cannot be answered: the device failed, or what is felt only once was cut short."""
+
+
+def find_loss(delivered: Mapping[str, float], flow: Flow) -> str:
+    """Say why a playback did not reach the sensor as asked; empty if it did, or if nothing measured it."""
+    if "coherence" not in delivered:
+        return ""
+    coherence, error_db = delivered["coherence"], delivered["level_error_db"]
+    limit_db = flow.level_error_db if delivered["is_calibrated"] else None
+    sign = "weak" if error_db < 0 else "strong"
+    faults = {
+        "the sensor is silent, without even noise: check its cable, its power and its channel": (
+            not delivered["rms_m_s2"]
+        ),
+        f"the sensor shows no trace of the stimulus (coherence {coherence:.2f}, at least {flow.min_coherence:g}): "
+        "check that amplifier, coil and sensor are on, and on the channels and the device that rig.toml names": (
+            coherence < flow.min_coherence
+        ),
+        f"the stimulus was {abs(error_db):.1f} dB too {sign} (at most {limit_db} dB): check the amplifier's gain, the "
+        "coil and how the sensor is mounted, or calibrate again": (
+            limit_db is not None and abs(error_db) > limit_db
+        ),
+        "the motion is inverted: the wires of a coil or of the sensor were swapped since the calibration": (
+            bool(delivered["is_calibrated"]) and delivered["polarity"] < 0
+        ),
+    }
+    return next((fault for fault, is_so in faults.items() if is_so), "")

@@ -103,6 +103,11 @@ class Playback:
     dac_source : str
         How `onset_s` was got: `device` by its own clock, or `latency` where it gives no such time and its latency was
         added to the time at which it asked for the samples; empty where no device played.
+    delivered : mapping of str to float
+        What the hand got, compared with what was asked (`actuator.delivered`); with `coherence` if a sensor measured
+        it, without if a certificate predicts it; empty if neither did.
+    delivered_sha256 : str
+        Digest of the file of what was measured or rendered; empty if there is none.
     """
 
     requested_s: float
@@ -114,6 +119,8 @@ class Playback:
     act: Pause | Abort | None = None
     measured: Mapping[str, float] = field(default_factory=dict)
     dac_source: str = ""
+    delivered: Mapping[str, float] = field(default_factory=dict)
+    delivered_sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from math import prod
 from pathlib import PurePath
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -116,6 +116,8 @@ class QualityTable(kinds.TomlTable):
         _FLOW.reject
     )
     gap_s: Annotated[kinds.NotNegative, Field(le=30)] = _FLOW.gap_s
+    level_error_db: kinds.PositiveOrOff = _FLOW.level_error_db
+    min_coherence: kinds.Share = _FLOW.min_coherence
 
 
 class StaleTable(kinds.TomlTable):
@@ -128,7 +130,7 @@ class StaleTable(kinds.TomlTable):
 
 
 MOST_FREQUENCIES = 8
-"""Each frequency takes about three minutes."""
+"""Each frequency takes four to five minutes."""
 
 
 Level = Annotated[float, Field(ge=-120, le=60)]
@@ -148,7 +150,7 @@ class ThresholdTable(kinds.TomlTable):
         AfterValidator(_check_apart),
     ]
     procedure: Annotated[str, kinds.one_of(PROCEDURES)] = _BLOCK.procedure
-    trials: Annotated[int, Field(ge=10, le=200)] = USUAL.trials
+    trials: Annotated[int, Field(ge=5, le=200)] = USUAL.trials
     catch_every: Annotated[kinds.Count, Field(le=200)] = USUAL.catch_every
     practice: Annotated[kinds.Count, Field(le=100)] = _BLOCK.practice
     duration_s: Annotated[float, Field(ge=0.1, le=2)] = _BLOCK.duration_s
@@ -315,6 +317,11 @@ class RigTable(kinds.TomlTable):
     rate_hz: kinds.Positive = _RECIPE.rate_hz
     full_scale_m_s2: Annotated[kinds.Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
     headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
+    certificate: Annotated[str, kinds.one_of(("warn", "require"))] = "warn"
+
+    def of_stimuli(self) -> dict[str, Any]:
+        """Return what decides what the stimuli are."""
+        return self.model_dump(exclude={"certificate"})
 
 
 class ObserverTable(kinds.TomlTable):

@@ -53,6 +53,7 @@ rest_s = 0.2
 gap_s = 0.05
 [session.stale]
 policy = "continue"
+{threshold}
 [observer]
 order = 0.1
 noise_sd = 20.0
@@ -316,8 +317,10 @@ def make_study(built: Callable[..., StudyFolder], tmp_path: Path) -> Callable[..
         reducers: tuple[str, ...] = ("sax321",),
         anchors: bool = False,
         reference: str = "dft321",
+        threshold: str = "",
     ) -> StudyFolder:
         own = {"training": training, "anchors": str(anchors).lower(), "reference": reference}
+        own["threshold"] = threshold
         own["reducers"] = json.dumps(reducers)
         source = built(protocols=json.dumps(protocols), **own)
         study = StudyFolder(tmp_path / "-".join(protocols))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.stimuli.wav import read_wav
 from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
@@ -45,10 +46,44 @@ def ask_minds_alone(study: StudyFolder, folder: Path) -> StudyFolder:
     return alone
 
 
+THRESHOLD = """
+[session.threshold]
+frequencies_hz = [160.0]
+trials = 5
+catch_every = 3
+practice = 1
+duration_s = 0.1
+gap_s = 0.02
+"""
+
+
+def list_tones(study: StudyFolder) -> list[dict[str, Any]]:
+    records = read_journal(study.journals[0]).records
+    return [record.data for record in records if record.event == "tone"]
+
+
+def check_files(study: StudyFolder) -> None:
+    """The interval that vibrates does so at its level, the other one not at all."""
+    for record in read_journal(study.journals[0]).records:
+        if record.event == "tone":
+            shown = record.data
+        if record.event == "played" and record.data["part"] in {"first", "second"}:
+            number = round(record.data["measured"]["file_number"])
+            samples, _ = read_wav(study.sessions / "sim001" / "delivered" / f"{number:04}.wav")
+            is_on = ("first", "second")[shown["interval"] - 1] == record.data["part"]
+            level_db = shown["level_db"] if is_on else None
+            # Coils without a direction play at weight 1, of 100 m/s² full scale.
+            asked = 0.0 if level_db is None else 2**0.5 * 10 ** (level_db / 20) / 100
+            assert abs(samples).max() == pytest.approx(asked, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     ("protocols", "options"),
-    [(["realism"], {"training": 2}), (["similarity", "dissimilarity", "mushra", "abx"], {})],
-    ids=["realism", "every other protocol"],
+    [
+        (["realism"], {"training": 2, "threshold": THRESHOLD}),
+        (["similarity", "dissimilarity", "mushra", "abx"], {}),
+    ],
+    ids=["a threshold, then realism", "every other protocol"],
 )
 def test_a_simulated_participant_finishes_by_keys_alone(
     lab: Any,
@@ -64,7 +99,12 @@ def test_a_simulated_participant_finishes_by_keys_alone(
     assert out == f"sim001: 0 of {total} done so far\nsim001: all {total} done\n"
     assert audit_study(study) == []
     assert not study.ratings.exists()
-    assert list_answers(study) == list_answers(ask_minds_alone(study, tmp_path / "alone"))
+    alone = ask_minds_alone(study, tmp_path / "alone")
+    assert list_answers(study) == list_answers(alone)
+    assert list_tones(study) == list_tones(alone)
+    assert len(list_tones(study)) == (1 + 5 + 1 if "threshold" in options else 0)
+    if "threshold" in options:
+        check_files(study)
 
 
 def test_a_reference_of_three_axes_is_felt_through_the_sound_server(

@@ -12,6 +12,7 @@ import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_texts
 from feel321.protocols.trial import PAGES, Judgement, Page, Part, Trial
@@ -31,6 +32,7 @@ PARTS = {
     "dissimilarity": (Part("first", "s0"), Part("second", "s1")),
     "abx": (Part("a", "s0"), Part("b", "s1"), Part("x", "s0")),
     "mushra": (Part("reference", "s0"), *(Part(str(n), f"s{n}") for n in range(1, 13))),
+    THRESHOLD: tuple(Part(name, "40 Hz") for name in INTERVALS),
 }
 JUDGED = {
     "abx": ("x",),
@@ -40,16 +42,17 @@ JUDGED = {
 
 
 def make_trial(name: str, *, timing: str = "", rows: int = 12) -> Trial:
-    protocol = PROTOCOLS["realism" if name == "touched" else name]
+    protocol = "realism" if name == "touched" else name
+    usual = "strict" if name == THRESHOLD else PROTOCOLS[protocol].timings[0]
     parts = PARTS[name][: rows + 1]
     judged = JUDGED.get(name, ("test",))[:rows]
     return Trial(
         number=3,
         block=1,
         repeat=1,
-        protocol=protocol.name,
-        scale=protocol.scale,
-        timing=timing or protocol.timings[0],
+        protocol=protocol,
+        scale=protocol,
+        timing=timing or usual,
         recording="felt",
         parts=parts,
         judgements=tuple(Judgement(part, "s1") for part in judged),
@@ -64,11 +67,11 @@ def make_views(
     views = {}
     keys = [
         *(key for key in PAGES if key != "instructions"),
-        *(f"instructions.{name}" for name in PROTOCOLS),
+        *(f"instructions.{name}" for name in (*PROTOCOLS, THRESHOLD)),
     ]
     for number, key in enumerate(keys):
         by = "experimenter" if key in {"training_failed", "call_us"} else "participant"
-        left_s = 27 if key in {"break", "rest"} else 0
+        left_s = 27 if key in {"break", "rest", "threshold_next", "threshold_done"} else 0
         notice = texts["prompts"]["end_next"] if key == "pause" else ""
         notice = texts["refusals"]["too_early"] if left_s else notice
         views[f"page {key}"] = View(
@@ -84,7 +87,7 @@ def make_views(
     missing = texts["refusals"]["not_felt"].format(parts=names)
     for name in PARTS:
         trial = make_trial(name)
-        kind = {"abx": "choice", "mushra": "rows"}.get(name, "slider")
+        kind = {"abx": "choice", THRESHOLD: "choice", "mushra": "rows"}.get(name, "slider")
         parts = [part.name for part in trial.parts]
         judged = [judgement.part for judgement in trial.judgements]
         shown = picture if name in {"touched", "realism"} else None
@@ -123,7 +126,7 @@ def make_views(
             felt=frozenset(parts),
             markers=markers,
             selected=judged[-1],
-            chosen="b",
+            chosen=(scales[trial.scale].choices or ("",))[-1],
         )
     trial = make_trial("touched")
     views["touched stroking"] = View(

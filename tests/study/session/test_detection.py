@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
@@ -28,6 +29,7 @@ from feel321.study.session.plan import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
     from feel321.stimuli.sets.manifest import StimulusSet
@@ -41,6 +43,14 @@ BLOCK = ThresholdBlock(
     "staircase", (40.0, 250.0), replace(USUAL, trials=4, catch_every=3), practice=1
 )
 DESIGN = Design(7, "williams", 1, (make_task("realism"),), {}, FLOW, BLOCK)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def unsynced() -> Iterator[None]:
+    """Kills are made by cutting the file; nothing here is about power cuts."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
 
 
 def lead(folder: Path, plan: Plan, stimuli: StimulusSet, now: Any, **model: Any) -> list[Record]:

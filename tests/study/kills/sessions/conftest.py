@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+from feel321.protocols.detection import ThresholdBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import read_scales
+from feel321.protocols.threshold import USUAL
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.audit import audit_study
@@ -61,9 +63,14 @@ TASKS: Mapping[str, tuple[Task, ...]] = {
         "dissimilarity": make_task("dissimilarity"),
         "mushra": make_task("mushra"),
         "abx": make_task("abx"),
+        "threshold": make_task("realism"),
     }.items()
 }
 """What each session consists of: every protocol, every timing, surfaces to stroke."""
+
+BLOCK = ThresholdBlock(
+    "bayesian", (40.0, 250.0), replace(USUAL, trials=4, catch_every=2), practice=1
+)
 
 FLOW = Flow(break_trials=3, break_min=None, training_rounds=2)
 
@@ -161,7 +168,13 @@ class Session:
     def design(self) -> Design:
         repeats = 3 if self.task == "mushra" else 1
         return Design(
-            seed=7, order="williams", repeats=repeats, tasks=TASKS[self.task], between={}, flow=FLOW
+            seed=7,
+            order="williams",
+            repeats=repeats,
+            tasks=TASKS[self.task],
+            between={},
+            flow=FLOW,
+            threshold=BLOCK if self.task == "threshold" else None,
         )
 
     def make_study(self, path: Path) -> StudyFolder:

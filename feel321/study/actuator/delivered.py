@@ -1,0 +1,283 @@
+"""Delivered vibration: what the hand got, as its sensor measured it or a certificate predicts it, and what was asked.
+
+A comparison takes out the latency first: the lag with the largest cross-correlation, to the sample. Level and coherence
+are those of 20 to 1000 Hz. Level is that of the part of the measured motion that follows what was asked (coherent
+output power, Bendat & Piersol), so noise does not count as vibration; coherence is that part's share of the energy.
+
+The match metrics of a stimulus are those of its reduction, at the recording's own rate, before level, rate and fades.
+So that the delivered metrics differ from them by what the rig did and by nothing else, the rig's error (measured
+minus asked) is brought to the recording's rate and strength and added to the reduced signal. Of the error, what lies
+outside 20 to 1000 Hz (and the reach of the metrics' smoothing) is left out: tremor of the hand and noise of the sensor
+are no vibration. A rig without error delivers the manifest's metrics.
+
+A three-axis stimulus (the reference) has them on a three-axis sensor only: the spectral match of the three axes'
+energies together, and the mean correlation of each axis with itself. On a sensor with one axis it has level and
+coherence, in the direction in which it fits best; a one-axis stimulus is taken to be measured along its motion.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import fft, signal
+
+from feel321.stimuli.condition import resample
+from feel321.stimuli.match import (
+    HIGHEST_HZ,
+    LOWEST_HZ,
+    WEBER_FRACTION,
+    OriginalSpectrum,
+    axis_correlations,
+    mean_over_axes,
+)
+from feel321.stimuli.recording import Recording
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.manifest import StimulusSet
+from feel321.stimuli.sets.recipe import Recipe, Reduction, reduce_again
+from feel321.study.actuator.mixer import Frames
+from feel321.study.actuator.render import find_directions, find_mix
+from feel321.study.actuator.rig import AXES, REDUCED, Rig
+from feel321.types import Samples
+
+SEGMENT_S = 0.1  # of the averaged spectra: a coil rings for less
+LEAST_SEGMENTS = 8  # of half a segment's step, so that chance is no coherence
+REACH = WEBER_FRACTION / 2  # of a frequency: so far the metrics' smoothing looks beyond it
+LOWEST_DB = -120.0  # stands for silence
+TINY = 1e-300
+
+
+@dataclass(frozen=True, slots=True)
+class Delivery:
+    """Measured and asked motion, compared: lag in samples; polarity 1 or -1; rms_m_s2: of what was measured."""
+
+    lag: int
+    polarity: int
+    level_error_db: float
+    coherence: float
+    rms_m_s2: float
+    error: Samples
+    """Measured minus asked, at the asked strength's scale and polarity, shape (axes, n)."""
+
+
+def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
+    """Compare measured with asked motion in m/s², shapes (axes, m) and (axes, n); of three, one may be measured."""
+    asked, measured = _center(asked), _center(measured)
+    correlation = _correlate(asked, measured)
+    n = asked.shape[-1]
+    if len(measured) < len(asked):
+        # What a least-squares fit explains at each lag.
+        explained = np.einsum(
+            "in,in->n", correlation, np.linalg.pinv(asked @ asked.T) @ correlation
+        )
+        lag = int(np.argmax(explained))
+        asked = _fit_direction(asked, _cut(measured, lag, n)[0])
+        correlation = _correlate(asked, measured)
+    total = correlation.sum(axis=0)
+    lag = int(np.argmax(np.abs(total)))
+    polarity = -1 if total[lag] < 0 else 1
+    felt = polarity * _center(_cut(measured, lag, n))
+    power, coherent, whole = _find_power(asked, felt, rate_hz=rate_hz)
+    level_db = 10 * np.log10(max(coherent, TINY) / max(power, TINY))
+    return Delivery(
+        lag=lag,
+        polarity=polarity,
+        level_error_db=max(float(level_db), LOWEST_DB),
+        coherence=float(coherent / whole) if whole > 0 else 0.0,
+        rms_m_s2=float(np.sqrt(np.mean(np.square(measured).sum(axis=0)))),
+        error=felt - asked,
+    )
+
+
+def _center(samples: Samples) -> Samples:
+    """Remove offsets: a stimulus has none, and the sensor's is gravity or its own."""
+    return np.asarray(samples - samples.mean(axis=-1, keepdims=True))
+
+
+def _correlate(asked: Samples, measured: Samples) -> Samples:
+    """Correlate each asked axis with its measured one at lags from 0, shape (axes, m)."""
+    m = measured.shape[-1]
+    n = fft.next_fast_len(asked.shape[-1] + m, real=True)
+    together = fft.rfft(measured, n) * fft.rfft(asked, n).conj()
+    return np.asarray(fft.irfft(together, n)[:, :m])
+
+
+def _cut(measured: Samples, lag: int, n: int) -> Samples:
+    piece = measured[:, lag : lag + n]
+    return np.pad(piece, ((0, 0), (0, n - piece.shape[-1])))
+
+
+def _fit_direction(asked: Samples, felt: Samples) -> Samples:
+    """Project asked axes, (3, n), on the direction in which one measured axis, (n,), follows them best: (1, n)."""
+    fitted = np.asarray(np.linalg.lstsq(asked.T, felt)[0], dtype=np.float64)
+    return fitted[None] / max(float(np.linalg.norm(fitted)), TINY) @ asked
+
+
+def _find_power(
+    asked: Samples, felt: Samples, *, rate_hz: float
+) -> tuple[np.float64, np.float64, np.float64]:
+    """Sum over axes and the band: power asked, power that follows what was asked, and all power measured."""
+    n = min(round(SEGMENT_S * rate_hz), 2 * asked.shape[-1] // (LEAST_SEGMENTS + 1))
+    frequency_hz = fft.rfftfreq(n, 1 / rate_hz)
+    inside = (frequency_hz >= LOWEST_HZ) & (frequency_hz <= HIGHEST_HZ)
+    x, y = (_transform(one, n)[..., inside] for one in (asked, felt))
+    sxx, syy = (np.square(np.abs(one)).sum(axis=1) for one in (x, y))
+    sxy = (x.conj() * y).sum(axis=1)
+    followed = np.square(np.abs(sxy)) / np.maximum(sxx, TINY)
+    return sxx.sum(), followed.sum(), syy.sum()
+
+
+def _transform(samples: Samples, n: int) -> Samples:
+    """Transform overlapping segments of n samples under a Hann window: (axes, segments, n // 2 + 1)."""
+    pieces = np.lib.stride_tricks.sliding_window_view(samples, n, axis=-1)[:, :: max(n // 2, 1)]
+    return np.asarray(fft.rfft(pieces * signal.windows.hann(n, sym=False)))
+
+
+# The match metrics of what was delivered.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Baseline:
+    """A reduction to compare with: its recording's spectrum comes with it; gain: m/s² asked per m/s² of it."""
+
+    reduction: Reduction
+    spectrum: OriginalSpectrum
+    gain: float
+
+    def match(self, error: Samples, *, rate_hz: float) -> dict[str, float]:
+        """Match the reduced signal with the rig's error, shape (axes, n), on it."""
+        original, rate = self.reduction.acceleration, self.reduction.rate_hz
+        delivered = self.reduction.samples + self._bring_back(error, rate_hz=rate_hz)
+        if delivered.ndim == 1:
+            correlations = axis_correlations(original, delivered)
+            one = delivered
+        else:
+            pairs = zip(original, delivered, strict=True)
+            correlations = np.concatenate([axis_correlations(a[None], b) for a, b in pairs])
+            one = REDUCERS["dft321"](delivered, rate)  # its energies are those of all axes
+        spectral, bounded = self.spectrum.match_both(one)
+        return {
+            "spectral_match": float(spectral),
+            "temporal_match": float(mean_over_axes(correlations)),
+            "spectral_match_bounded": float(bounded),
+        }
+
+    def _bring_back(self, error: Samples, *, rate_hz: float) -> Samples:
+        """Bring the rig's error to the rate, length and strength of the reduced signal, in the band that counts."""
+        rate, shape = self.reduction.rate_hz, self.reduction.samples.shape
+        at_rate = _cut(resample(error, rate_hz, to_hz=rate) / self.gain, 0, shape[-1])
+        grid_hz = fft.rfftfreq(shape[-1], 1 / rate)
+        counts = (grid_hz >= LOWEST_HZ * (1 - REACH)) & (grid_hz <= HIGHEST_HZ * (1 + REACH))
+        return np.asarray(fft.irfft(fft.rfft(at_rate) * counts, shape[-1])).reshape(shape)
+
+
+def ask_motion(tracks: Samples, rig: Rig) -> Samples:
+    """Find the motion asked of a rig for samples in m/s², (1, n) or (3, n): x, y, z, shape (3, n).
+
+    A rig that does not give its coils' directions has one axis for one-axis stimuli: (1, n).
+    """
+    sources = (REDUCED,) if len(tracks) == 1 else AXES
+    directions, unknown = find_directions(rig)
+    mix = find_mix(rig)
+    if any(source in mix[name] for name in unknown for source in sources):
+        return tracks
+    moves = np.zeros((3, len(sources)))
+    for name, direction in directions.items():
+        for column, source in enumerate(sources):
+            moves[:, column] += mix[name].get(source, 0.0) * direction
+    return np.asarray(moves @ tracks)
+
+
+def reduce_stimuli(
+    stimuli: StimulusSet, recordings: Iterable[Recording], recipe: Recipe
+) -> dict[str, Baseline]:
+    """Make again what the stimuli of a set were made from, by stimulus; those of other recordings are left out."""
+    found: dict[str, Baseline] = {}
+    for recording in recordings:
+        source = (recording.name, recording.sha256)
+        own = [one for one in stimuli if (one.recording, one.recording_sha256) == source]
+        made = reduce_again(recording, {one.reducer for one in own}, recipe)
+        spectrum: OriginalSpectrum | None = None
+        for one in own:
+            reduction = made[one.reducer]
+            if spectrum is None:
+                spectrum = OriginalSpectrum(reduction.acceleration, reduction.rate_hz)
+            gain = one.gain * reduction.factor
+            found[one.stimulus_id] = Baseline(reduction, spectrum, gain)
+    return found
+
+
+class DeliveryCheck:
+    """Compares each playback of a set with what was asked of a rig.
+
+    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known. predict: a certificate's
+    prediction of the motion, (3, n) in m/s², for samples sent, (n, channels), if there is one: only then does the rig
+    promise to give what is asked, so that level and polarity count.
+    """
+
+    def __init__(
+        self,
+        stimuli: StimulusSet,
+        rig: Rig,
+        *,
+        full_scale_m_s2: float,
+        reduced: Mapping[str, Baseline],
+        predict: Callable[[Frames], Samples] | None = None,
+    ) -> None:
+        self._stimuli, self._rig, self._full_scale = stimuli, rig, full_scale_m_s2
+        self._reduced, self._predict = reduced, predict
+        self._ids = {stimulus.stimulus_id for stimulus in stimuli}
+        self._predicted: dict[str, dict[str, float]] = {}
+
+    def describe(
+        self, stimulus_id: str, sent: Frames, measured: ArrayLike | None
+    ) -> Mapping[str, float]:
+        """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted.
+
+        Of what is not in the set, such as the tones of a threshold, nothing is known.
+        """
+        if stimulus_id not in self._ids:
+            return {}
+        if measured is not None:
+            return self.measure(stimulus_id, np.asarray(measured, dtype=np.float64))
+        if self._predict is None:
+            return {}
+        if stimulus_id not in self._predicted:
+            motion = self._predict(sent)
+            self._predicted[stimulus_id] = self._compare(stimulus_id, motion)[1]
+        return self._predicted[stimulus_id]
+
+    def measure(self, stimulus_id: str, measured: Samples) -> dict[str, float]:
+        """Compare what the sensor measured, shape (axes, m)."""
+        found, values = self._compare(stimulus_id, measured)
+        return values | {
+            "lag": float(found.lag),
+            "polarity": float(found.polarity),
+            "coherence": found.coherence,
+            "rms_m_s2": found.rms_m_s2,
+            "is_calibrated": float(self._predict is not None),
+        }
+
+    def _compare(self, stimulus_id: str, measured: Samples) -> tuple[Delivery, dict[str, float]]:
+        samples, rate = self._stimuli.read(stimulus_id)
+        tracks = np.atleast_2d(samples) * self._full_scale
+        asked = ask_motion(tracks, self._rig)
+        if len(tracks) == 1:
+            asked, measured = _project(asked, measured, tracks)
+        found = compare(asked, measured, rate_hz=rate)
+        values = {"level_error_db": found.level_error_db}
+        reduced = self._reduced.get(stimulus_id)
+        if reduced is not None and len(found.error) == len(tracks):
+            matches = reduced.match(found.error, rate_hz=rate)
+            values |= {name: value for name, value in matches.items() if np.isfinite(value)}
+        return found, values
+
+
+def _project(asked: Samples, measured: Samples, tracks: Samples) -> tuple[Samples, Samples]:
+    """Project three measured axes on the direction in which a one-axis stimulus moves the hand."""
+    strength = np.linalg.norm(asked @ tracks[0]) / max(tracks[0] @ tracks[0], TINY)
+    if len(measured) == 1 or len(asked) == 1:
+        return strength * tracks, measured[:1]
+    direction = asked @ tracks[0]
+    direction /= max(np.linalg.norm(direction), TINY)
+    return strength * tracks, direction[None] @ measured

@@ -1,0 +1,290 @@
+from __future__ import annotations
+
+import hashlib
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from feel321.protocols.trial import Flow
+from feel321.stimuli.sets.build import build_stimuli
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.synthesis import make_scene
+from feel321.study.actuator.delivered import (
+    Baseline,
+    DeliveryCheck,
+    ask_motion,
+    compare,
+    reduce_stimuli,
+)
+from feel321.study.actuator.output import open_stream
+from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig, read_rig
+from feel321.study.session.events import find_loss
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.study.session.ports import Playback
+    from feel321.types import Samples
+
+RATE = 48000.0
+FULL_SCALE = 100.0
+MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
+RIG = Rig(
+    limits=LimitsTable(peak_m_s2=100, rms_m_s2=50, duration_s=30),
+    actuators=(
+        ActuatorTable(name="a", channel=1, plays=("reduced", "x"), direction=(1, 0, 0)),
+        ActuatorTable(name="b", channel=2, plays=("reduced", "y"), direction=(0, 1, 0)),
+        ActuatorTable(name="c", channel=3, plays=("z",), direction=(0, 0, 1)),
+    ),
+)
+LAG = 2345
+ALONG = np.array([1, 1, 0]) / np.sqrt(2)  # the way in which both coils move the hand together
+TILTED = np.array([0.48, 0.6, 0.64])  # a sensor that looks along no axis
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[StimulusSet, dict[str, Baseline]]:
+    """Two scenes at both levels, with the offset that mag321 makes, anchors and the three axes."""
+    recordings = [
+        make_scene(name, duration_s=1.0, rate_hz=rate)
+        for name, rate in (("bumps", 10000.0), ("isotropic_rumble", 4444.4))
+    ]
+    recipe = Recipe(reducers=("sax321", "mag321", "dft321"), levels=("as_is", "equal_intensity"))
+    stimuli = build_stimuli(recordings, tmp_path_factory.mktemp("set"), recipe)
+    return stimuli, reduce_stimuli(stimuli, recordings, recipe)
+
+
+def make_check(built: tuple[StimulusSet, dict[str, Baseline]], **choices: Any) -> DeliveryCheck:
+    stimuli, reduced = built
+    own = {"full_scale_m_s2": FULL_SCALE, "reduced": reduced, **choices}
+    return DeliveryCheck(stimuli, RIG, **own)
+
+
+def read_motion(stimuli: StimulusSet, one: Stimulus) -> Samples:
+    samples, _ = stimuli.read(one.stimulus_id)
+    return ask_motion(np.atleast_2d(samples) * FULL_SCALE, RIG)
+
+
+def delay(motion: Samples, lag: int = LAG, *, tail: int = 3000) -> Samples:
+    return np.pad(motion, ((0, 0), (lag, tail)))
+
+
+def make_noise(seed: int, n: int = 48000, axes: int = 1, rms: float = 1.0) -> Samples:
+    return np.random.default_rng(seed).normal(0, rms, (axes, n))
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.5, -2.0])
+@pytest.mark.parametrize("lag", [0, 1, LAG])
+def test_a_delayed_and_scaled_copy_has_its_lag_its_level_and_full_coherence(
+    lag: int, gain: float
+) -> None:
+    asked = make_noise(1)
+    found = compare(asked, gain * delay(asked, lag) + 9.81, rate_hz=RATE)
+    assert (found.lag, found.polarity) == (lag, np.sign(gain))
+    assert found.level_error_db == pytest.approx(20 * np.log10(abs(gain)), abs=1e-3)
+    assert found.coherence == pytest.approx(1, abs=1e-3)
+
+
+def test_noise_lowers_coherence_by_its_share_and_leaves_the_level() -> None:
+    asked = make_noise(2, 4 * 48000)
+    for rms in (0.25, 0.5, 1.0):
+        noisy = delay(asked, tail=0) + make_noise(3, 4 * 48000 + LAG, rms=rms)
+        found = compare(asked, noisy, rate_hz=RATE)
+        # Besides the share, chance adds the inverse of the number of independent segments, about 50.
+        assert found.coherence == pytest.approx(1 / (1 + rms**2), abs=0.03)
+        assert found.level_error_db == pytest.approx(0, abs=0.3)
+        assert found.lag == LAG
+
+
+def test_silence_and_noise_alone_have_nothing_of_what_was_asked() -> None:
+    asked = make_noise(4)
+    silent = compare(asked, np.zeros((1, 60000)), rate_hz=RATE)
+    assert (silent.coherence, silent.level_error_db, silent.rms_m_s2) == (0, -120, 0)
+    noise = compare(asked, make_noise(5, 60000), rate_hz=RATE)
+    assert noise.coherence < 0.2
+    assert noise.level_error_db < -7
+
+
+@pytest.mark.parametrize("axes", [1, 3])
+def test_what_is_asked_delivers_the_metrics_of_the_manifest(
+    built: tuple[StimulusSet, dict[str, Baseline]], axes: int
+) -> None:
+    stimuli, check = built[0], make_check(built)
+    for one in stimuli:
+        motion = read_motion(stimuli, one)
+        if axes == 1:
+            motion = (TILTED if one.role == "reference" else ALONG)[None] @ motion
+        found = check.measure(one.stimulus_id, delay(motion))
+        assert (found["lag"], found["polarity"]) == (LAG, 1), one.stimulus_id
+        assert abs(found["level_error_db"]) < 1e-6
+        expected = {name: getattr(one, name) for name in MATCHES}
+        if one.role == "reference" and axes == 1:
+            assert not found.keys() & expected.keys()  # one axis does not show three
+        else:
+            assert {name: found[name] for name in MATCHES} == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_stronger_playback_has_the_spectral_match_of_the_stronger_reduction(
+    built: tuple[StimulusSet, dict[str, Baseline]],
+) -> None:
+    stimuli = built[0]
+    one = stimuli["bumps__dft321__as_is"]
+    found = make_check(built).measure(one.stimulus_id, delay(2 * read_motion(stimuli, one)))
+    # dft321 has all the energy, four times of it is 1 - 3 by eq. 1, and 1/4 bounded.
+    assert found["spectral_match"] == pytest.approx(-2, abs=0.03)
+    assert found["spectral_match_bounded"] == pytest.approx(0.25, abs=0.01)
+    assert found["temporal_match"] == pytest.approx(one.temporal_match, abs=2e-3)
+    assert found["level_error_db"] == pytest.approx(6.02, abs=0.01)
+
+
+def test_a_rig_that_moves_no_known_way_is_asked_for_the_stimulus_itself() -> None:
+    unknown = RIG.model_copy(
+        update={"actuators": (ActuatorTable(name="a", channel=1, plays=("reduced", "x", "y")),)}
+    )
+    tracks = make_noise(6, 100)
+    np.testing.assert_array_equal(ask_motion(tracks, unknown), tracks)
+    moved = ask_motion(tracks, RIG)
+    assert np.linalg.norm(moved, axis=0) == pytest.approx(np.abs(tracks[0]))
+    np.testing.assert_allclose(moved[2], 0)
+
+
+def test_swapped_axes_are_no_longer_coherent(
+    built: tuple[StimulusSet, dict[str, Baseline]],
+) -> None:
+    stimuli = built[0]
+    one = stimuli["isotropic_rumble__reference__as_is"]
+    motion = read_motion(stimuli, one)
+    right = make_check(built).measure(one.stimulus_id, delay(motion))
+    wrong = make_check(built).measure(one.stimulus_id, delay(motion[[1, 2, 0]]))
+    assert right["coherence"] == pytest.approx(1, abs=1e-6)
+    assert wrong["coherence"] < 0.8
+    assert wrong["temporal_match"] < right["temporal_match"] - 0.2
+
+
+def test_without_a_recording_level_and_coherence_are_left(
+    built: tuple[StimulusSet, dict[str, Baseline]],
+) -> None:
+    stimuli = built[0]
+    one = stimuli["bumps__sax321__as_is"]
+    found = make_check(built, reduced={}).measure(one.stimulus_id, delay(read_motion(stimuli, one)))
+    assert not found.keys() & set(MATCHES)
+    assert found["is_calibrated"] == 0
+
+
+def test_a_certificate_stands_in_for_a_sensor_and_is_asked_once(
+    built: tuple[StimulusSet, dict[str, Baseline]],
+) -> None:
+    stimuli = built[0]
+    one = stimuli["bumps__sax321__as_is"]
+    sent = np.zeros((48000, 3), dtype=np.float32)
+    calls = []
+
+    def predict(frames: Any) -> Samples:
+        calls.append(frames)
+        return 0.5 * read_motion(stimuli, one)
+
+    check = make_check(built, predict=predict)
+    predicted = [check.describe(one.stimulus_id, sent, None) for _ in range(2)]
+    assert predicted[0] == predicted[1]
+    assert len(calls) == 1
+    assert predicted[0].keys() == {"level_error_db", *MATCHES}
+    assert predicted[0]["level_error_db"] == pytest.approx(-6.02, abs=0.01)
+    measured = check.describe(one.stimulus_id, sent, delay(read_motion(stimuli, one)))
+    assert measured["is_calibrated"] == 1
+    assert not make_check(built).describe(one.stimulus_id, sent, None)
+
+
+# On the simulated device: from the samples sent to what its sensor measures, and each fault by its name.
+
+ONE_COIL = """
+[device]
+name = "simulated"
+[[actuators]]
+name = "moved"
+channel = 1
+direction = [1, 0, 0]
+[[actuators]]
+name = "other"
+channel = 2
+plays = ["y"]
+direction = [0, 1, 0]
+[limits]
+peak_m_s2 = 100.0
+rms_m_s2 = 50.0
+duration_s = 30.0
+[sensor]
+channel = 1
+full_scale_m_s2 = 200.0
+[simulation]
+speed = 20.0
+latency = 700
+sensor_direction = [1, 0, 0]
+noise_m_s2 = 0.05
+[[simulation.coils]]
+name = "moved"
+resonance_hz = 0.5
+q = 0.7
+"""
+
+
+def play(tmp_path: Path, stimuli: StimulusSet, *, check: DeliveryCheck, text: str) -> Playback:
+    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
+    rig = read_rig(tmp_path / "rig.toml")
+    stimulus = stimuli["bumps__sax321__as_is"]
+    sound = np.zeros((stimulus.n_samples, 2), dtype=np.float32)
+    sound[:, 0] = stimuli.read(stimulus.stimulus_id)[0]
+    folder, sounds = tmp_path / "delivered", {stimulus.stimulus_id: sound}
+    with open_stream(
+        rig, sounds, rate_hz=RATE, folder=folder, clock=perf_counter, check=check
+    ) as output:
+        output.start(stimulus, gap_s=0.0)
+        while output.is_playing:
+            sleep(0.001)
+        return output.collect()
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (("", ""), ""),
+        (("q = 0.7", "q = 0.7\nfull_scale_m_s2 = 1e-6"), "no trace"),  # coil dead, amplifier off
+        (("q = 0.7", "q = 0.7\nfull_scale_m_s2 = 50.0"), "6.0 dB too weak"),
+        (("q = 0.7", "q = 0.7\ndirection = [-1, 0, 0]"), "inverted"),
+        (("channel = 1\ndirection", "channel = 2\ndirection"), "no trace"),  # channels swapped
+    ],
+)
+def test_the_sensor_shows_each_fault(
+    built: tuple[StimulusSet, dict[str, Baseline]],
+    tmp_path: Path,
+    change: tuple[str, str],
+    fault: str,
+) -> None:
+    stimuli = built[0]
+    text = ONE_COIL.replace(*change)
+    if "channel = 2\ndirection" in text:
+        text = text.replace('"other"\nchannel = 2', '"other"\nchannel = 1')
+    (tmp_path / "right.toml").write_text(ONE_COIL, encoding="utf-8")
+    check = DeliveryCheck(
+        stimuli,
+        read_rig(tmp_path / "right.toml"),
+        full_scale_m_s2=FULL_SCALE,
+        reduced=built[1],
+        predict=lambda _: np.zeros((3, 1)),
+    )
+    played = play(tmp_path, stimuli, check=check, text=text)
+    found = find_loss(played.delivered, Flow())
+    assert fault in found, played
+    assert bool(found) == bool(fault)
+    if fault:
+        return
+    # One block of 512 and the path's latency; a coil far below its resonance gives what is asked.
+    one = stimuli["bumps__sax321__as_is"]
+    assert played.delivered["lag"] == pytest.approx(700 + 512, abs=1)
+    assert played.delivered["coherence"] > 0.99
+    assert played.delivered["spectral_match"] == pytest.approx(one.spectral_match, abs=0.01)
+    assert played.delivered["temporal_match"] == pytest.approx(one.temporal_match, abs=0.02)
+    file = (tmp_path / "delivered" / "0001.wav").read_bytes()
+    assert hashlib.sha256(file).hexdigest() == played.delivered_sha256
