@@ -8,6 +8,7 @@ from typing import Any
 from feel321.protocols.texts import PageText
 from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
+from feel321.study.keys import USUAL, KeysTable, label_key, label_keys, label_prompts
 from feel321.study.screen.drawing import GROUND, INK, Box, Photo, Sheet, Target, Text, measure
 from feel321.study.session.ports import Place, Tone
 
@@ -74,28 +75,33 @@ class Hand:
 
 @dataclass(frozen=True, slots=True)
 class ScreenTexts:
-    """What participants read besides the scales, in their language."""
+    """What participants read besides the scales, in their language; keys: what they do, in words and as they are."""
 
     pages: Mapping[str, PageText]
     refusals: Mapping[str, str]
     prompts: Mapping[str, str]
     parts: Mapping[str, str]
     keys: Mapping[str, str]
+    own_keys: KeysTable = USUAL
 
     def name_part(self, name: str) -> str:
         """Find the word for a part."""
         return self.parts.get(name, name)
 
 
-def make_screen_texts(tables: Mapping[str, Any]) -> ScreenTexts:
-    """Pick the screen's texts from those of a language."""
+def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> ScreenTexts:
+    """Pick the screen's texts from those of a language, with the names of the lab's own keys."""
     pages = {key: PageText(key, **entry) for key, entry in tables["pages"].items()}
-    return ScreenTexts(pages, *(tables[name] for name in ("refusals", "prompts", "parts", "keys")))
+    lines, parts = tables["keys"], tables["parts"]
+    prompts = label_prompts(keys, tables["prompts"], lines)
+    labelled = label_keys(keys, lines)
+    labelled["reference"] = f"{label_key(keys.reference[0], {})}  {parts['reference']}"
+    return ScreenTexts(pages, tables["refusals"], prompts, parts, labelled, keys)
 
 
 HINTS = {
-    "slider": ("move", "coarse", "digits"),
-    "rows": ("choose", "move", "coarse_rows", "feel"),
+    "slider": ("move", "coarse_rows", "digits"),
+    "rows": ("reference", "feel", "choose", "move", "coarse_rows"),
     "choice": ("pick",),
 }
 """The keys that have no button, by kind of screen."""

@@ -12,7 +12,7 @@ from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.actuator.output import Output
 from feel321.study.screen.drawing import Sheet
-from feel321.study.screen.input import CONFIRM, PAUSE, STOP, Answer, InputEvent, Request, Twice
+from feel321.study.screen.input import Answer, InputEvent, Request, Twice
 from feel321.study.screen.layout import Hand, ScreenTexts, View, compose
 from feel321.study.screen.window import Window
 from feel321.study.session.ports import (
@@ -102,8 +102,10 @@ class Screen:
             # Nobody sees what is asked: a trial begins anew after a pause, a page waits.
             return Request("pause", event.time_s) if trial is not None else None
         if event.kind == "press":
-            confirm = CONFIRM[page.by if page is not None else "participant"]
-            name = {confirm: "confirm", STOP: "stop", PAUSE: "pause"}.get(event.key, "")
+            is_theirs = page is not None and page.by == "experimenter"
+            confirm = "experimenter" if is_theirs else "next"
+            action = self._texts.own_keys.name_action(event.key)
+            name = {confirm: "confirm", "stop": "stop", "pause": "pause"}.get(action, "")
         if name == "pause":
             # A key must be pressed twice; the button of a trial is enough.
             is_meant = (event.kind == "click" and trial) or self._twice.press(event.time_s)
@@ -171,7 +173,7 @@ class ScreenPresenter:
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Show a trial, all markers unset."""
-        answer = Answer(trial, scale)
+        answer = Answer(trial, scale, self._texts.own_keys)
         self._acts.clear()
         surface = self._surfaces.get(trial.recording)
         view = View(

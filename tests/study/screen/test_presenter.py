@@ -28,7 +28,7 @@ def test_slider_by_keys(seat: Callable[..., Any]) -> None:
     here.until(lambda view: view["notice"] == "Please answer first. Still open: Vibration")
     here.press("Left")
     assert here.see(markers={"test": 50.0})["notice"] == ""
-    here.press("Right", "Up", "Up", "Down", "Left", "Left")
+    here.press("Right", "Prior", "Prior", "Next", "Left", "Left")
     here.see(markers={"test": 59.0})
     here.heed("moved", value=59.0)
     here.order("hold")  # the next digit comes in time, however late
@@ -112,9 +112,9 @@ def test_rows_by_keys(seat: Callable[..., Any]) -> None:
     here = seat({"trial": "mushra", "rows": 3}, duration_s=0.5)
     here.see(state="answering", selected="1")
     here.order("hold")
-    here.press("0")
+    here.press("Tab")
     here.see(playing="reference")
-    here.press("2")  # switches at once: what plays is stopped
+    here.press("F2")  # switches at once: what plays is stopped
     here.see(playing="2", selected="2")
     here.press("Right", "Right", "Prior")  # a marker can be moved while its vibration is felt
     here.see(markers={"2": 61.0}, felt=[], state="feeling")
@@ -130,21 +130,21 @@ def test_rows_by_keys(seat: Callable[..., Any]) -> None:
     here.see(playing="1", selected="1")
     here.see(felt=["1", "2"])
     here.press("Next")
-    here.press("Down", "Down", "Left", "r")
+    here.press("Down", "Down", "4", "5", "r")
     here.see(felt=["1", "2", "3"])
-    here.press("9")
+    here.press("F9")
     here.until(lambda view: view["notice"] == "There is nothing to feel under that key.")
-    here.press("0")
+    here.press("Tab")
     here.see(felt=["1", "2", "3", "reference"])
     here.press("Return")
     here.finish()
-    assert here.find("rated")[0]["values"] == {"1": 50.0, "2": 61.0, "3": 50.0}
+    assert here.find("rated")[0]["values"] == {"1": 50.0, "2": 61.0, "3": 45.0}
     first = here.find("played")[0]
     assert (first["part"], first["completed"]) == ("reference", False)
     assert {event["part"]: event["value"] for event in here.find("moved")} == {
         "1": 50.0,
         "2": 61.0,
-        "3": 50.0,
+        "3": 45.0,
     }
 
 
@@ -165,14 +165,7 @@ def test_rows_by_mouse(seat: Callable[..., Any]) -> None:
 def test_choice_by_keys_and_mouse(seat: Callable[..., Any]) -> None:
     here = seat({"trial": "abx"}, {"trial": "abx"})
     here.see(state="answering")
-    for key, chosen in (
-        ("Left", "a"),
-        ("Right", "b"),
-        ("a", "a"),
-        ("2", "b"),
-        ("1", "a"),
-        ("b", "b"),
-    ):
+    for key, chosen in (("Left", "a"), ("Right", "b"), ("a", "a"), ("b", "b")):
         here.press(key)
         here.see(chosen=chosen)
     here.press("Return")
