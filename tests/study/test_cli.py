@@ -10,9 +10,11 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from feel321.analysis.report import association
+from feel321.analysis.table.reading import Further
 from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition, list_steps
 from feel321.stimuli.formats.read import read_recording
@@ -613,7 +615,9 @@ def test_draws_and_seed_of_a_study_reach_its_report(
     monkeypatch.setattr("feel321.study.analyze.write_report", write_report)
     monkeypatch.setattr("feel321.study.analyze.read_stimuli", lambda _: None)
     monkeypatch.setattr("feel321.study.analyze.write_ratings", lambda *_: 1)
-    monkeypatch.setattr("feel321.study.analyze.measure_rotations", lambda *_: None)
+    monkeypatch.setattr(
+        "feel321.study.analyze.measure_rotations", lambda *_: Further(pd.DataFrame())
+    )
     elsewhere = study.path / "else"
     elsewhere.mkdir()
     tables = ["--ratings", "r.csv", "--manifest", "m.csv"]
