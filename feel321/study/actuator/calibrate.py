@@ -42,10 +42,14 @@ CLIPPED = 0.999  # of the sensor's full scale
 N_TRIES = 4  # of a playback in which the device ran dry
 ALIVE = 0.8  # least median coherence of a coil that moves at all; of two sweeps of noise it is 0.5
 RINGING = 0.01  # of the RMS of a sweep: what may be left at the end of its pause
+IN_STEP = 2  # samples by which noise may shift what is in step
+MOST_TURNED = 0.3  # rad by which a third octave of equal sweeps may differ
+CLEAR = 10.0  # least height of a correlation's peak over its standard deviation
 CREST = 4.0  # peak of the noise over its RMS
 MOST_TURNED_DEG = 30.0  # from the direction in rig.toml
 SILENCE_S = 0.5
 SLIGHT = 0.001  # of the sensor's full scale: less is no gravity
+TAPS_PERIODS = 12.0  # of the band's lowest frequency: the length of a filter
 STEP_HZ = 0.5  # of the frequencies in a certificate
 DB = 20 / math.log(10)
 
@@ -280,7 +284,7 @@ def _measure_coil(session: Session, actuator: ActuatorTable) -> CoilRun:
     level = rig.calibration.level * find_allowed(rig, actuator)
 
     def sweep(one: Sweep) -> tuple[Response, Samples]:
-        recorded = session.play(calibration.make_sweep(one), actuator.channel)
+        recorded = _play_sweep(session, calibration.make_sweep(one), one, channel=actuator.channel)
         return calibration.measure_sweep(one, recorded), recorded
 
     probe, _ = sweep(make_quiet(rig, rate_hz=rate_hz, peak=PROBE * level))
@@ -307,6 +311,44 @@ def _measure_coil(session: Session, actuator: ActuatorTable) -> CoilRun:
         ),
         repeats_db=_measure_repeats(loud, recorded, main),
     )
+
+
+def _play_sweep(session: Session, sent: Samples, sweep: Sweep, *, channel: int) -> Samples:
+    """Play sweeps until their recordings are in step: a sound server may drop samples without saying so."""
+    for _ in range(N_TRIES):
+        recorded = session.play(sent, channel)
+        if not (slip := find_slip(recorded, sweep)):
+            return recorded
+    raise OSError(
+        f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are lost "
+        "between output and sensor; use the sound card itself, or raise latency_s in rig.toml"
+    )
+
+
+def find_slip(recorded: Samples, sweep: Sweep) -> int:
+    """Find by how many samples later sweeps are out of step with the first one, at most; 0 where noise hides it.
+
+    Over the whole band by correlation with equal weights (Knapp & Carter's phase transform); and by the phase of each
+    third octave, because samples may be lost while the sweep passes through it.
+    """
+    periods = recorded.reshape(len(recorded), sweep.n_repeats, sweep.period)
+    spectra = fft.rfft(periods, axis=-1)
+    frequency_hz = fft.rfftfreq(sweep.period, 1 / sweep.rate_hz)
+    inside = calibration.find_inside(frequency_hz, band_hz=sweep.band_hz)
+    cross = (spectra[:, 1:] * spectra[:, :1].conj()).sum(axis=0)
+    pulses = fft.irfft(inside * cross / np.maximum(np.abs(cross), calibration.TINY), sweep.period)
+    places = np.argmax(pulses, axis=-1)
+    clear = pulses.max(axis=-1) > CLEAR * pulses.std(axis=-1)
+    lags = np.where(clear, np.minimum(places, sweep.period - places), 0)
+    energy = np.square(np.abs(spectra)).sum(axis=0)
+    together, size, middle_hz = (
+        _average_thirds(one, frequency_hz, band_hz=sweep.band_hz)
+        for one in (cross, np.sqrt(energy[1:] * energy[:1]), frequency_hz)
+    )
+    turned = np.abs(np.angle(together)) * (np.abs(together) > ALIVE * size)
+    lost = turned * (turned > MOST_TURNED) / (2 * math.pi * middle_hz) * sweep.rate_hz
+    slip = max(int(lags.max()), round(float(lost.max())))
+    return slip if slip > IN_STEP else 0
 
 
 def find_safe(rig: Rig, probe: Response) -> float:
@@ -405,7 +447,7 @@ def _make_coil(rig: Rig, run: CoilRun, *, noise_m_s2: float) -> CoilCertificate:
         main,
         band_hz=settings.band_hz,
         max_gain_db=settings.max_gain_db,
-        n_taps=round(main.rate_hz),
+        n_taps=round(TAPS_PERIODS / settings.band_hz[0] * main.rate_hz),
         phase=cast("calibration.Phase", settings.phase),
         min_coherence=settings.min_coherence,
     )
@@ -468,7 +510,7 @@ def _verify_coil(session: Session, coil: CoilCertificate, run: CoilRun) -> CoilC
     asked = calibration.make_sweep(sweep)
     filtered = coil.equalise(asked)[: len(asked)]
     scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
-    recorded = session.play(scale * filtered, coil.channel)
+    recorded = _play_sweep(session, scale * filtered, sweep, channel=coil.channel)
     after = calibration.measure_sweep(sweep, recorded, sent=scale * asked)
     found = calibration.verify(after, target=coil.target, band_hz=rig.calibration.band_hz)
     budget = _make_budget(rig, run, residual_db=float(np.sqrt(np.mean(found.deviation_db**2))))

@@ -39,12 +39,22 @@ def render_tones(
     return sounds
 
 
-def find_tone_problems(block: ThresholdBlock, rig: Rig) -> Iterator[str]:
-    """Find what keeps a rig from playing the strongest tone of a threshold block, in one line per limit."""
+def find_tone_problems(
+    block: ThresholdBlock, rig: Rig, *, certificate: Certificate | None = None
+) -> Iterator[str]:
+    """Find what keeps a rig from playing the strongest tone of a threshold block, in one line per limit.
+
+    With a certificate, the limits hold for what is sent through the coils' filters, at the measured full scale.
+    """
+    rig = certificate.apply(rig) if certificate else rig
     mix, limits = find_mix(rig), rig.limits
     rms = 10 ** (block.plan.highest_db / 20)
     for actuator in rig.actuators:
         asked = mix[actuator.name].get(REDUCED, 0.0) * rms
+        if certificate:
+            asked *= certificate.coils[actuator.name].find_gain(
+                block.frequencies_hz, rate_hz=certificate.rate_hz
+            )
         for limit, got, allowed in (
             ("its full_scale_m_s2", asked * np.sqrt(2), actuator.full_scale_m_s2),
             ("limits.peak_m_s2", asked * np.sqrt(2), limits.peak_m_s2),
