@@ -89,6 +89,7 @@ class Agenda:
         self._steps: deque[Page | Trial] = deque(_list_steps(trials, flow))
         self._attempts: Counter[int] = Counter()
         self._spent: Counter[int] = Counter()
+        self._lost: int | None = None
         self._training = Training(trials, flow)
         self._since_break, self._break_s = 0, 0.0
         self.total = sum(trial.phase == "main" for trial in trials)
@@ -152,6 +153,7 @@ class Agenda:
         as_expected: bool | None,
         time_s: float,
         spent: bool = True,
+        lost: bool = False,
     ) -> None:
         """Take an attempt at a trial as made.
 
@@ -167,6 +169,9 @@ class Agenda:
             Time in s since the session began.
         spent : bool
             Whether a bad attempt is one of those that a trial has: a device that fails may not use them up.
+        lost : bool
+            Whether its stimulus did not reach the hand. If that of another trial did not either, just before, the
+            device failed, and the attempt is not spent.
 
         Raises
         ------
@@ -175,9 +180,10 @@ class Agenda:
         """
         self._take(number)
         trial = self._trials[number]
+        before, self._lost = self._lost, number if lost else None
         if not accepted:
             self._attempts[number] += 1
-            self._spent[number] += spent
+            self._spent[number] += spent and not (lost and before not in {None, number})
             if self._spent[number] < self._flow.max_attempts:
                 self._steps.insert(_find_place(self._steps, trial), trial)
                 return

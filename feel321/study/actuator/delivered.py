@@ -78,7 +78,10 @@ def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
     total = correlation.sum(axis=0)
     lag = int(np.argmax(np.abs(total)))
     polarity = -1 if total[lag] < 0 else 1
-    felt = polarity * _center(_cut(measured, lag, n))
+    # A path that is slower than the device says is cut off at its end; what is there is compared.
+    n_there = max(min(n, measured.shape[-1] - lag), n // 2)
+    asked = _center(asked[:, :n_there])
+    felt = polarity * _center(_cut(measured, lag, n_there))
     power, coherent, whole = _find_power(asked, felt, rate_hz=rate_hz)
     level_db = 10 * np.log10(max(coherent, TINY) / max(power, TINY))
     return Delivery(
@@ -87,7 +90,7 @@ def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
         level_error_db=max(float(level_db), LOWEST_DB),
         coherence=float(coherent / whole) if whole > 0 else 0.0,
         rms_m_s2=float(np.sqrt(np.mean(np.square(measured).sum(axis=0)))),
-        error=felt - asked,
+        error=_cut(felt - asked, 0, n),
     )
 
 

@@ -324,6 +324,7 @@ def advance(
                 as_expected=None,
                 time_s=event.time_s,
                 spent="device_error" not in event.flags,
+                lost="not_delivered" in event.flags,
             )
         case events.WarmUpBegun():
             agenda.warm_up()

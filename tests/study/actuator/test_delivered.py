@@ -117,6 +117,18 @@ def test_noise_lowers_coherence_by_its_share_and_leaves_the_level() -> None:
         assert found.lag == LAG
 
 
+def test_what_was_cut_off_at_the_end_is_no_loss_unless_it_is_most() -> None:
+    asked = make_noise(7)
+    whole = 0.5 * delay(asked)
+    cut = compare(asked, whole[:, : LAG + 30000], rate_hz=RATE)
+    assert cut.lag == LAG
+    assert cut.level_error_db == pytest.approx(-6.02, abs=0.01)
+    assert cut.coherence == pytest.approx(1, abs=1e-3)
+    assert cut.error.shape == asked.shape
+    most = compare(asked, whole[:, : LAG + 9000], rate_hz=RATE)
+    assert most.level_error_db < -8
+
+
 def test_silence_and_noise_alone_have_nothing_of_what_was_asked() -> None:
     asked = make_noise(4)
     silent = compare(asked, np.zeros((1, 60000)), rate_hz=RATE)
