@@ -26,6 +26,7 @@ from feel321.protocols.trial import ASIDE, MATCHING, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
 from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
 from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
+from feel321.study.ledger.rigs import describe_rigs, find_rig_use
 from feel321.study.ledger.slots import Entry, find_lost, read_study_ledger
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
@@ -369,6 +370,19 @@ def audit_entry(study: StudyFolder, folder: Path, entry: Entry) -> Iterator[str]
         yield f"{who} has done {entry.done}, the journals say {reached}; {rebuild}"
     if entry.total not in {0, total}:
         yield f"{who} has total {entry.total}, the plan says {total}; {rebuild}"
+
+
+def list_remarks(study: StudyFolder) -> Iterator[str]:
+    """List what no record contradicts and is worth knowing: participants on another rig, onsets that are estimates."""
+    uses = []
+    for folder in study.participants:
+        journals = list_journals(folder)
+        try:
+            if journals and not (folder / TOMBSTONE_FILE).exists():
+                uses.append(find_rig_use(folder.name, read_journal(journals[-1]).records))
+        except (*MALFORMED, OSError, ValueError):
+            continue  # among the findings
+    yield from describe_rigs(uses)
 
 
 # The whole study: plans, journals, stimuli, ledger.

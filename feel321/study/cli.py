@@ -13,7 +13,8 @@ import click
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
 VERBS = {
-    "lab": ("doctor", "run"),
+    "lab": ("run",),
+    "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "stress"),
     "signals": ("match", "reduce"),
     "studies": (

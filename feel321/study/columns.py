@@ -5,7 +5,7 @@ PARTICIPANT_COLUMNS = ("participant", "number", "simulated", "state", "sessions"
 
 Last of all come those of `thresholds.list_columns`, where thresholds were measured."""
 
-LAST_PARTICIPANT_COLUMNS = ("first_utc", "last_utc", "training_passed")
+LAST_PARTICIPANT_COLUMNS = ("first_utc", "last_utc", "training_passed", "rig", "calibration")
 
 RATING_COLUMNS = (
     "participant", "session", "protocol", "block", "trial", "repeat", "stimulus_id", "recording", "reducer",

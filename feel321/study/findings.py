@@ -40,15 +40,17 @@ class Problems(Result):
 class Audit(Result):
     """What `Study.audit` found.
 
-    findings: every gap, duplicate and edit; seal: digest of plans, journals and stimuli, to be kept elsewhere.
+    findings: every gap, duplicate and edit; seal: digest of plans, journals and stimuli, to be kept elsewhere;
+    remarks: what is as it was written and worth knowing, such as participants on another rig.
     """
 
     findings: tuple[str, ...]
     seal: str
+    remarks: tuple[str, ...] = ()
 
     def to_frame(self) -> DataFrame:
         """Return one row per finding, with the columns `kind` and `text`."""
-        return _list_findings(self, "findings")
+        return _list_findings(self, "findings", "remarks")
 
     def __repr__(self) -> str:
         """Count the findings."""

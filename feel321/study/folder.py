@@ -85,6 +85,11 @@ class StudyFolder:
         return self.sessions / "ledger.log"
 
     @property
+    def calibration(self) -> Path:
+        """The certificates of the rig."""
+        return self.path / "calibration"
+
+    @property
     def ratings(self) -> Path:
         """The table of ratings, derived from the journals."""
         return self.path / "ratings.csv"

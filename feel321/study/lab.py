@@ -10,13 +10,14 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
+from feel321.study.actuator.certificate import judge_certificates
 from feel321.study.actuator.rig import (
     FILE_DEVICE,
     SIMULATED_DEVICE,
@@ -27,10 +28,10 @@ from feel321.study.actuator.rig import (
 )
 from feel321.study.folder import DELIVERED
 from feel321.study.ledger.slots import read_ledger
-from feel321.study.minutes import SIMULATED, read_pace
+from feel321.study.minutes import read_pace
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
-from feel321.study.session.events import DeviceOpened
+from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.settings.read import (
     list_surfaces,
     make_identity,
@@ -42,6 +43,7 @@ from feel321.study.settings.read import (
 from feel321.study.strength import find_unfelt
 
 if TYPE_CHECKING:
+    from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.output import Check, Output
     from feel321.study.folder import StudyFolder
     from feel321.study.screen.layout import Hand
@@ -73,6 +75,12 @@ class Lab:
     windowed: bool = False
     screen: int = 0
     casting: Casting | None = None
+    certificate: Certificate | None = None
+
+    @property
+    def calibration(self) -> dict[str, str] | str:
+        """What the journal's header says of the calibration."""
+        return self.certificate.identity if self.certificate else UNCALIBRATED
 
 
 def check_lab(rig: Rig, *, screen: int = 0) -> None:
@@ -141,33 +149,44 @@ def _open_output(
 
     rate_hz, full_scale_m_s2 = lab.settings.rig.rate_hz, lab.settings.rig.full_scale_m_s2
     check = _make_check(lab)
-    sounds = render_set(lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2)
+    sounds = render_set(
+        lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2, certificate=lab.certificate
+    )
+    rig = lab.certificate.apply(lab.rig) if lab.certificate else lab.rig
     if plan.threshold:
         from feel321.study.actuator.tone import render_tones
 
-        sounds |= render_tones(plan.threshold, lab.rig, rate_hz=rate_hz)
+        sounds |= render_tones(
+            plan.threshold, lab.rig, rate_hz=rate_hz, certificate=lab.certificate
+        )
     folder = lab.study.sessions / plan.participant / DELIVERED
-    if lab.rig.device.name == FILE_DEVICE:
+    if rig.device.name == FILE_DEVICE:
         from feel321.study.actuator.output import FileOutput
 
         return nullcontext(
-            FileOutput(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock, check=check)
+            FileOutput(rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock, check=check)
         )
     from feel321.study.actuator.output import open_stream
 
-    return open_stream(lab.rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock, check=check)
+    return open_stream(rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock, check=check)
 
 
 def _make_check(lab: Lab) -> Check | None:
     """Make what compares playbacks with what was asked; without their recordings, stimuli have no delivered metrics."""
-    if lab.rig.sensor is None or lab.rig.device.name == FILE_DEVICE:
+    is_known = lab.rig.sensor is not None or lab.certificate is not None
+    if lab.rig.device.name == FILE_DEVICE or not is_known:
         return None
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 
     recordings, _ = try_recordings(lab.settings, lab.study.path)
     reduced = reduce_stimuli(lab.stimuli, recordings, make_recipe(lab.settings))
-    full_scale_m_s2 = lab.settings.rig.full_scale_m_s2
-    return DeliveryCheck(lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2, reduced=reduced)
+    return DeliveryCheck(
+        lab.stimuli,
+        lab.rig,
+        full_scale_m_s2=lab.settings.rig.full_scale_m_s2,
+        reduced=reduced,
+        predict=lab.certificate.predict if lab.certificate else None,
+    )
 
 
 @contextmanager
@@ -197,6 +216,7 @@ class Visit:
     device: str | None = None
     simulated: bool = False
     seed: int | None = None
+    accept_rig: bool = False
 
 
 def run_participant(
@@ -214,24 +234,26 @@ def run_participant(
         if not (study.is_rehearsal or visit.simulated):
             raise ValueError(f"{study.settings}: {unfelt}")
         warn(unfelt)
-    rig = require_rig(study, settings, stimuli, device=visit.device)
+    rig, certificate = require_rig(study, settings, stimuli, visit=visit, now=now, warn=warn)
     check_lab(rig, screen=visit.screen)
     seed = settings.study.seed if visit.seed is None else visit.seed
     casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
     view = partial(Lab, windowed=visit.windowed, screen=visit.screen)
-    lab = view(study, settings, stimuli, rig, casting=casting)
+    lab = view(study, settings, stimuli, rig, casting=casting, certificate=certificate)
     room, notice = open_room(study, settings, stimuli, now=now)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
     for entry in read_ledger(room.ledger, plan.participant):
         if entry.state == "finished":  # No window is opened for it.
             return Outcome(entry.done, entry.total)
     outcome, repaired = lead_session(
-        room,
+        replace(room, pace=read_pace(study, stimuli)),
         plan,
-        identity=make_identity(settings, study.path, identify_lab(lab)),
+        identity=make_identity(
+            settings, study.path, identify_lab(lab), calibration=lab.calibration
+        ),
         make_presenter=partial(open_lab, lab=lab),
         on_step=on_step,
-        pace=SIMULATED if visit.simulated else read_pace(study, stimuli),
+        accept_rig=visit.accept_rig,
     )
     for line in filter(None, (notice, repaired)):
         warn(line)
@@ -239,16 +261,31 @@ def run_participant(
 
 
 def require_rig(
-    study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, device: str | None
-) -> Rig:
-    """Read the rig, and check that it can play the stimuli."""
+    study: StudyFolder,
+    settings: Settings,
+    stimuli: StimulusSet,
+    *,
+    visit: Visit,
+    now: Clock,
+    warn: Callable[[str], None],
+) -> tuple[Rig, Certificate | None]:
+    """Read the rig and its certificate, and check that it can play the stimuli."""
     if not study.rig.is_file():
         raise FileNotFoundError(
             f"{study.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
         )
     rig = read_rig(study.rig)
-    if device is not None:
-        rig = take_device(rig, device)
-    if problems := list_rig_problems(study, rig, settings=settings, stimuli=stimuli):
+    if visit.device is not None:
+        rig = take_device(rig, visit.device)
+    own = settings.rig
+    certificate, faults = judge_certificates(study.path, rig, now=now(), rate_hz=own.rate_hz)
+    if faults and own.certificate == "require":
+        raise ValueError("\n".join(faults))
+    if problems := list_rig_problems(
+        study, rig, settings=settings, stimuli=stimuli, certificate=certificate
+    ):
         raise ValueError("\n".join(problems))
-    return rig
+    is_felt = not visit.simulated and rig.device.name != FILE_DEVICE
+    if faults and is_felt:
+        warn(f"{faults[0]}; until then every row is {UNCALIBRATED}")
+    return rig, certificate

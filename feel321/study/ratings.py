@@ -16,6 +16,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.sensation import find_own_levels
+from feel321.study.session.codes import list_by_code
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -24,13 +25,7 @@ from feel321.study.session.events import (
     TrialShown,
 )
 from feel321.study.session.journal import Records, list_journals, name_journal, read_journal
-from feel321.study.session.plan import (
-    TOMBSTONE_FILE,
-    Plan,
-    list_by_code,
-    read_as_written,
-    require_own_plan,
-)
+from feel321.study.session.plan import TOMBSTONE_FILE, Plan, read_as_written, require_own_plan
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 

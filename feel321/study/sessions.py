@@ -14,10 +14,11 @@ from feel321.study.folder import StudyFolder, find_changes
 from feel321.study.ledger.progress import Anchor, check_anchors
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
+from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.events import SessionFinished
 from feel321.study.session.journal import Clock, Journal
-from feel321.study.session.plan import Plan, Stale, list_by_code, make_plan, open_session
+from feel321.study.session.plan import Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Place, Presenter
 from feel321.study.settings.read import find_language, make_design, make_recipe
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from sqlalchemy import Engine
 
     from feel321.protocols.trial import Scale
+    from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.rig import Rig
     from feel321.study.settings.schema import Settings
 
@@ -44,6 +46,7 @@ class Room:
     ledger: Engine
     stale: Stale
     now: Clock
+    pace: Pace = SIMULATED
 
 
 def lead_session(
@@ -53,24 +56,22 @@ def lead_session(
     identity: Mapping[str, Any],
     make_presenter: MakePresenter,
     on_step: Callable[[Place], None] | None = None,
-    pace: Pace = SIMULATED,
+    accept_rig: bool = False,
 ) -> tuple[Outcome, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
     for entry in read_ledger(room.ledger, folder.name):
         check_anchors(entry.anchors, folder)  # a journal that was cut is not continued
-    with open_session(folder, plan, identity=identity, now=room.now, stale=room.stale) as (
-        stored,
-        journal,
-    ):
+    with open_session(
+        folder, plan, identity=identity, now=room.now, stale=room.stale, accept_rig=accept_rig
+    ) as (stored, journal):
         by_code = list_by_code(room.stimuli, seed=stored.seed)
         keeper = _Keeper(
             room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1
         )
 
-        left_s = find_left(
-            stored, journal.records, durations=find_durations(room.stimuli), pace=pace
-        )
+        durations = find_durations(room.stimuli)
+        left_s = find_left(stored, journal.records, durations=durations, pace=room.pace)
 
         def note(place: Place) -> None:
             keeper.see(place)
@@ -139,7 +140,12 @@ def require_current_set(study: StudyFolder, settings: Settings) -> None:
 
 
 def list_rig_problems(
-    study: StudyFolder, rig: Rig, *, settings: Settings, stimuli: StimulusSet
+    study: StudyFolder,
+    rig: Rig,
+    *,
+    settings: Settings,
+    stimuli: StimulusSet,
+    certificate: Certificate | None = None,
 ) -> list[str]:
     """List the problems that keep a rig from playing the stimuli of a study as they are."""
     from feel321.study.actuator.render import find_mix, find_rig_problems
@@ -150,7 +156,11 @@ def list_rig_problems(
         return [f"{study.rig.name}: {error}"]
     own = settings.rig
     problems = find_rig_problems(
-        rig, stimuli, rate_hz=own.rate_hz, full_scale_m_s2=own.full_scale_m_s2
+        rig,
+        stimuli,
+        rate_hz=own.rate_hz,
+        full_scale_m_s2=own.full_scale_m_s2,
+        certificate=certificate,
     )
     if settings.session.threshold:
         from feel321.study.actuator.tone import find_tone_problems

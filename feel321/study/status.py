@@ -18,6 +18,7 @@ from feel321.protocols.tasks import is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
+from feel321.study.ledger.rigs import RigUse, describe_rigs, find_rig_use
 from feel321.study.minutes import (
     Length,
     Sitting,
@@ -207,6 +208,7 @@ class ParticipantStatus:
     problem: str = ""
     notes: tuple[Note, ...] = ()
     left_min: float | None = None
+    rig: RigUse | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -230,7 +232,8 @@ class Status(Result):
         for entry in self.participants:
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         length = [] if self.length is None else [self.length.describe()]
-        return "\n".join([*lines, *length, *describe_balance(self.balance)])
+        uses = [entry.rig for entry in self.participants if entry.rig]
+        return "\n".join([*lines, *describe_rigs(uses), *length, *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
         """Write what `feel321 status --notes` adds."""
@@ -319,6 +322,7 @@ def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
         last_activity=progress.last_utc,
         warnings=tuple(warnings),
         notes=notes,
+        rig=find_rig_use(progress.participant, dossier.records),
     )
     return entry, dossier
 

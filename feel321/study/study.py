@@ -110,7 +110,8 @@ class Contents:
         """
         import pandas as pd
 
-        from feel321.study.session.plan import PLAN_FILE, list_codes, require_plan
+        from feel321.study.session.codes import list_codes
+        from feel321.study.session.plan import PLAN_FILE, require_plan
 
         plan = require_plan(self._find(participant) / PLAN_FILE)
         rows = [
@@ -345,11 +346,12 @@ class Study(Contents):
         Audit
             Every change, and the seal.
         """
-        from feel321.study.audit import audit_study, make_seal
+        from feel321.study.audit import audit_study, list_remarks, make_seal
         from feel321.study.findings import Audit
 
         with follow(self.progress, "audit") as step:
-            return Audit(tuple(audit_study(self.folder, progress=step)), make_seal(self.folder))
+            findings = tuple(audit_study(self.folder, progress=step))
+        return Audit(findings, make_seal(self.folder), tuple(list_remarks(self.folder)))
 
     def analyze(self, draws: int | None = None) -> Results:
         """Relate the ratings to the match metrics and write the report into `report/`.

@@ -14,11 +14,13 @@ from feel321.stimuli.sets.build import Foreseen, build_stimuli, foresee_stimuli
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.study import strength
+from feel321.study.actuator.certificate import Certificate, judge_certificates, list_certificates
 from feel321.study.actuator.render import find_mix
-from feel321.study.actuator.rig import Rig, read_rig
+from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, find_changes, is_in_use
 from feel321.study.minutes import measure_design
+from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
 from feel321.study.sessions import list_rig_problems
 from feel321.study.settings.read import (
@@ -72,26 +74,23 @@ def _protect_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[R
 # Everything that stands in the way of a study, found in one go.
 
 
-def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Problems:
+def check_study(
+    study: StudyFolder, *, progress: Progress | None = None, now: Clock = utc_now
+) -> Problems:
     """Check settings, recordings, pictures, texts, strength of the stimuli, rig and, once built, the stimulus set."""
     try:
         settings = read_settings(study.settings)
     except ValueError as error:
         return Problems(tuple(str(error).splitlines()))
     recordings, unread = try_recordings(settings, study.path)
-    rig, rig_problems = _check_rig(study, settings)
+    rig, rigged = _check_rig(study, settings, now=now)
     problems = [
         *unread,
         *_check_pictures(study, settings),
         *_check_texts(study, settings),
-        *rig_problems,
+        *rigged.problems,
     ]
-    recipe, unusable = None, list[str]()
-    try:
-        recipe = make_recipe(settings)
-        unusable = list(_check_recordings(recordings, recipe))
-    except ValueError as error:
-        unusable = [f"{study.settings.name}: {error}"]
+    recipe, unusable = _try_recipe(study, settings, recordings)
     problems += unusable
     found = Problems()
     if recipe is not None and not unread and not unusable:
@@ -110,9 +109,22 @@ def check_study(study: StudyFolder, *, progress: Progress | None = None) -> Prob
     return replace(
         found,
         problems=tuple(problems),
-        warnings=(*found.warnings, *([] if problems else find_warnings(study, settings))),
+        warnings=found.warnings
+        + rigged.warnings
+        + tuple([] if problems else find_warnings(study, settings)),
+        notes=rigged.notes + found.notes,
         remarks=tuple(f"{one.name}: {text}" for one in recordings for text in one.warnings),
     )
+
+
+def _try_recipe(
+    study: StudyFolder, settings: Settings, recordings: Sequence[Recording]
+) -> tuple[Recipe | None, list[str]]:
+    try:
+        recipe = make_recipe(settings)
+    except ValueError as error:
+        return None, [f"{study.settings.name}: {error}"]
+    return recipe, list(_check_recordings(recordings, recipe))
 
 
 def _find_strength(
@@ -268,23 +280,46 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
     ]
 
 
-def _check_rig(study: StudyFolder, settings: Settings) -> tuple[Rig | None, list[str]]:
-    """Check the rig, where there is one: simulated participants need none. An unusable one is None."""
+def _check_rig(
+    study: StudyFolder, settings: Settings, *, now: Clock
+) -> tuple[Rig | None, Problems]:
+    """Check the rig, where there is one, and its certificate. An unusable rig is None."""
     if not study.rig.is_file():
-        return None, []
+        return None, Problems()
     try:
         rig = read_rig(study.rig)
     except ValueError as error:
-        return None, str(error).splitlines()
+        return None, Problems(tuple(str(error).splitlines()))
     try:
         find_mix(rig)
     except ValueError as error:
-        return None, [f"{study.rig.name}: {error}"]
+        return None, Problems((f"{study.rig.name}: {error}",))
+    certificate, calibrated = _check_certificate(study, settings, rig, now=now)
     try:
         stimuli = read_stimuli(study.stimuli)
     except (OSError, ValueError):
-        return rig, []  # not built yet, or damaged, which is found by itself
-    return rig, list_rig_problems(study, rig, settings=settings, stimuli=stimuli)
+        return rig, calibrated  # not built yet, or damaged, which is found by itself
+    problems = list_rig_problems(
+        study, rig, settings=settings, stimuli=stimuli, certificate=certificate
+    )
+    return rig, replace(calibrated, problems=(*calibrated.problems, *problems))
+
+
+def _check_certificate(
+    study: StudyFolder, settings: Settings, rig: Rig, *, now: Clock
+) -> tuple[Certificate | None, Problems]:
+    """Find the certificate that a session would use, or why there is none; a rig of files needs none."""
+    own = settings.rig
+    certificate, faults = judge_certificates(study.path, rig, now=now(), rate_hz=own.rate_hz)
+    lines = tuple(f"{study.rig.name}: {fault}" for fault in faults)
+    if certificate is not None:
+        until = f"valid until {certificate.expires_utc[:10]}"
+        note = f"{study.rig.name}: certificate {certificate.id} ({certificate.method}), {until}"
+        return certificate, Problems(notes=(note,))
+    if own.certificate == "require":
+        return None, Problems(problems=lines)
+    needs_one = rig.device.name != FILE_DEVICE or list_certificates(study.path)
+    return None, Problems(warnings=lines if needs_one else ())
 
 
 def find_warnings(study: StudyFolder, settings: Settings) -> list[str]:

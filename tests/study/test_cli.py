@@ -782,7 +782,7 @@ def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
         "coil", "ALSA", 48000.0, 20.0, 10, failed, underruns, 30.0, 0.1, 0.2, None, None, None, None, 1.0,
         is_program=False, error="",
     )  # fmt: skip
-    monkeypatch.setattr(doctor, "survey_devices", lambda _: [])
+    monkeypatch.setattr(doctor, "survey_devices", lambda *_: [])
     monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
     assert main(["doctor", "--device", "coil"]) == code
     assert f"pulses 10, failed {failed}, underruns {underruns}" in capsys.readouterr().out
@@ -804,7 +804,7 @@ def test_doctor_says_how_onset_times_were_got_and_fails_on_a_faulty_sensor(
         "coil", "ALSA", 48000.0, 20.0, 10, 0, 0, 30.0, 0.1, 0.2, None, None, None, None, 1.0,
         is_program=False, error="", n_estimated=estimated, sensor=sensor,
     )  # fmt: skip
-    monkeypatch.setattr(doctor, "survey_devices", lambda _: [])
+    monkeypatch.setattr(doctor, "survey_devices", lambda *_: [])
     monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
     assert main(["doctor", "--device", "coil", *as_json]) == 1
     printed = capsys.readouterr()

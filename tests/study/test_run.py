@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import signal
 import subprocess
@@ -15,12 +16,15 @@ import pytest
 
 from feel321.study import lab
 from feel321.study.actuator import stream
+from feel321.study.actuator.rig import digest, read_rig
 from feel321.study.actuator.stream import Device
-from feel321.study.audit import audit_study
+from feel321.study.audit import audit_study, list_remarks
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.lab import Visit, run_participant
+from feel321.study.ledger.progress import write_roster
 from feel321.study.screen import window
+from feel321.study.session.events import RigAccepted
 from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
 from feel321.study.status import read_status
@@ -154,6 +158,74 @@ def test_another_rig_takes_over_where_nobody_has_done_anything_yet(
     assert [records[-1].event for records in chains] == ["superseded", "superseded", "finished"]
     assert audit_study(ready) == []
     assert read_status(ready).participants[0].done == TOTAL
+
+
+@pytest.mark.usefixtures("devices")
+def test_a_spare_device_is_accepted_by_name_and_recorded_with_what_differs(
+    ready: StudyFolder, present: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", str(ready.path), "--participant", "p01"]
+    present(pages={"rest": [Abort(9.0, "card broke")]})
+    assert main(command) == 1
+    capsys.readouterr()
+    assert main([*command, "--device", "other"]) == 1
+    assert "go on with the rig as it is now (--accept-rig, which records it)" in (
+        capsys.readouterr().err
+    )
+    present(pages={"rest": [Abort(9.0, "tired")]})
+    assert main([*command, "--device", "other", "--accept-rig"]) == 1
+    assert capsys.readouterr().err.rstrip().endswith("--participant p01 --device other")
+    present()
+    assert main([*command, "--device", "other"]) == 0  # it need not be accepted again
+    (records,) = (read_journal(path).records for path in ready.journals)
+    (event,) = records.find(RigAccepted)
+    assert event.changes == ["presenter.rig.device.name 'file' -> 'other'"]
+    assert event.rig is not None
+    assert event.rig["device"]["name"] == "other"
+    assert audit_study(ready) == []
+    capsys.readouterr()
+    assert main(["audit", str(ready.path)]) == 0
+    line = f"p01: the rig was changed in mid-session ({event.changes[0]})"
+    assert line in capsys.readouterr().out.splitlines()
+    assert line in read_status(ready).summary().splitlines()
+
+
+@pytest.mark.usefixtures("devices")
+def test_nothing_but_the_rig_can_be_accepted(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
+    present(pages={"rest": [Abort(9.0, "tired")]})
+    visit(ready)
+    text = ready.settings.read_text(encoding="utf-8")
+    ready.settings.write_text(
+        text.replace("[session]", "[session]\nlanguage = 'de'", 1), encoding="utf-8"
+    )
+    with pytest.raises(ValueError, match="begun otherwise") as refused:
+        visit(ready, device="other", accept_rig=True)
+    assert "--accept-rig" not in str(refused.value)
+
+
+@pytest.mark.usefixtures("devices")
+def test_participants_on_another_rig_than_most_are_named(
+    ready: StudyFolder, present: Callable[..., Any]
+) -> None:
+    for name, device in (
+        ("p01", None),
+        ("p02", "other"),
+        ("p03", None),
+        ("p04", "other"),
+        ("p05", None),
+    ):
+        present()
+        visit(ready, name, device=device)
+    with write_roster(ready).open(encoding="utf-8", newline="") as file:
+        rows = {row["participant"]: row for row in csv.DictReader(file)}
+    file_rig, other = rows["p01"]["rig"], rows["p02"]["rig"]
+    assert file_rig == digest(read_rig(ready.rig))[:12] != other
+    assert [row["rig"] for row in rows.values()] == [file_rig, other] * 2 + [file_rig]
+    line = f"p02, p04: another rig ({other}) than the other 3 ({file_rig})"
+    assert line in read_status(ready).summary().splitlines()
+    assert line in list(list_remarks(ready))
 
 
 def test_who_stops_is_told_how_to_go_on(

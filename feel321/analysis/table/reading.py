@@ -39,8 +39,10 @@ RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
 
 ROSTER_FILE = "participants.csv"
+RIG = ("rig", "calibration")
+"""Columns on what the participants felt the stimuli on."""
 ROSTER = frozenset({
-    "number", "simulated", "state", "sessions", "done", "total", "first_utc", "last_utc", "training_passed",
+    "number", "simulated", "state", "sessions", "done", "total", "first_utc", "last_utc", "training_passed", *RIG,
 })  # fmt: skip
 """Columns on the progress of a participant; all others, but for the participant's name, are labels."""
 

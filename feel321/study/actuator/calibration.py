@@ -25,10 +25,14 @@ from feel321.types import Samples
 
 Spectrum = NDArray[np.complex128]
 Band = tuple[float, float]
+Phase = Literal["corrected", "minimum", "linear"]
 
 BAND_HZ = (20.0, 1000.0)
 BELOW, ABOVE = 2.0, 1.25  # how far a sweep goes beyond its band; its ramps lie there
 ORDERS = (2, 3, 4, 5)  # harmonics that count as distortion
+LEAD_PERIODS = (
+    3.0  # of the band's lowest frequency: how far a filter of corrected phase reaches ahead
+)
 SMOOTH_HZ = 1.0  # spectra of sweeps, which are finer, are averaged over so many Hz
 TINY = float(np.finfo(float).tiny)
 
@@ -293,7 +297,7 @@ def make_inverse(
     band_hz: Band = BAND_HZ,
     max_gain_db: float = 20.0,
     n_taps: int,
-    phase: Literal["minimum", "linear"] = "minimum",
+    phase: Phase = "minimum",
     min_coherence: float = 0.95,
 ) -> InverseFilter:
     """Make the filter that brings a response to its median magnitude in the band.
@@ -301,6 +305,10 @@ def make_inverse(
     It is `T |H| / (|H|² + β)` with Kirkeby's regularisation β, at each frequency the least that keeps the gain at
     or below the bound, so 0 wherever it can. Where coherence is below its minimum, and outside the band, the gain is
     1; at the band's edges it goes there within half an octave.
+
+    phase: "corrected" takes away the coil's phase too, so that what arrives has the shape of what was asked for, later
+    by `delay`; "minimum" and "linear" are the phases of the filter itself. "minimum" undoes the coil's phase without
+    delay, but not within an octave or two of the band's lower edge, where much of a vibration's energy may be.
     """
     check_band(band_hz, rate_hz=response.rate_hz)
     inside = find_inside(response.frequency_hz, band_hz=band_hz)
@@ -319,7 +327,10 @@ def make_inverse(
     weight = np.interp(grid_hz, response.frequency_hz, np.where(poor, 0.0, 1.0))
     weight *= _fade(grid_hz, band_hz=band_hz)
     log_gain = weight * np.interp(grid_hz, response.frequency_hz, np.log(wanted))
-    fir, delay = _make_fir(log_gain, n_taps=n_taps, phase=phase)
+    if phase == "corrected":
+        log_gain = log_gain - 1j * weight * _find_phase(response, grid_hz, inside=inside)
+    lead = round(LEAD_PERIODS / band_hz[0] * response.rate_hz)
+    fir, delay = _make_fir(log_gain, n_taps=n_taps, phase=phase, lead=lead)
     largest = float(np.abs(fft.rfft(fir, n_grid)).max())
     within = min(1.0, bound / largest)  # cutting a filter to its length ripples; the bound holds
     return InverseFilter(
@@ -398,11 +409,36 @@ def _fade(grid_hz: Samples, *, band_hz: Band) -> Samples:
     return weights
 
 
-def _make_fir(log_gain: Samples, *, n_taps: int, phase: str) -> tuple[Samples, int]:
-    """Make the taps of a filter of given log gain from 0 to half the rate, and its delay in samples."""
+def _find_phase(response: Response, grid_hz: Samples, *, inside: NDArray[np.bool_]) -> Samples:
+    """Interpolate the phase of a response, whole turns taken away so that it is near 0 at the band's upper end."""
+    phase = np.unwrap(np.angle(response.response[inside]))
+    phase -= 2 * math.pi * round(phase[-1] / (2 * math.pi))
+    return np.asarray(np.interp(grid_hz, response.frequency_hz[inside], phase), dtype=np.float64)
+
+
+def _cut_line(line: Samples, *, n_taps: int, delay: int) -> Samples:
+    """Cut a periodic impulse response whose peak is at 0 to its last `delay` samples and the first of what is left."""
+    fir = np.roll(line, delay)[:n_taps]
+    n_rise, n_fall = delay // 2, (n_taps - delay) // 2
+    fir[:n_rise] *= np.sin(math.pi / 2 * np.arange(n_rise) / max(n_rise, 1)) ** 2
+    fir[n_taps - n_fall :] *= np.cos(math.pi / 2 * np.arange(n_fall) / max(n_fall, 1)) ** 2
+    return fir
+
+
+def _make_fir(
+    log_gain: Samples | Spectrum, *, n_taps: int, phase: Phase, lead: int
+) -> tuple[Samples, int]:
+    """Make the taps of a filter of given log gain from 0 to half the rate, and its delay in samples.
+
+    lead: how far a filter of corrected phase, whose log gain is complex, reaches ahead.
+    """
     if phase == "minimum":
         taper = signal.windows.tukey(2 * n_taps, 0.5)[n_taps:]
-        return fft.irfft(_make_minimum_phase(log_gain))[:n_taps] * taper, 0
+        return fft.irfft(_make_minimum_phase(log_gain.real))[:n_taps] * taper, 0
+    line: Samples = fft.irfft(np.exp(log_gain))
+    if phase == "corrected":
+        delay = min(lead, n_taps // 2)
+        return _cut_line(line, n_taps=n_taps, delay=delay), delay
     delay = (n_taps - 1) // 2
-    line = np.roll(fft.irfft(np.exp(log_gain)), delay)[: 2 * delay + 1]
+    line = np.roll(line, delay)[: 2 * delay + 1]
     return line * signal.windows.tukey(len(line), 0.5), delay

@@ -11,7 +11,7 @@ import json
 import math
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,6 @@ from feel321.types import Samples
 FOLDER = "calibration"
 FORMAT = "feel321 calibration 1"
 MEASURED, MANUAL = "measured", "manual"
-UNCALIBRATED = "uncalibrated"  # in place of an identity, where there is no valid certificate
 TYPED = "typed"
 """A value that somebody typed; others are measured."""
 
@@ -51,10 +50,12 @@ class CoilCertificate:
 
     channel: of the device, from 1. full_scale_m_s2: median response in the band without the filter; target: response
     everywhere in the band with it. latency: samples from sending to the sensor; delay: samples that the filter adds.
-    frequency_hz, response (complex, along `direction`, latency removed), coherence, distortion and equalised (NaN where
-    not measured): shape (k,). direction: unit vector, shape (3,). fir: shape (n,), [1] for no filter. levels,
-    linearity_db: amplitudes of the ladder (of full scale) and deviations from linear there, shape (m,). largest_db:
-    deviation from the target in the band, with the filter; crossed_db: of this coil onto the other axes.
+    frequency_hz, response (complex, along `direction`, latency removed), coherence, distortion and equalised (with the
+    filter; NaN where not measured): shape (k,). direction: unit vector, shape (3,). fir: shape (n,), [1] for no filter.
+    levels, linearity_db: amplitudes of the ladder (of full scale) and deviations from linear there, shape (m,).
+    before_db, largest_db: largest deviation in the band, without the filter, and with it (at worst_hz). crossed_db:
+    motion across the direction over that along it; onto_db: motion along the directions of other coils.
+    total_distortion: harmonics over fundamentals, over the whole band.
     """
 
     name: str
@@ -64,18 +65,23 @@ class CoilCertificate:
     latency: int
     delay: int = 0
     gain_db: float = 0.0
+    before_db: float = math.nan
     largest_db: float = math.nan
     least_coherence: float = math.nan
     crossed_db: float = math.nan
     noise_m_s2: float = math.nan
     uncertainty_db: float = math.nan
+    total_distortion: float = math.nan
+    worst_hz: float = math.nan
+    least_coherence_after: float = math.nan
+    onto_db: Mapping[str, float] = field(default_factory=dict)
     budget: tuple[BudgetTerm, ...] = ()
     direction: Samples
     frequency_hz: Samples
     response: Spectrum
     coherence: Samples
     distortion: Samples
-    equalised: Samples
+    equalised: Spectrum
     fir: Samples
     levels: Samples
     linearity_db: Samples
@@ -93,6 +99,10 @@ class CoilCertificate:
         moved: Samples = fft.irfft(fft.rfft(drive, n) * response, n)[: len(drive)]
         return moved
 
+    def drive(self, asked_m_s2: Samples) -> Samples:
+        """Make the samples to be sent, shape (n + tail,), for the motion that is asked for, shape (n,)."""
+        return self.equalise(asked_m_s2 / self.target)
+
     def equalise(self, samples: Samples) -> Samples:
         """Filter samples, shape (n,), so that full scale becomes `target` m/s²; shape (n + tail,)."""
         energy = np.cumsum(self.fir[::-1] ** 2)[::-1]
@@ -101,7 +111,7 @@ class CoilCertificate:
         return filtered
 
 
-ARRAYS = tuple(field.name for field in fields(CoilCertificate) if field.type in {Samples, Spectrum})
+ARRAYS = tuple(one.name for one in fields(CoilCertificate) if one.type in {Samples, Spectrum})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -135,6 +145,14 @@ class Certificate:
     def passed(self) -> bool:
         """Whether all limits were kept."""
         return not self.failures
+
+    def apply(self, rig: Rig) -> Rig:
+        """Give a rig the full scales that were measured, in which the mixer keeps the limits."""
+        actuators = tuple(
+            one.model_copy(update={"full_scale_m_s2": self.coils[one.name].target})
+            for one in rig.actuators
+        )
+        return rig.model_copy(update={"actuators": actuators})
 
     def find_faults(self, rig: Rig, now: datetime, *, rate_hz: float | None = None) -> list[str]:
         """Find why the certificate is not valid for a rig today, one line each."""
@@ -253,16 +271,12 @@ def judge_certificates(
 
 def _describe(certificate: Certificate) -> dict[str, Any]:
     own = {
-        field.name: getattr(certificate, field.name)
-        for field in fields(Certificate)
-        if field.name not in {"coils", "sha256"}
+        one.name: getattr(certificate, one.name)
+        for one in fields(Certificate)
+        if one.name not in {"coils", "sha256"}
     }
     coils = [
-        {
-            field.name: getattr(coil, field.name)
-            for field in fields(coil)
-            if field.name not in ARRAYS
-        }
+        {one.name: getattr(coil, one.name) for one in fields(coil) if one.name not in ARRAYS}
         for coil in certificate.coils.values()
     ]
     entry: dict[str, Any] = to_json_value({"format": FORMAT, **own, "coils": coils})
@@ -372,7 +386,7 @@ def _make_typed_coil(
         response=np.full(2, gain, dtype=np.complex128),
         coherence=unknown,
         distortion=unknown,
-        equalised=unknown,
+        equalised=unknown.astype(np.complex128),
         fir=np.ones(1),
         levels=nothing,
         linearity_db=nothing,

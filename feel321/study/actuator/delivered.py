@@ -226,17 +226,17 @@ class DeliveryCheck:
     ) -> None:
         self._stimuli, self._rig, self._full_scale = stimuli, rig, full_scale_m_s2
         self._reduced, self._predict = reduced, predict
+        self._ids = {stimulus.stimulus_id for stimulus in stimuli}
         self._predicted: dict[str, dict[str, float]] = {}
-        self._own = {stimulus.stimulus_id for stimulus in stimuli.stimuli}
 
     def describe(
         self, stimulus_id: str, sent: Frames, measured: ArrayLike | None
     ) -> Mapping[str, float]:
         """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted.
 
-        Tones of the threshold block are not of the set, and not compared.
+        Of what is not in the set, such as the tones of a threshold, nothing is known.
         """
-        if stimulus_id not in self._own:
+        if stimulus_id not in self._ids:
             return {}
         if measured is not None:
             return self.measure(stimulus_id, np.asarray(measured, dtype=np.float64))

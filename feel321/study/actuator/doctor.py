@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import StreamOutput, open_stream
-from feel321.study.actuator.rig import SIMULATED_DEVICE, Rig
+from feel321.study.actuator.rig import Rig
 from feel321.study.actuator.stream import FROM_LATENCY, list_devices, list_rates
 from feel321.study.session.ports import Playback
 
@@ -94,13 +94,8 @@ class SensorCheck:
     fault: str
 
 
-def survey_devices(rig: Rig | None = None) -> list[dict[str, Any]]:
-    """List the devices: name, host API, channels, the rates at which each would play, and whether it is a program.
-
-    A rig that is simulated needs none.
-    """
-    if rig is not None and rig.device.name == SIMULATED_DEVICE:
-        return []
+def survey_devices() -> list[dict[str, Any]]:
+    """List the devices: name, host API, channels, the rates at which each would play, and whether it is a program."""
     devices = list_devices()
     if not devices:
         raise OSError(

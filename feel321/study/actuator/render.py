@@ -16,6 +16,7 @@ import numpy as np
 from feel321.stimuli.recording import check_finite
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.certificate import Certificate
 from feel321.study.actuator.mixer import ROUNDING, WINDOW_S, Frames
 from feel321.study.actuator.rig import AXES, REDUCED, ActuatorTable, Rig
 from feel321.types import Samples as Vector
@@ -90,12 +91,59 @@ SOURCES = {1: (REDUCED,), len(AXES): AXES}  # what the channels of a file are, b
 
 
 def render_stimulus(
-    stimulus: Stimulus, folder: Path, rig: Rig, *, full_scale_m_s2: float
+    stimulus: Stimulus,
+    folder: Path,
+    rig: Rig,
+    *,
+    full_scale_m_s2: float,
+    certificate: Certificate | None = None,
 ) -> Frames:
     """Render one stimulus for a rig, as samples of shape (n_samples, channels).
 
-    Where study and actuator have the same full scale, the samples are those of the file times the coil's weight.
+    Where study and actuator have the same full scale, the samples are those of the file times the coil's weight. With a
+    certificate they are at the measured full scale and go through the coils' filters, which makes them longer.
     """
+    tracks = _read_tracks(stimulus, folder)
+    sources, mix = SOURCES[len(tracks)], find_mix(rig)
+    played = {source for factors in mix.values() for source in factors}
+    if missing := [source for source in sources if source not in played]:
+        raise ValueError(
+            f"{stimulus.stimulus_id}: no actuator plays {', '.join(missing)}; add it to `plays` in rig.toml, or name a "
+            "reference in study.toml that the rig can play"
+        )
+    asked_m_s2 = {}
+    for actuator in rig.actuators:
+        factors = mix[actuator.name]
+        parts = [
+            factors[source] * track
+            for source, track in zip(sources, tracks, strict=True)
+            if source in factors
+        ]
+        asked_m_s2[actuator.name] = sum(parts, np.zeros(stimulus.n_samples)) * full_scale_m_s2
+    return render_motion(asked_m_s2, rig, certificate=certificate)
+
+
+def render_motion(
+    asked_m_s2: Mapping[str, Vector], rig: Rig, *, certificate: Certificate | None
+) -> Frames:
+    """Render the motions asked of the actuators, shape (n,) each, as samples of shape (n + tail, channels)."""
+    channels = {
+        actuator.channel - 1: (
+            certificate.coils[actuator.name].drive(asked_m_s2[actuator.name])
+            if certificate
+            else asked_m_s2[actuator.name] / actuator.full_scale_m_s2
+        )
+        for actuator in rig.actuators
+    }
+    n_samples = max(len(samples) for samples in channels.values())
+    rendered = np.zeros((n_samples, rig.n_channels), dtype=np.float32)
+    for column, samples in channels.items():
+        rendered[: len(samples), column] = samples
+    return rendered
+
+
+def _read_tracks(stimulus: Stimulus, folder: Path) -> Vector:
+    """Read the channels of a stimulus's file, shape (1 or 3, n_samples)."""
     samples, rate_hz = read_wav(folder / stimulus.file)
     tracks = np.atleast_2d(samples)
     if tracks.shape[1] != stimulus.n_samples or rate_hz != stimulus.rate_hz:
@@ -108,38 +156,32 @@ def render_stimulus(
             f"{stimulus.file}: must have 1 or {len(AXES)} channels, got {len(tracks)}; build it again"
         )
     check_finite(tracks, stimulus.file)
-    sources, mix = SOURCES[len(tracks)], find_mix(rig)
-    played = {source for factors in mix.values() for source in factors}
-    if missing := [source for source in sources if source not in played]:
-        raise ValueError(
-            f"{stimulus.stimulus_id}: no actuator plays {', '.join(missing)}; add it to `plays` in rig.toml, or name a "
-            "reference in study.toml that the rig can play"
-        )
-    rendered = np.zeros((stimulus.n_samples, rig.n_channels), dtype=np.float32)
-    for actuator in rig.actuators:
-        factors = mix[actuator.name]
-        parts = [
-            factors[source] * track
-            for source, track in zip(sources, tracks, strict=True)
-            if source in factors
-        ]
-        scale = full_scale_m_s2 / actuator.full_scale_m_s2
-        rendered[:, actuator.channel - 1] = sum(parts, np.zeros(stimulus.n_samples)) * scale
-    return rendered
+    return tracks
 
 
-def render_set(stimuli: StimulusSet, rig: Rig, *, full_scale_m_s2: float) -> dict[str, Frames]:
+def render_set(
+    stimuli: StimulusSet,
+    rig: Rig,
+    *,
+    full_scale_m_s2: float,
+    certificate: Certificate | None = None,
+) -> dict[str, Frames]:
     """Render every stimulus of a set, so that no file is read while a session runs."""
     return {
         stimulus.stimulus_id: render_stimulus(
-            stimulus, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2
+            stimulus, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2, certificate=certificate
         )
         for stimulus in stimuli.stimuli
     }
 
 
 def find_rig_problems(
-    rig: Rig, stimuli: StimulusSet, *, rate_hz: float, full_scale_m_s2: float
+    rig: Rig,
+    stimuli: StimulusSet,
+    *,
+    rate_hz: float,
+    full_scale_m_s2: float,
+    certificate: Certificate | None = None,
 ) -> list[str]:
     """Find what keeps a rig from playing a set of stimuli as they are, in one line per problem."""
     problems: dict[str, list[str]] = {}
@@ -147,7 +189,11 @@ def find_rig_problems(
     for stimulus in stimuli.stimuli:
         try:
             rendered = render_stimulus(
-                stimulus, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2
+                stimulus,
+                stimuli.folder,
+                rig,
+                full_scale_m_s2=full_scale_m_s2,
+                certificate=certificate,
             )
         except ValueError as error:
             name, _, reason = str(error).partition(": ")
@@ -159,15 +205,27 @@ def find_rig_problems(
         if stimulus.rate_hz != rate_hz:
             reason = f"got a rate of {stimulus.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"
             problems.setdefault(reason, []).append(stimulus.stimulus_id)
-        excesses += _find_excesses(stimulus, rendered, rig)
+        excesses += _find_excesses(stimulus, rendered, rig, certificate=certificate)
     lines = [f"{_shorten(names)}: {reason}" for reason, names in problems.items()]
-    kind = itemgetter(0, 1)
+    return lines + _describe_excesses(excesses, is_filtered=certificate is not None)
+
+
+def _describe_excesses(
+    excesses: Sequence[tuple[str, str, float, str]], *, is_filtered: bool
+) -> list[str]:
+    """Describe the worst excess of each limit of each actuator, and what helps."""
+    filters = (
+        " lower max_gain_db or narrow band_hz under [calibration] and calibrate again,"
+        if is_filtered
+        else ""
+    )
+    lines, kind = [], itemgetter(0, 1)
     for (actuator, limit), group in groupby(sorted(excesses, key=kind), key=kind):
         worst = sorted(group, key=lambda excess: -excess[2])
         names = _shorten([excess[3] for excess in worst])
         lines.append(
             f"actuator {actuator!r}: {names}: got {worst[0][2]:.4g}, above {limit}; lower gain or headroom in "
-            "study.toml and build again, or raise the limit if the coil allows it"
+            f"study.toml and build again,{filters} or raise the limit if the coil allows it"
         )
     return lines
 
@@ -179,19 +237,29 @@ def slide_rms(samples: Vector, n_window: int) -> Vector:
 
 
 def _find_excesses(
-    stimulus: Stimulus, rendered: Frames, rig: Rig
+    stimulus: Stimulus, rendered: Frames, rig: Rig, *, certificate: Certificate | None
 ) -> Iterator[tuple[str, str, float, str]]:
-    """Find where a stimulus asks too much: actuator, limit, what it asks, and the stimulus."""
+    """Find where a stimulus asks too much: actuator, limit, what it asks, and the stimulus.
+
+    With a certificate, the limits hold for what is sent, at the measured full scale, and for the motion it predicts.
+    """
     limits, rate_hz = rig.limits, stimulus.rate_hz
     for actuator in rig.actuators:
         samples = rendered[:, actuator.channel - 1].astype(np.float64)
         if not samples.any():
             continue
-        scale = actuator.full_scale_m_s2
-        peak = float(np.abs(samples).max()) * scale
-        rms = float(slide_rms(samples, round(WINDOW_S * rate_hz)).max()) * scale
+        coil = certificate.coils[actuator.name] if certificate else None
+        scale = coil.target if coil else actuator.full_scale_m_s2
+        drive = float(np.abs(samples).max()) * scale
+        motions = [samples * scale, *([coil.respond(samples, rate_hz=rate_hz)] if coil else [])]
+        peak = max(float(np.abs(motion).max()) for motion in motions)
+        rms = max(float(slide_rms(motion, round(WINDOW_S * rate_hz)).max()) for motion in motions)
         for limit, asked, allowed in (
-            ("the actuator's full_scale_m_s2", peak, scale),
+            (
+                f"the actuator's {'measured full scale' if coil else 'full_scale_m_s2'}",
+                drive,
+                scale,
+            ),
             ("limits.peak_m_s2", peak, limits.peak_m_s2),
             ("limits.rms_m_s2", rms, limits.rms_m_s2),
             ("limits.duration_s", len(samples) / rate_hz, limits.duration_s),

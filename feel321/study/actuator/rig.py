@@ -189,7 +189,7 @@ class CalibrationTable(fields.TomlTable):
 
     band_hz: BandHz = (20.0, 1000.0)
     max_gain_db: Decibels = 20.0
-    phase: Annotated[str, fields.one_of(("minimum", "linear"))] = "minimum"
+    phase: Annotated[str, fields.one_of(("corrected", "minimum", "linear"))] = "corrected"
     level: Level = 0.5
     sweep_s: Annotated[fields.Positive, Field(le=60)] = 4.0
     pause_s: Annotated[fields.Positive, Field(le=10)] = 1.0

@@ -303,6 +303,10 @@ class Take:
         if self.sensor is None or self.cue is None or self.onset_s is None:
             return
         first = max(self.cue.onset_frame - frame, 0)
+        if not self.n_sensed:
+            # The onset's own block may come before the session has told which cue it is.
+            self.n_sensed = frame + first - self.cue.onset_frame
+            self.sensor[: self.n_sensed] = 0
         piece = samples[first : first + len(self.sensor) - self.n_sensed]
         self.sensor[self.n_sensed : self.n_sensed + len(piece)] = piece
         self.n_sensed += len(piece)

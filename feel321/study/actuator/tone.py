@@ -9,8 +9,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from feel321.protocols.detection import ThresholdBlock, name_tone
+from feel321.study.actuator.certificate import Certificate
 from feel321.study.actuator.mixer import ROUNDING, Frames
-from feel321.study.actuator.render import find_mix
+from feel321.study.actuator.render import find_mix, render_motion
 from feel321.study.actuator.rig import REDUCED, Rig
 from feel321.types import Samples
 
@@ -26,16 +27,15 @@ def make_tone(frequency_hz: float, *, duration_s: float, rate_hz: float) -> Samp
     return np.asarray(np.sqrt(2) * np.sin(2 * np.pi * frequency_hz * time_s) * ramp)
 
 
-def render_tones(block: ThresholdBlock, rig: Rig, *, rate_hz: float) -> dict[str, Frames]:
+def render_tones(
+    block: ThresholdBlock, rig: Rig, *, rate_hz: float, certificate: Certificate | None = None
+) -> dict[str, Frames]:
     """Render the tone of each frequency for a rig, by name, shape (n_samples, channels)."""
     sounds, mix = {}, find_mix(rig)
     for frequency in block.frequencies_hz:
         tone = make_tone(frequency, duration_s=block.duration_s, rate_hz=rate_hz)
-        rendered = np.zeros((len(tone), rig.n_channels), dtype=np.float32)
-        for actuator in rig.actuators:
-            factor = mix[actuator.name].get(REDUCED, 0.0) / actuator.full_scale_m_s2
-            rendered[:, actuator.channel - 1] = factor * tone
-        sounds[name_tone(frequency)] = rendered
+        asked = {one.name: mix[one.name].get(REDUCED, 0.0) * tone for one in rig.actuators}
+        sounds[name_tone(frequency)] = render_motion(asked, rig, certificate=certificate)
     return sounds
 
 

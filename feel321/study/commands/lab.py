@@ -1,23 +1,19 @@
-"""Verbs of the lab: run, doctor."""
+"""The verb of the lab: run."""
 
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from shlex import join
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from feel321.study.commands import shared
-from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
-    from feel321.study.actuator.doctor import Examination
-    from feel321.study.actuator.rig import Rig
     from feel321.study.session.ports import Place
     from feel321.study.study import Study
 
@@ -41,6 +37,7 @@ class Terminated(KeyboardInterrupt):
 @click.option(
     "--device", metavar="NAME", help="Audio device; 'file' writes WAV files.  [default: rig.toml's]"
 )
+@shared.flag("--accept-rig", "Resume on a rig or certificate that changed; the journal records it.")
 @shared.flag("--rehearse", "Try it out: the session is stored in rehearsals/ and never analysed.")
 @shared.flag("--simulate-participant", "A simulated participant presses the keys.", "simulated")
 @shared.seed_option(" of the simulated participant")
@@ -53,6 +50,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     windowed: bool,
     screen: int,
     device: str | None,
+    accept_rig: bool,
     rehearse: bool,
     simulated: bool,
     seed: int | None,
@@ -63,7 +61,13 @@ def run(  # noqa: PLR0913 - one parameter per option
     from feel321.study.lab import Visit, run_participant
 
     visit = Visit(
-        participant, windowed=windowed, screen=screen, device=device, simulated=simulated, seed=seed
+        participant,
+        windowed=windowed,
+        screen=screen,
+        device=device,
+        simulated=simulated,
+        seed=seed,
+        accept_rig=accept_rig,
     )
     log = _Log(participant, _write_command(context))
     folder = replace(study.folder, is_rehearsal=rehearse)
@@ -134,6 +138,8 @@ def _write_command(context: click.Context) -> str:
     for parameter in context.command.params:
         value = context.params.get(str(parameter.name))
         is_given = value is not None and value is not False and value != parameter.default
+        if parameter.name == "accept_rig":  # of this change, not of the next one
+            continue
         if isinstance(parameter, click.Option) and is_given:
             words += parameter.opts if value is True else [*parameter.opts, str(value)]
     return join(words)
@@ -151,128 +157,3 @@ def _catch_termination() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-# The verb for the rig: what is connected to this machine, and whether it plays in time.
-
-RATE_HZ = 48000.0
-"""At which a device is tried that belongs to no study."""
-
-
-@click.command(epilog="Example: feel321 doctor my-study --seconds 10")
-@click.argument("folder", metavar="[STUDY]", type=shared.FILE, required=False)
-@click.option(
-    "--device",
-    help="Another device than the rig's: its name, or a part of it that no other one has.",
-)
-@click.option(
-    "--seconds",
-    type=click.FloatRange(0, 3600),
-    default=5.0,
-    show_default=True,
-    help="Duration of the pulse train, in s.",
-)
-@shared.json_option
-@click.pass_context
-def doctor(
-    context: click.Context,
-    *,
-    folder: Path | None,
-    device: str | None,
-    seconds: float,
-    as_json: bool,
-) -> None:
-    """Test the rig: list devices, measure latency and jitter.
-
-    Checks rig.toml and plays quiet pulses on every actuator, through the same stream as in a session. A sensor named in
-    rig.toml must show the pulses, about as strong as they were sent; otherwise the exit code is 1. Without a study, or
-    where the rig plays to files, --device names what to play on.
-    """
-    from feel321.study.actuator.doctor import examine_rig, survey_devices
-
-    rig, rate_hz = _find_rig(folder, device=device)
-    devices, found = survey_devices(rig), None
-    if rig is not None and seconds:
-        with shared.show_progress("pulses") as progress:
-            found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
-    if as_json:
-        shared.print_json({
-            "devices": devices,
-            "examination": None if found is None else asdict(found),
-        })
-    else:
-        for one in devices:
-            click.echo(_describe_device(one))
-        _print_examination(found)
-    if found is not None and found.sensor is not None and found.sensor.fault:
-        raise OSError(found.sensor.fault)
-    if found is not None and (found.n_failed or found.n_underruns):
-        context.exit(1)
-
-
-def _find_rig(folder: Path | None, *, device: str | None) -> tuple[Rig | None, float]:
-    """Read the study's rig, or make one of two coils for a device; None if there is nothing to play on."""
-    from feel321.study.actuator.rig import FILE_DEVICE, LimitsTable, Rig, read_rig, take_device
-    from feel321.study.settings.read import read_settings
-
-    study = StudyFolder(Path()) if folder is None else require_study(folder)
-    rate_hz = read_settings(study.settings).rig.rate_hz if study.settings.is_file() else RATE_HZ
-    if study.rig.is_file():
-        rig = read_rig(study.rig)
-    elif device is not None:
-        rig = Rig(limits=LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=30.0))
-    else:
-        return None, rate_hz
-    rig = rig if device is None else take_device(rig, device)
-    return (None if rig.device.name == FILE_DEVICE else rig), rate_hz
-
-
-def _describe_device(device: Mapping[str, Any]) -> str:
-    rates = ", ".join(f"{rate_hz:g}" for rate_hz in device["rates_hz"]) or "none of those tried"
-    channels = f"{device['outputs']} out, {device['inputs']} in"
-    program = "; through a program" if device["is_program"] else ""
-    return f"{device['name']} ({device['host_api']}): {channels}; plays at {rates} Hz{program}"
-
-
-def _describe_times(found: Examination) -> str:
-    if not found.n_estimated:
-        return "onset times are the device's own"
-    return (
-        f"{found.n_estimated} of {found.n_pulses} onset times are estimated from the latency: "
-        "the device gives none"
-    )
-
-
-def _print_examination(found: Examination | None) -> None:
-    if found is None:
-        click.echo("nothing was played; name a device with --device, or in the study's rig.toml")
-        return
-    lines = [
-        f"{found.device} ({found.host_api}) played at {found.rate_hz:g} Hz; latency {found.latency_ms:.1f} ms",
-        f"pulses {found.n_pulses}, failed {found.n_failed}, underruns {found.n_underruns}",
-        f"requested to onset {found.onset_ms:.1f} ms, jitter {found.jitter_ms:.2f} ms (median), "
-        f"{found.jitter_99_ms:.2f} ms (99 %); longest block {found.callback_ms_max:.2f} ms; "
-        + _describe_times(found),
-    ]
-    if found.sensor is not None:
-        lines.append(
-            f"sensor: pulse found in {len(found.sensor.lags_ms)} of {found.sensor.n_recorded} recordings, "
-            f"{found.sensor.level_m_s2:.2g} m/s² RMS; noise before it {found.sensor.noise_m_s2:.2g} m/s²"
-        )
-    if found.sensed_ms is not None:
-        lines.append(
-            f"onset's block to sensor {found.sensed_ms:.1f} ms, jitter {found.sensed_jitter_ms:.2f} ms (median), "
-            f"{found.sensed_jitter_99_ms:.2f} ms (99 %)"
-        )
-    if found.stop_ms is not None:
-        lines.append(
-            f"a stop is silent after {found.stop_ms:.0f} ms at most; latency_s in rig.toml shortens it"
-        )
-    click.echo("\n".join(lines))
-    if found.is_program:
-        shared.warn(
-            f"{found.device}: a program plays it (a sound server, say), which may convert the rate and copy channels "
-            "to others without notice; name the card itself, or give it as many channels there as the rig has"
-        )
-    if found.error:
-        shared.warn(found.error)

@@ -239,10 +239,11 @@ def audit(
             f"{path}: the seal must be {expect}, got {found.seal}; something was recorded or changed since"
         )
     if as_json:
-        shared.print_json({"findings": findings, "seal": found.seal})
+        own = {"findings": findings, "seal": found.seal, "remarks": found.remarks}
+        shared.print_json(own)
     else:
         good = f"{path}: {len(study.folder.journals)} journals, all as they were written"
-        click.echo("\n".join(findings) or good)
+        click.echo("\n".join([*(findings or [good]), *found.remarks]))
         click.echo(f"seal: {found.seal}; keep it elsewhere")
     context.exit(1 if findings else 0)
 

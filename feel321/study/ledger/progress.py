@@ -15,6 +15,7 @@ from typing import Any
 from feel321.files import write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
 from feel321.study.folder import StudyFolder
+from feel321.study.ledger.rigs import find_rig_use
 from feel321.study.session import plan as plans
 from feel321.study.session.events import NoteTaken, PageRead, SessionFinished, SessionReleased
 from feel321.study.session.journal import START, Chain, Records, digest, list_journals
@@ -169,6 +170,8 @@ class Progress:
     first_utc: str = ""
     last_utc: str = ""
     training_passed: bool | None = None
+    rig: str = ""
+    calibration: str = ""
     problem: str = ""
     thresholds: Mapping[str, float | str] = field(default_factory=dict)
 
@@ -197,6 +200,7 @@ def make_progress(dossier: plans.Dossier) -> Progress:
     """Derive the progress of one participant from plan and journals."""
     plan, newest = dossier.plan, dossier.records
     records = [record for chain in dossier.chains for record in chain.records]
+    use = find_rig_use(plan.participant, newest)
     times = [record.utc for record in records if record.event != NoteTaken.event]
     with plans.read_as_written(dossier.newest):
         return Progress(
@@ -211,6 +215,8 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             first_utc=times[0] if times else "",
             last_utc=times[-1] if times else "",
             training_passed=_find_training(newest),
+            rig=use.rig,
+            calibration=use.calibration,
             thresholds=list_columns(read_thresholds(plan, newest)),
         )
 

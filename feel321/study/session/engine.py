@@ -19,7 +19,8 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import MATCHING, RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
 from feel321.study.session import events, ports
-from feel321.study.session.plan import Plan, advance, list_by_code, recall_detection, replay
+from feel321.study.session.codes import list_by_code
+from feel321.study.session.plan import Plan, advance, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:
@@ -187,7 +188,9 @@ class _Lead:
         if self.failures >= DEVICE_ERRORS:
             journal = self.setup.journal
             played = list(journal.records.find(events.PartPlayed))
-            self.fault = (played[-1].error if played else "") or ", ".join(flags)
+            last = played[-1] if played else None
+            found = last and (last.error or events.find_loss(last.delivered, self.setup.flow))
+            self.fault = found or ", ".join(flags)
             self.aside = Page("call_us", by="experimenter")
             journal.write(events.DeviceFailed(self.fault, journal.records.find_elapsed()))
 

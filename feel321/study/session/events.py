@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 from feel321.protocols.trial import MATCHING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from pydantic import TypeAdapter
 
@@ -69,6 +69,23 @@ class SessionResumed(SessionEvent, event="resumed"):
     versions: dict[str, str]
     system: str
     clock: dict[str, float]
+
+
+class RigAccepted(SessionEvent, event="rig_accepted"):
+    """The session goes on with another rig or certificate than it was begun with; changes: old -> new, by setting."""
+
+    rig: dict[str, Any] | None
+    calibration: dict[str, Any] | str | None
+    changes: list[str]
+
+
+def describe_as_left(begun: SessionBegun, accepted: Iterable[RigAccepted]) -> dict[str, Any]:
+    """Describe a session as it was begun, but with the rig that it went on with."""
+    data = begun.to_data()
+    for event in accepted:
+        presenter = data.get("presenter", {}) | {"rig": event.rig}
+        data |= {"presenter": presenter, "calibration": event.calibration}
+    return data
 
 
 class DeviceOpened(SessionEvent, event="device"):
@@ -257,11 +274,15 @@ class TrialSpoiled(AttemptEvent, event="spoiled"):
 REPAIRS = (ClockStepped, LineRecovered)
 """May come anywhere in a journal."""
 
-OPENING = (*REPAIRS, NoteTaken, DeviceOpened, SessionResumed)
+OPENING = (*REPAIRS, NoteTaken, DeviceOpened, RigAccepted, SessionResumed)
 """May come before anybody has come back to work."""
 
 UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)
 """May come in a journal in which nobody has done anything yet."""
+
+
+UNCALIBRATED = "uncalibrated"
+"""In a header, in place of the identity of a certificate, where the rig has no valid one."""
 
 
 def find_kind(name: str) -> type[SessionEvent]:

@@ -1,14 +1,10 @@
 """The plan of one participant, a frozen, seeded list of trials; and how a session by it is begun or resumed.
 
-Its trials name stimuli by blind codes, as do journals and all that is read from them before the analysis: a
-stimulus's own name holds its recording and reducer. Codes are no secret, for the software turns them back; they keep
-experimenters from learning by accident what a participant feels.
+Its trials name stimuli by blind codes.
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import json
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -35,6 +31,7 @@ from feel321.protocols.tasks import is_as_expected
 from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
 from feel321.study.session import events
 from feel321.study.session import journal as journals
+from feel321.study.session.codes import list_by_code
 from feel321.study.session.journal import Chain, Clock, Journal, Record, Records
 
 if TYPE_CHECKING:
@@ -43,11 +40,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from pydantic import TypeAdapter
 
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.stimuli.sets.manifest import StimulusSet
 
-
-LEAST_LETTERS = 6
-"""Letters of a blind code; more where two codes would be the same."""
 
 PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 """Allowed codes of participants: they name folders."""
@@ -217,35 +211,6 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
     return Course(groups, tasks, (*trials, *own), block, matching)
 
 
-def list_codes(stimuli: StimulusSet, *, seed: int) -> dict[str, str]:
-    """Give every stimulus of a study its blind code."""
-    return make_codes((row.stimulus_id for row in stimuli.stimuli), f"{stimuli.sha256} {seed}")
-
-
-def list_by_code(stimuli: StimulusSet, *, seed: int) -> dict[str, Stimulus]:
-    """List the stimuli of a study by blind code."""
-    codes = list_codes(stimuli, seed=seed)
-    return {codes[row.stimulus_id]: row for row in stimuli.stimuli}
-
-
-def make_codes(stimulus_ids: Iterable[str], key: str) -> dict[str, str]:
-    """Give every stimulus a code of letters and digits.
-
-    Examples
-    --------
-    >>> make_codes(["oak-dft321"], "study 321")
-    {'oak-dft321': '7K6ZGV'}
-    """
-    digests = {
-        name: base64.b32encode(hashlib.sha256(f"{key}\n{name}".encode()).digest()).decode()
-        for name in stimulus_ids
-    }
-    letters = LEAST_LETTERS
-    while len({text[:letters] for text in digests.values()}) < len(digests):
-        letters += 1
-    return {name: text[:letters] for name, text in digests.items()}
-
-
 def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
@@ -396,6 +361,9 @@ JOURNAL_FORMAT = 1
 UNCOMPARED = ("format", "session", "versions", "system", "clock")
 """May differ between a header and a later opening: other versions may go on with a session."""
 
+ACCEPTABLE = ("presenter.rig", "calibration")
+"""May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
+
 PLANNED = ("participant", "plan_sha256", "stimuli_sha256", "seed")
 """May not even differ where nobody has done anything yet."""
 
@@ -410,7 +378,13 @@ class Stale:
 
 @contextmanager
 def open_session(
-    folder: Path, plan: Plan, *, identity: Mapping[str, Any], now: Clock, stale: Stale
+    folder: Path,
+    plan: Plan,
+    *,
+    identity: Mapping[str, Any],
+    now: Clock,
+    stale: Stale,
+    accept_rig: bool = False,
 ) -> Iterator[tuple[Plan, Journal]]:
     """Begin or resume the session of one participant, and keep everybody else from writing to it.
 
@@ -419,7 +393,8 @@ def open_session(
     stored, and the journal with a header and all that was done before.
 
     A session that was begun with another plan, stimulus set or presenter is refused with what differs; another
-    presenter may take over where nobody has done anything yet, in a journal of its own.
+    presenter may take over where nobody has done anything yet, in a journal of its own. With accept_rig, another rig or
+    certificate is recorded and goes on with the session.
     """
     folder.mkdir(parents=True, exist_ok=True)
     busy = "another session is writing here; let it finish or stop it first"
@@ -431,7 +406,11 @@ def open_session(
             for path in journals.list_journals(folder)
         )
         stored = _settle_plan(folder / PLAN_FILE, plan, is_begun=is_begun)
-        yield stored, _open_newest(folder, stored, dict(identity), now=now, stale=stale)
+        own = dict(identity)
+        yield (
+            stored,
+            _open_newest(folder, stored, identity=own, now=now, stale=stale, accept_rig=accept_rig),
+        )
 
 
 def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
@@ -454,7 +433,13 @@ def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
 
 
 def _open_newest(
-    folder: Path, plan: Plan, identity: dict[str, Any], *, now: Clock, stale: Stale
+    folder: Path,
+    plan: Plan,
+    *,
+    identity: dict[str, Any],
+    now: Clock,
+    stale: Stale,
+    accept_rig: bool,
 ) -> Journal:
     files = journals.list_journals(folder)
     if not files:
@@ -469,23 +454,48 @@ def _open_newest(
         journal.write(_make_header(journal, plan, identity))
         return journal
     header = _make_header(journal, plan, identity).to_data()
-    if differences := find_differences(begun.to_data(), header, ignore=UNCOMPARED):
+    as_left = _describe_as_left(begun, journal, header)
+    if differences := find_differences(as_left, header, ignore=UNCOMPARED):
         untouched = {kind.event for kind in events.UNTOUCHED}
         names = {line.partition(" ")[0] for line in differences}
         if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
             # Another rig, say, does no harm: nobody has done anything yet.
             return _supersede(journal, plan, identity)
-        named = [
-            "other texts for participants" if line.startswith("texts_sha256 ") else line
-            for line in differences
-        ]
-        former, own = begun.versions.get("feel321"), version("feel321")
-        use = "" if former == own else f" or use feel321 {former}, which began it"
-        raise ValueError(
-            f"{journal.path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, "
-            f"begin with another participant, or move {folder.parent.name}/ away"
-        )
+        is_rig = all(name.startswith(ACCEPTABLE) for name in names)
+        if not (is_rig and accept_rig):
+            raise ValueError(_describe_refusal(journal.path, begun, differences, is_rig=is_rig))
+        if not journal.records.has(events.SessionFinished):
+            rig = header.get("presenter", {}).get("rig")
+            journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
     return _resume(journal, plan, identity, now=now, stale=stale)
+
+
+def _describe_as_left(
+    begun: events.SessionBegun, journal: Journal, header: Mapping[str, Any]
+) -> dict[str, Any]:
+    data = events.describe_as_left(begun, journal.records.find(events.RigAccepted))
+    if data.get("calibration") is None and header.get("calibration") == events.UNCALIBRATED:
+        data["calibration"] = (
+            events.UNCALIBRATED
+        )  # no journal named it before there were certificates
+    return data
+
+
+def _describe_refusal(
+    path: Path, begun: events.SessionBegun, differences: Sequence[str], *, is_rig: bool
+) -> str:
+    """Say why a session cannot be resumed, and what to do."""
+    named = [
+        "other texts for participants" if line.startswith("texts_sha256 ") else line
+        for line in differences
+    ]
+    former, own = begun.versions.get("feel321"), version("feel321")
+    use = "" if former == own else f" or use feel321 {former}, which began it"
+    accept = "go on with the rig as it is now (--accept-rig, which records it), " if is_rig else ""
+    return (
+        f"{path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, {accept}"
+        f"begin with another participant, or move {path.parent.parent.name}/ away"
+    )
 
 
 def _resume(

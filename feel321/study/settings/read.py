@@ -110,7 +110,7 @@ def make_recipe(settings: Settings) -> Recipe:
     """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
     stimuli = settings.stimuli.model_dump(exclude={"conditioning", "below_threshold"})
     steps = Conditioning(**settings.stimuli.conditioning.model_dump())
-    return Recipe(conditioning=steps, **stimuli, **settings.rig.model_dump())
+    return Recipe(conditioning=steps, **stimuli, **settings.rig.of_stimuli())
 
 
 # From settings to sessions: texts, design, and what a journal's header says of them.
@@ -154,8 +154,17 @@ def make_design(settings: Settings) -> Design:
     )
 
 
-def make_identity(settings: Settings, folder: Path, presenter: dict[str, Any]) -> dict[str, Any]:
-    """List what must not change within a session besides its plan, for the header of its journal."""
+def make_identity(
+    settings: Settings,
+    folder: Path,
+    presenter: dict[str, Any],
+    *,
+    calibration: dict[str, str] | str | None = None,
+) -> dict[str, Any]:
+    """List what must not change within a session besides its plan, for the header of its journal.
+
+    calibration: identity of the rig's certificate, or that there is none; None where no rig plays.
+    """
     texts = read_study_texts(settings, folder)
     # Pages aside from the plan ask nothing: sessions that began before there were any have the same texts.
     pages = {key: page for key, page in texts["pages"].items() if key not in ASIDE}
@@ -163,8 +172,8 @@ def make_identity(settings: Settings, folder: Path, presenter: dict[str, Any]) -
         "locale": settings.session.language,
         "texts_sha256": digest(json.dumps(texts | {"pages": pages}, sort_keys=True)),
         "consent": texts["pages"][CONSENT]["text"],
-        "rig": settings.rig.model_dump(),
-        "calibration": None,
+        "rig": settings.rig.of_stimuli(),
+        "calibration": calibration,
         "presenter": presenter,
     }
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from math import prod
 from pathlib import PurePath
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
@@ -330,6 +330,11 @@ class RigTable(kinds.TomlTable):
     rate_hz: kinds.Positive = _RECIPE.rate_hz
     full_scale_m_s2: Annotated[kinds.Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
     headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
+    certificate: Annotated[str, kinds.one_of(("warn", "require"))] = "warn"
+
+    def of_stimuli(self) -> dict[str, Any]:
+        """Return what decides what the stimuli are."""
+        return self.model_dump(exclude={"certificate"})
 
 
 class ObserverTable(kinds.TomlTable):

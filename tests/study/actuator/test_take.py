@@ -104,3 +104,13 @@ def test_a_sensor_without_room_keeps_what_fits(cue: Cue) -> None:
     take.cue = cue
     run(take, cue, onset=230)
     assert np.array_equal(take.sensed, np.arange(230, 350))
+
+
+def test_what_is_sensed_stays_in_its_place_if_the_onsets_block_was_missed(cue: Cue) -> None:
+    take = Take(RATE_HZ, DELAY_S, sensor=np.full(1000, 9, dtype=np.float32))
+    cue.onset_frame, cue.n_played = 230, 100
+    for frame in (200, 300, 400):
+        take.add_block(BlockTimes(frame / 100, frame / 100 + DELAY_S), frame=frame)
+        take.record(np.arange(frame, frame + N, dtype=np.float32), frame=frame)
+        take.cue = cue  # the session says which cue it is after the first block
+    np.testing.assert_array_equal(take.sensed, [0.0] * 70 + list(range(300, 500)))

@@ -87,6 +87,18 @@ def test_a_stimulus_that_is_never_delivered_is_given_up(present: Present, script
     assert records[-1].data == {"trials": 20, "given_up": 1}
 
 
+def test_twice_in_a_row_calls_the_experimenter_and_says_why(
+    present: Present, scripted: type
+) -> None:
+    lost = {(n, 1): [Playback(1.0, 1.5, delivered=fail(level_error_db=-6.0))] for n in (3, 4)}
+    presenter = scripted(playbacks=lost)
+    records = present(presenter)
+    (failure,) = (r.data for r in records if r.event == "device_failed")
+    assert "6.0 dB too weak" in failure["reason"]
+    assert any(line.startswith("page call_us") for line in presenter.log)
+    assert records[-1].data == {"trials": 20, "given_up": 0}
+
+
 def test_a_file_of_what_was_delivered_is_as_it_was_written(
     present: Present, scripted: type, tmp_path: Path
 ) -> None:

@@ -1,0 +1,67 @@
+"""The figure of a certificate: each coil's response without its filter and with it, and its distortion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.analysis.figures import style
+from feel321.study.actuator.calibration import find_inside
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike
+
+    from feel321.study.actuator.certificate import Certificate, CoilCertificate
+
+PANEL_CM = 4.2
+FLOOR_DB = -60.0
+
+
+def draw_certificate(certificate: Certificate, stem: Path) -> None:
+    """Draw the coils of a certificate, one panel each, and save them as vector."""
+    coils = list(certificate.coils.values())
+    with style.print_style():
+        figure = style.new_canvas(PANEL_CM * len(coils) + 0.5)
+        panels = figure.subplots(len(coils), sharex=True, squeeze=False)[:, 0]
+        for axes, coil in zip(panels, coils, strict=True):
+            _draw_coil(axes, coil, certificate=certificate)
+        panels[-1].set_xlabel("Frequency (Hz)")
+        _set_ticks(panels[-1], certificate.band_hz)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+        passed = "passed" if certificate.passed else "did not pass"
+        style.add_title(figure, f"{certificate.id} ({certificate.method}): {passed}")
+    style.save_figure(figure, stem, formats=("svg",))
+
+
+def _set_ticks(axes: Axes, band_hz: tuple[float, float]) -> None:
+    """Write round frequencies, in full."""
+    round_hz = [digit * 10**power for power in range(5) for digit in (1, 2, 5)]
+    shown = [one for one in round_hz if band_hz[0] <= one <= band_hz[1]]
+    axes.set_xticks(shown, [f"{one:g}" for one in shown])
+    axes.set_xticks([], minor=True)
+
+
+def _draw_coil(axes: Axes, coil: CoilCertificate, *, certificate: Certificate) -> None:
+    inside = find_inside(coil.frequency_hz, band_hz=certificate.band_hz)
+    frequency_hz = coil.frequency_hz[inside]
+
+    def plot(size: ArrayLike, name: str, colour: str) -> None:
+        level_db = 20 * np.log10(np.maximum(np.abs(size), 1e-9))
+        axes.plot(frequency_hz, np.maximum(level_db, FLOOR_DB), color=colour, label=name)
+
+    axes.axhline(0, color=style.GREY, linewidth=style.THIN)
+    plot(coil.response[inside] / coil.target, "without filter", style.RED)
+    if np.isfinite(coil.equalised).any():
+        plot(coil.equalised[inside] / coil.target, "with filter", style.BLUE)
+        plot(coil.distortion[inside], "distortion (re fundamental)", style.GREY)
+    axes.set_xscale("log")
+    axes.margins(x=0)
+    axes.set_ylim(FLOOR_DB - 2, None)
+    axes.set_ylabel("Level (dB)")
+    off = f", within {coil.largest_db:.1f} dB" if np.isfinite(coil.largest_db) else ""
+    axes.set_title(f"{coil.name}: {coil.target:.3g} m/s² at full scale{off}")

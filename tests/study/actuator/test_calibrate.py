@@ -1,0 +1,298 @@
+"""Calibration of simulated rigs: what was planted is found, faults are named, and a stop is silent within a block."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from feel321.study.actuator import calibrate as module
+from feel321.study.actuator.calibrate import SweepStopped, calibrate_rig, find_failures
+from feel321.study.actuator.certificate import Certificate, find_certificate, list_certificates
+from feel321.study.actuator.rig import CoilTable, Rig, read_rig
+from feel321.study.actuator.simulated import BLOCK_FRAMES, SimulatedStream
+from feel321.study.cli import main
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+RATE_HZ = 8000.0
+MADE = datetime(2026, 3, 1, 12, tzinfo=UTC)
+RIG = """
+[device]
+name = "simulated"
+latency_s = 0.05
+[[actuators]]
+name = "left coil"
+channel = 1
+full_scale_m_s2 = 50.0
+direction = [1, 0, 0]
+[[actuators]]
+name = "right coil"
+channel = 2
+full_scale_m_s2 = 50.0
+direction = [0, 1, 0]
+[limits]
+peak_m_s2 = 100.0
+rms_m_s2 = 60.0
+duration_s = 30.0
+[sensor]
+channels = [1, 2, 3]
+full_scale_m_s2 = 200.0
+[calibration]
+max_gain_db = 40.0
+sweep_s = 1.5
+pause_s = 0.4
+repeats = 2
+[simulation]
+speed = 100.0
+latency = 100
+[[simulation.coils]]
+name = "left coil"
+resonance_hz = 80.0
+q = 8.0
+full_scale_m_s2 = 40.0
+direction = [1, 0.1, 0.2]
+latency = 7
+[[simulation.coils]]
+name = "right coil"
+resonance_hz = 160.0
+q = 2.0
+full_scale_m_s2 = 60.0
+saturation = 2.0
+direction = [0.3, 1, 0]
+"""
+STUDY = '[[recordings]]\nscene = "bumps"\n[[recordings]]\nscene = "hard_taps"\n[rig]\nrate_hz = 8000.0\n'
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Rig:
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    return read_rig(tmp_path / "rig.toml")
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> Certificate:
+    path = tmp_path_factory.mktemp("rig") / "rig.toml"
+    path.write_text(RIG, encoding="utf-8")
+    return calibrate_rig(read_rig(path), rate_hz=RATE_HZ, made=MADE)
+
+
+def plant(rig: Rig, number: int = 0, **changes: Any) -> Rig:
+    """Change a simulated coil."""
+    assert rig.simulation is not None
+    coils = [
+        CoilTable(**{**coil.model_dump(), **changes}) if place == number else coil
+        for place, coil in enumerate(rig.simulation.coils)
+    ]
+    return alter(rig, "simulation", coils=tuple(coils))
+
+
+def alter(rig: Rig, table: str, **changes: Any) -> Rig:
+    return rig.model_copy(update={table: getattr(rig, table).model_copy(update=changes)})
+
+
+def turn_deg(one: Any, other: Any) -> float:
+    lengths = np.linalg.norm(one) * np.linalg.norm(other)
+    return math.degrees(math.acos(min(float(np.dot(one, other) / lengths), 1.0)))
+
+
+def test_what_was_planted_is_found(certificate: Certificate) -> None:
+    left, right = certificate.coils.values()
+    assert (left.latency, right.latency) == (BLOCK_FRAMES + 107, BLOCK_FRAMES + 100)
+    assert turn_deg(left.direction, (1, 0.1, 0.2)) < 0.5
+    assert turn_deg(right.direction, (0.3, 1, 0)) < 0.5
+    # Far above resonance the response is the coil's full scale; the filter keeps the median of the band.
+    size = np.interp(900.0, left.frequency_hz, np.abs(left.response))
+    assert size == pytest.approx(40 * 1.008, rel=0.01)
+    assert left.noise_m_s2 == pytest.approx(0.01 * math.sqrt(3), rel=0.1)
+    assert left.onto_db["right coil"] == pytest.approx(
+        20 * math.log10(0.4 / math.sqrt(1.05 * 1.09)), abs=0.3
+    )
+
+
+def test_the_filters_make_the_coils_flat_and_that_is_verified(certificate: Certificate) -> None:
+    assert certificate.failures == ()
+    for coil in certificate.coils.values():
+        assert coil.before_db > 20
+        assert coil.largest_db < 1.5
+        assert coil.least_coherence_after > 0.95
+        inside = (coil.frequency_hz > 25) & (coil.frequency_hz < 800)
+        size_db = 20 * np.log10(np.abs(coil.equalised[inside]) / coil.target)
+        assert np.abs(size_db).max() < 1
+
+
+def test_saturation_shows_as_distortion_and_as_bend(certificate: Certificate) -> None:
+    left, right = certificate.coils.values()
+    assert left.total_distortion < 0.002
+    top = right.levels[-1]
+    # s tanh(u / s) has a third harmonic of (u / s)² / 12 and a gain of 1 - (u / s)² / 4, for small u.
+    assert right.total_distortion == pytest.approx((top / 2) ** 2 / 12, rel=0.35)
+    assert right.linearity_db[-1] == pytest.approx(-8.686 * (top / 2) ** 2 / 4, abs=0.08)
+    assert abs(left.linearity_db[-1]) < 0.05
+
+
+def test_the_budget_is_the_root_of_the_sum_of_squares(certificate: Certificate) -> None:
+    for coil in certificate.coils.values():
+        assert coil.uncertainty_db == pytest.approx(
+            math.sqrt(sum(term.db**2 for term in coil.budget))
+        )
+        assert {term.name: term.source for term in coil.budget if term.source != "measured"} == {
+            "sensor": "typed"
+        }
+
+
+def test_no_sweep_passes_limits_or_sensor(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A coil that resonates by 18 dB is driven so much less; what it does is taken from the simulated hardware."""
+    highest: list[float] = []
+    before = SimulatedStream._serve
+
+    def watch(stream: Any) -> None:
+        before(stream)
+        if stream._sensed is not None:
+            highest.append(float(np.linalg.norm(stream._sensed, axis=1).max()) * 200)
+
+    monkeypatch.setattr(SimulatedStream, "_serve", watch)
+    found = calibrate_rig(
+        alter(rig, "limits", peak_m_s2=20.0, rms_m_s2=20.0), rate_hz=RATE_HZ, made=MADE
+    )
+    assert 15 < max(highest) < 20.2
+    assert found.coils["left coil"].levels[-1] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda rig: plant(rig, 1, full_scale_m_s2=1e-6), "coil 'right coil': got no motion that follows"),
+        (
+            lambda rig: alter(rig, "sensor", full_scale_m_s2=0.02),
+            "the sensor's input is clipped",
+        ),
+        (lambda rig: alter(rig, "calibration", pause_s=0.05), "must exceed the latency of 77 ms, got 0.05"),
+        (lambda rig: plant(alter(rig, "calibration", pause_s=0.1), q=60.0), "must exceed latency and ringing"),
+        (lambda rig: rig.model_copy(update={"sensor": None}), "has no \\[sensor\\], which calibrate needs"),
+    ],
+)  # fmt: skip
+def test_faults_are_named(rig: Rig, change: Any, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason) as refusal:
+        calibrate_rig(change(rig), rate_hz=RATE_HZ, made=MADE)
+    assert "\n" not in str(refusal.value)
+
+
+def test_limits_that_are_not_kept_are_named(rig: Rig, certificate: Certificate) -> None:
+    coil = certificate.coils["left coil"]
+    bad = replace(
+        coil, largest_db=4.2, worst_hz=33.0, uncertainty_db=2.5, total_distortion=0.3,
+        least_coherence=0.9, direction=-coil.direction,
+    )  # fmt: skip
+    lines = list(find_failures(rig, bad))
+    for line, part in zip(
+        lines,
+        ("4.2 dB off at 33 Hz", "known to 2.50 dB", "distorts by 30%", "coherence of 0.90", "moves 167°"),
+        strict=True,
+    ):  # fmt: skip
+        assert part in line
+    assert list(find_failures(rig, coil)) == []
+
+
+def test_a_stop_is_silent_within_a_block(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[tuple[bool, float]] = []
+    before = SimulatedStream._serve
+    pressed: list[bool] = []
+
+    def watch(stream: Any) -> None:
+        is_pressed = bool(pressed)
+        fill = stream._fill
+
+        def keep(out: Any, *given: Any) -> None:
+            fill(out, *given)
+            sent.append((is_pressed, float(np.abs(out).max())))
+
+        stream._fill = keep
+        before(stream)
+        stream._fill = fill
+
+    def press() -> bool:
+        if len([level for _, level in sent if level]) > 20:
+            pressed.append(True)
+        return bool(pressed)
+
+    monkeypatch.setattr(SimulatedStream, "_serve", watch)
+    slow = alter(rig, "simulation", speed=2.0)
+    with pytest.raises(SweepStopped):
+        calibrate_rig(slow, rate_hz=RATE_HZ, made=MADE, is_stopping=press)
+    after = [level for is_pressed, level in sent if is_pressed]
+    assert sum(level > 0 for level in after) <= 2  # the one under way, and the one that fades
+    assert sent[-1][1] == 0 or not after
+
+
+def call(study: Path, *arguments: str) -> int:
+    return main(["calibrate", str(study), *arguments])
+
+
+def test_the_verb_stores_a_certificate_and_its_figure(
+    rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any,
+    certificate: Certificate,
+) -> None:  # fmt: skip
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    monkeypatch.setattr(module, "calibrate_rig", lambda *_, **__: certificate)
+    assert call(tmp_path) == 0
+    first, left, *_ = capsys.readouterr().out.splitlines()
+    assert first.startswith(
+        f"certificate {certificate.id} (measured): passed; 20 to 1000 Hz at 8000 Hz"
+    )
+    assert left.startswith("left coil: 4")
+    files = sorted(path.suffix for path in (tmp_path / "calibration").iterdir())
+    assert files == [".json", ".npz", ".svg"]
+    found = find_certificate(tmp_path, rig, now=MADE, rate_hz=RATE_HZ)
+    assert found is not None
+    assert found.id == certificate.id
+    failed = replace(certificate, id="20990101T000000Z-f", failures=("coil 'x' distorts",))
+    monkeypatch.setattr(module, "calibrate_rig", lambda *_, **__: failed)
+    assert call(tmp_path, "--json") == 1
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["coils"]["left coil"]["latency"] == BLOCK_FRAMES + 107
+    assert printed.err == "feel321: warning: coil 'x' distorts\n"
+
+
+def test_gains_can_be_typed(tmp_path: Path, rig: Rig, capsys: Any) -> None:
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    gains = [word for name in ("left", "right") for word in ("--manual", f"{name} coil=12.5")]
+    assert call(tmp_path, *gains, "--device", "file") == 0
+    assert (
+        "left coil: 12.5 m/s² at full scale, typed, to ± 2.0 dB; no filter"
+        in capsys.readouterr().out
+    )
+    (path,) = list_certificates(tmp_path)
+    assert json.loads(path.read_text(encoding="utf-8"))["method"] == "manual"
+    assert find_certificate(tmp_path, rig, now=MADE) is None  # of the device "file"
+    assert call(tmp_path, "--manual", "left coil") == 2
+    assert call(tmp_path, "--device", "file") == 1
+    assert "rig.toml plays to files, which no sensor measures" in capsys.readouterr().err
+
+
+def test_a_sensor_that_is_turned_over_gets_its_scale(
+    tmp_path: Path, rig: Rig, capsys: Any, monkeypatch: Any
+) -> None:
+    assert rig.sensor is not None
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    # Full scale is said to be 200 m/s² and is 250: 1 g shows as 7.845, beside an offset.
+    rests = iter([[0.3, 0.5 + 7.84532, 0.1], [0.3, 0.5 - 7.84532, 0.1], [0.3] * 3, [0.4] * 3])
+    monkeypatch.setattr(module, "measure_rest", lambda *_, **__: np.array(next(rests)))
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert call(tmp_path, "--flip") == 0
+    assert capsys.readouterr().out.startswith("full_scale_m_s2 = 250 ")
+    assert call(tmp_path, "--flip") == 1
+    assert "got a difference of 0.1 m/s², expected about 19.6" in capsys.readouterr().err
+
+
+def test_rest_is_what_the_sensor_measures_while_nothing_plays(rig: Rig) -> None:
+    rest = module.measure_rest(rig, rate_hz=RATE_HZ)
+    assert rest.shape == (3,)
+    assert 0 < np.abs(rest).max() < 0.001

@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import json
+
+from feel321.study.actuator.rig import LimitsTable, Rig, digest, identify
+from feel321.study.ledger.rigs import RigUse, describe_rigs, digest_settings
+
+RIG = Rig(limits=LimitsTable(peak_m_s2=10, rms_m_s2=5, duration_s=3))
+
+
+def test_the_digest_of_a_header_is_that_of_its_rig() -> None:
+    assert digest_settings(json.dumps(identify(RIG))) == digest(RIG)
+
+
+def test_settings_of_another_version_have_a_digest_too() -> None:
+    ours, theirs = json.dumps(identify(RIG)), json.dumps(identify(RIG) | {"glove": "left"})
+    assert len(digest_settings(theirs)) == len(digest_settings(ours))
+    assert digest_settings(theirs) != digest_settings(ours)
+
+
+def test_who_is_alone_with_a_rig_or_a_certificate_is_named() -> None:
+    uses = [
+        RigUse("p01", "aa", "c1"),
+        RigUse("p02", "bb", "c9"),
+        RigUse("p03", "aa", "c1"),
+        RigUse("p04", "aa", "uncalibrated", estimated=7),
+        RigUse("sim001"),
+    ]
+    assert list(describe_rigs(uses)) == [
+        "p02: another rig (bb) than the other 3 (aa)",
+        "p04: another certificate (uncalibrated) than the other 2 (c1)",
+        "p04: 7 onset times are estimated from the latency: the device gave none",
+    ]
+
+
+def test_nobody_is_named_where_all_are_alike() -> None:
+    assert list(describe_rigs([RigUse("p01", "aa"), RigUse("p02", "aa"), RigUse("sim001")])) == []
+    assert list(describe_rigs([])) == []
