@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -119,6 +119,25 @@ def read_chain(content: bytes, name: str) -> Chain:
 def digest(text: str | bytes) -> str:
     """SHA-256 of a text, in hexadecimal digits."""
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()
+
+
+def find_differences(
+    old: Mapping[str, Any], new: Mapping[str, Any], *, ignore: Collection[str] = ()
+) -> list[str]:
+    """Find the values in which two nested mappings differ, named by their keys."""
+    before, after = (
+        _flatten({k: v for k, v in entry.items() if k not in ignore}) for entry in (old, new)
+    )
+    names = [name for name in before | after if before.get(name) != after.get(name)]
+    return [f"{name} {before.get(name)!r} -> {after.get(name)!r}" for name in names]
+
+
+def _flatten(entry: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in entry.items():
+        key = f"{prefix}{name}"
+        flat |= _flatten(value, f"{key}.") if isinstance(value, dict) else {key: value}
+    return flat
 
 
 def _read_line(line: bytes, previous: str, *, sequence: int) -> Record:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
@@ -261,26 +261,7 @@ def compare_plans(plan: Plan, other: Plan) -> list[str]:
     # By way of JSON, which knows lists only, so that what was stored and what was made anew look alike.
     inputs = (replace(entry, trials=()) for entry in (plan, other))
     old, new = (json.loads(json.dumps(asdict(entry))) for entry in inputs)
-    return find_differences(old, new, ignore={"sha256"})
-
-
-def find_differences(
-    old: Mapping[str, Any], new: Mapping[str, Any], *, ignore: Collection[str] = ()
-) -> list[str]:
-    """Find the values in which two nested mappings differ, named by their keys."""
-    before, after = (
-        _flatten({k: v for k, v in entry.items() if k not in ignore}) for entry in (old, new)
-    )
-    names = [name for name in before | after if before.get(name) != after.get(name)]
-    return [f"{name} {before.get(name)!r} -> {after.get(name)!r}" for name in names]
-
-
-def _flatten(entry: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in entry.items():
-        key = f"{prefix}{name}"
-        flat |= _flatten(value, f"{key}.") if isinstance(value, dict) else {key: value}
-    return flat
+    return journals.find_differences(old, new, ignore={"sha256"})
 
 
 def _seal(body: bytes) -> bytes:
@@ -455,7 +436,7 @@ def _open_newest(
         return journal
     header = _make_header(journal, plan, identity).to_data()
     as_left = _describe_as_left(begun, journal, header)
-    if differences := find_differences(as_left, header, ignore=UNCOMPARED):
+    if differences := journals.find_differences(as_left, header, ignore=UNCOMPARED):
         untouched = {kind.event for kind in events.UNTOUCHED}
         names = {line.partition(" ")[0] for line in differences}
         if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
