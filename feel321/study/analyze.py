@@ -78,7 +78,7 @@ def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
     further = measure_rotations(study, settings, stimuli)
     matched = describe_matches(write_matches(study, stimuli))
-    return replace(further, notes=(*further.notes, *matched))
+    return replace(further, notes=(*further.notes, *matched)) if matched else further
 
 
 # How the metrics of a study's stimuli depend on the way the sensor was mounted, for the report to explore.
