@@ -24,6 +24,7 @@ from feel321.study.ratings import write_ratings
 from feel321.study.sensation import LOW_RATE_HZ, find_shift
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import require_plan
+from feel321.study.settings.schema import check_factor
 from feel321.study.simulation import simulate_study
 from feel321.study.status import read_status
 from feel321.study.thresholds import find_warnings, is_usable, list_columns, read_thresholds
@@ -258,6 +259,12 @@ def test_check_warns_of_thresholds_beyond_the_levels(tmp_path: Path) -> None:
     study.settings.write_text(STUDY.format(frequencies="[250.0, 1000.0]"), encoding="utf-8")
     (warning,) = (line for line in check_study(study).warnings if "session.threshold" in line)
     assert "at 1000 Hz thresholds are expected around 27 dB (contactor)" in warning
+
+
+def test_no_factor_may_be_called_as_a_column_of_thresholds() -> None:
+    with pytest.raises(ValueError, match="must not be a column"):
+        check_factor("threshold_db_40hz")
+    assert check_factor("threshold_group") == "threshold_group"
 
 
 def test_identity_of_old_simulations_is_kept() -> None:

@@ -50,7 +50,7 @@ def check_factor(name: str) -> str:
         raise ValueError(f"must be {singular!r} or a label of your own")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
         raise ValueError("must be up to 40 letters (A-Z), digits and _, beginning with a letter")
-    if name.casefold() in TAKEN:
+    if name.casefold() in TAKEN or re.fullmatch(r"threshold_\w+hz", name.casefold()):
         raise ValueError("must not be a column of participants.csv or ratings.csv; rename it")
     return name
 

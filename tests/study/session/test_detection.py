@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import THRESHOLD, ThresholdBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL
-from feel321.protocols.trial import Flow
+from feel321.protocols.trial import Flow, Page
 from feel321.study.audit import audit_steps
 from feel321.study.observer.participant import ObserverModel, SimulatedObserver
 from feel321.study.session.engine import run_session
@@ -132,6 +133,28 @@ def test_a_participant_begins_with_another_frequency_and_other_intervals(
     ]
     assert [block.frequencies_hz[0] for block in blocks if block] == [40.0, 250.0, 40.0]
     assert len({seed for block in blocks if block for seed in block.seeds}) == 6
+
+
+def test_practice_comes_again_after_a_long_break(stimuli: StimulusSet) -> None:
+    plan = make_plan(DESIGN, stimuli, "p01", number=1, simulated=True)
+    agenda = Agenda(plan.trials, plan.flow)
+    practice, first = (
+        next(t for t in plan.trials if (t.protocol, t.phase) == (THRESHOLD, phase))
+        for phase in ("practice", THRESHOLD)
+    )
+    while agenda.ask() != first:
+        step = agenda.ask()
+        if isinstance(step, Page):
+            agenda.tell_page(step.key, time_s=0.0)
+        elif step is not None:
+            agenda.tell_trial(step.number, accepted=True, as_expected=None, time_s=0.0)
+    agenda.warm_up()
+    assert agenda.ask() == Page("warm_up")
+    agenda.tell_page("warm_up", time_s=0.0)
+    assert agenda.ask() == practice
+    agenda.tell_trial(practice.number, accepted=True, as_expected=None, time_s=0.0)
+    assert agenda.ask() == first
+    assert agenda.done == 0
 
 
 def test_plans_without_a_threshold_are_as_they_were(tmp_path: Path, stimuli: StimulusSet) -> None:
