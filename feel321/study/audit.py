@@ -119,6 +119,7 @@ class _Course:
         self._trials = {trial.number: trial for trial in plan.trials}
         self._detection = recall_detection(plan, ())
         self._attempt: events.Attempt | None = None
+        self._toned = (0, 0)
         self._state = ""
         self._aside = ""
 
@@ -168,6 +169,7 @@ class _Course:
 
     def _check_tone(self, event: events.TonePresented, trial: Trial) -> None:
         """Check that a trial of the threshold block presents what follows from the answers before it."""
+        self._toned = event.trial, event.attempt
         if self._detection is None or trial.protocol != THRESHOLD:
             raise ValueError(f"presents a tone in trial {trial.number}, which has none")
         wanted = self._detection.present(trial)
@@ -185,6 +187,8 @@ class _Course:
         self, event: events.TrialRated, attempt: events.Attempt, values: Mapping[str, Any]
     ) -> None:
         """Check that an answer could be taken, and that it counts as the rules say."""
+        if attempt.trial.protocol == THRESHOLD and self._toned != attempt.key:
+            raise ValueError(f"rates trial {event.trial}, in which no level was presented")
         if unfelt := attempt.list_unfelt():
             raise ValueError(
                 f"rates trial {event.trial}, of which {', '.join(unfelt)} was not felt to its end"

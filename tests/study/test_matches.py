@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -23,6 +24,7 @@ from feel321.study.audit import audit_steps, audit_study
 from feel321.study.folder import create_study
 from feel321.study.ledger.withdrawal import withdraw_participant
 from feel321.study.matches import MATCHES_FILE, describe_matches, summarise_matches, write_matches
+from feel321.study.observer.participant import ObserverModel, Participant
 from feel321.study.session.engine import run_session
 from feel321.study.session.plan import (
     Design,
@@ -120,6 +122,13 @@ def test_the_difference_in_sensation_level_is_found(
     assert within.sum() >= 16
     np.testing.assert_allclose(found[within], planted[within], atol=5 * 0.2)
     assert abs(np.mean((found - planted)[within])) < 0.15
+
+
+def test_silence_is_never_strong_enough() -> None:
+    mind = Participant(ObserverModel(matching_sd=0.0), seed=1, number=1)
+    for second_db, points in ((20.0, 50.0), (23.0, 30.0), (math.nan, 100.0)):
+        levels_db = {"first": 20.0, "second": second_db}
+        assert mind._match(levels_db, np.random.default_rng(1)) == points
 
 
 def test_averages_are_those_of_students_t() -> None:

@@ -444,6 +444,7 @@ class Participant:
         """Move the marker until the second is as strong as the first, but for an error of one's own."""
         guess, error_db = rng.uniform(*RATING_RANGE), rng.normal(0, self.touch.model.matching_sd)
         points = MIDDLE + (levels_db[FIRST] - levels_db[SECOND] + error_db) / DB_PER_POINT
+        points = RATING_RANGE[1] if math.isnan(points) else points  # silence, which no marker helps
         if self.rater.kind == RANDOM_CLICKER or rng.random() < self.rater.lapse_rate:
             points = guess
         elif self.rater.kind == STRAIGHT_LINER:

@@ -180,3 +180,5 @@ def test_audit_finds_another_level(tmp_path: Path, stimuli: StimulusSet, now: An
         found = list(audit_steps([*records[:place], changed, *records[place + 1 :]], plan))
         assert len(found) == 1
         assert "by the answers before it" in found[0]
+    (missing,) = audit_steps([*records[:place], *records[place + 1 :]], plan)
+    assert "no level was presented" in missing
