@@ -241,11 +241,12 @@ NOT_SCHEDULED = -1
 class Cue:
     """One playback, from its request to its end; the callback writes it, everybody may read it.
 
-    sound: (n_samples, channels); gap_frames: silence before it, at least.
+    sound: (n_samples, channels), times `scale`; gap_frames: silence before it, at least.
     """
 
     sound: Frames
     gap_frames: int
+    scale: float = 1.0
     onset_frame: int = NOT_SCHEDULED
     n_played: int = 0
     clipped: int = 0
@@ -299,7 +300,7 @@ class Mixer:
         self.stop()
         sound = self._sounds[stimulus_id]
         sound = sound if scale == 1 else sound * np.float32(scale)
-        self._latest = Cue(sound, gap_frames=round(gap_s * self._rate_hz))
+        self._latest = Cue(sound, gap_frames=round(gap_s * self._rate_hz), scale=scale)
         self._waiting.append(self._latest)
         return self._latest
 
