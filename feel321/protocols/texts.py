@@ -119,7 +119,7 @@ def list_borrowed(path: Path) -> list[str]:
 def write_copy(language: str) -> str:
     """Write the texts of a language as a file of a study's own in which every text is still a comment."""
     source = (CATALOG / f"{language}.toml").read_text(encoding="utf-8")
-    head = f"""# The texts of this study, where they are not those of feel321. Take the # from the lines that you change;
+    head = f"""# The texts of this study, where they are not those of feel321. Take the # from the lines to change;
 # delete the others if you like: what this file does not say stays as it is. In study.toml, under [session]:
 # language = "{COPY_FILE}". Then: feel321 check
 language = "{language}"  # of all that is not changed here

@@ -114,7 +114,9 @@ def make_answer(kind: str, keys: KeysTable) -> Answer:
         1, 1, 1, SCALES[kind], SCALES[kind], TIMED[kind], "oak",
         tuple(Part(name, "s1") for name in names), tuple(Judgement(name, "s1") for name in judged),
     )  # fmt: skip
-    return Answer(trial, read_scales()[SCALES[kind]], keys)
+    answer = Answer(trial, read_scales()[SCALES[kind]], keys)
+    answer.felt = frozenset(names)
+    return answer
 
 
 def press(kind: str, key: str, keys: KeysTable = USUAL) -> dict[str, Any]:

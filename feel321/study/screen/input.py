@@ -252,6 +252,7 @@ class Answer:
         self.markers = Markers()
         self.selected = self.rated[0]
         self.chosen = ""
+        self.felt: frozenset[str] = frozenset()
         self._parts = [part.name for part in trial.parts]
         self._choices, self._keys = scale.choices, keys
         self._held, self._digits = Held(), Digits()
@@ -362,4 +363,5 @@ class Answer:
     def _set(self, part: str, value: float | None, time_s: float) -> None:
         if part in self.rated and value is not None:
             self.selected = part
-            self.markers.put(part, value, time_s)
+            if self.kind != "rows" or part in self.felt:  # no vibration is rated before it was felt
+                self.markers.put(part, value, time_s)

@@ -256,6 +256,7 @@ class ScreenPresenter:
         # What was felt to its end stays felt, though it be cut short when it is felt again.
         felt = self._screen.view.felt | ({part.name} if is_felt else set())
         self._screen.view = replace(self._screen.view, felt=felt, playing="")
+        self._screen.find_answer().felt = felt
         self._possible_s = self._clock()
 
 

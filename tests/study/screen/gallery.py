@@ -149,6 +149,7 @@ def make_views(
         place,
         trial=trial,
         scale=scales["mushra"],
+        felt=frozenset({"reference", "2", "3"}),
         markers={"2": 44.0},
         selected="3",
     )

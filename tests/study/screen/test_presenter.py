@@ -116,10 +116,13 @@ def test_rows_by_keys(seat: Callable[..., Any]) -> None:
     here.see(playing="reference")
     here.press("F2")  # switches at once: what plays is stopped
     here.see(playing="2", selected="2")
-    here.press("Right", "Right", "Prior")  # a marker can be moved while its vibration is felt
-    here.see(markers={"2": 61.0}, felt=[], state="feeling")
+    here.press("Right", "Right")  # no marker can be moved before its vibration was felt
+    assert "mark 2" not in here.view["targets"]
     here.order("go on")
-    here.see(markers={"2": 61.0}, felt=["2"], state="answering")
+    here.see(markers={}, felt=["2"], state="answering")
+    here.press("Right", "Right", "Prior")
+    here.see(markers={"2": 61.0})
+    assert [name for name in here.view["targets"] if name.startswith("mark")] == ["mark 2"]
     here.press("Return")
     here.until(
         lambda view: (
@@ -129,9 +132,10 @@ def test_rows_by_keys(seat: Callable[..., Any]) -> None:
     here.press("Up", "r")
     here.see(playing="1", selected="1")
     here.see(felt=["1", "2"])
-    here.press("Next")
-    here.press("Down", "Down", "4", "5", "r")
+    here.press("Next", "Down", "Down", "r")
     here.see(felt=["1", "2", "3"])
+    here.press("4", "5")
+    here.see(markers={"1": 50.0, "2": 61.0, "3": 45.0})
     here.press("F9")
     here.until(lambda view: view["notice"] == "There is nothing to feel under that key.")
     here.press("Tab")
