@@ -253,6 +253,7 @@ class Answer:
         self.selected = self.rated[0]
         self.chosen = ""
         self.felt: frozenset[str] = frozenset()
+        self.loops = False
         self._parts = [part.name for part in trial.parts]
         self._choices, self._keys = scale.choices, keys
         self._held, self._digits = Held(), Digits()
@@ -308,6 +309,8 @@ class Answer:
             return self._feel_again(time_s)
         if action == "reference" or action.startswith(PLAY):
             return self._feel_row(self._find_part(action), time_s)
+        if action == "loop" and self.kind == "rows":
+            self.loops = not self.loops
         if can_answer:
             self._held.press(action or key, time_s)
             self._step(action, time_s)

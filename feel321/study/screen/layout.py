@@ -44,6 +44,7 @@ class View:
     selected: str = ""
     chosen: str = ""
     typed: str = ""
+    loops: bool = False
     left_s: int = 0
     notice: str = ""
     picture: Path | None = None
@@ -106,13 +107,13 @@ def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> Scr
     lines, parts = tables["keys"], tables["parts"]
     prompts = label_prompts(keys, tables["prompts"], lines)
     labelled = label_keys(keys, lines)
-    labelled["reference"] = f"{label_key(keys.reference[0], {})}  {parts['reference']}"
+    labelled["loop"] = f"{label_key(keys.loop[0], {})}  {LOOP}"
     return ScreenTexts(pages, tables["refusals"], prompts, parts, labelled, keys)
 
 
 HINTS = {
     "slider": ("move", "coarse_rows", "digits"),
-    "rows": ("reference", "feel", "choose", "move", "coarse_rows"),
+    "rows": ("feel", "loop", "choose", "move", "coarse_rows"),
     "choice": ("pick",),
 }
 """The keys that have no button, by kind of screen."""
@@ -135,7 +136,7 @@ ROW = 6.6  # largest height of a row, in units
 LABEL = 0.45  # largest width of a slider's label, as a share of the track
 LABEL_LINES = 2  # most lines of a slider's label
 
-FELT = "✓"
+FELT, LOOP = "✓", "⟳"
 
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
@@ -417,13 +418,10 @@ class _TrialLayout:
 
     def list_buttons(self) -> list[_Button]:
         keys, state = self.texts.keys, self.view.state
-        is_ready = state == "stroking" or (state == "answering" and self.view.is_done)
+        is_open = state == "answering" or self.view.loops
+        is_ready = state == "stroking" or (is_open and self.view.is_done)
         confirm = _Button(
-            keys["confirm"],
-            "confirm",
-            is_main=True,
-            is_ready=is_ready,
-            explains=state == "answering",
+            keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=is_open
         )
         if state == "feeling":
             return [_Button(keys["stop"], "stop"), confirm]
@@ -459,6 +457,9 @@ class _TrialLayout:
         sheet.fill(box, fill, line=line, round_px=size_px / 2.5, line_px=size_px / 12)
         inner = Box(box.left + 1.6 * tick, box.top, box.width - 3.2 * tick, box.height)
         sheet.write(inner, name, size, color=ink, bold=True, align="center")
+        if self.view.loops and is_on:
+            left = Box(box.left + 0.5 * tick, box.top, tick, box.height)
+            sheet.write(left, LOOP, size, color=ink, bold=True)
         if is_felt:
             right = Box(box.right - 1.5 * tick, box.top, tick, box.height)
             sheet.write(right, FELT, size, color=ink, bold=True)

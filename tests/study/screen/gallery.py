@@ -100,6 +100,7 @@ def make_views(
             **base,
             playing=parts[-1],
             felt=frozenset(parts[:-1]),
+            loops=kind == "rows",
             selected=judged[0],
         )
         views[f"{name} fresh"] = View(
