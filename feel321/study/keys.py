@@ -52,9 +52,9 @@ class KeysTable(fields.TomlTable):
     """`[keys]`: which key does what: one key, or several that do the same; the screen names the first.
 
     next: confirm a page or an answer. stop: what plays. pause: pressed twice, also ends the session on a page. again:
-    feel it again. reference, play: feel the reference, the first vibration, the second, and so on. left, right: one
-    point, or the first and the last choice. more, less: ten points. up, down: another vibration of a list.
-    type_values: whether digits are typed as values.
+    feel it again. loop: vibrations of a list go on and on, or not. reference, play: feel the reference, the first
+    vibration, the second, and so on. left, right: one point, or the first and the last choice. more, less: ten points.
+    up, down: another vibration of a list. type_values: whether digits are typed as values.
     """
 
     next: Keys = ("enter",)
@@ -62,6 +62,7 @@ class KeysTable(fields.TomlTable):
     stop: Keys = ("space",)
     pause: Keys = ("escape",)
     again: Keys = ("r",)
+    loop: Keys = ("l",)
     reference: Keys = ("tab",)
     play: Keys = tuple(f"f{number}" for number in range(1, 10))
     left: Keys = ("left",)
@@ -130,7 +131,8 @@ def label_keys(keys: KeysTable, lines: Mapping[str, str]) -> dict[str, str]:
             labels = " ".join(filter(None, [*(label_key(key, words) for key in own), twice]))
             labelled[line] = f"{labels}  {does}"
     ends = [label_key(key, words) for key in (keys.play[0], keys.play[-1])]
-    labelled["feel"] = f"{'–'.join(dict.fromkeys(ends))}  {lines['feel'].partition('  ')[2]}"
+    feel = f"{label_key(keys.reference[0], words)} {'–'.join(dict.fromkeys(ends))}"
+    labelled["feel"] = f"{feel}  {lines['feel'].partition('  ')[2]}"
     return labelled
 
 

@@ -76,12 +76,12 @@ def test_keys_are_no_part_of_what_a_stimulus_becomes(tmp_path: Path) -> None:
 def test_the_screen_names_the_keys_that_are_there(language: str) -> None:
     tables = read_texts(language)
     usual = make_screen_texts(tables)
-    changed = {"coarse", "feel", "reference"}
+    changed = {"feel", "loop"}
     assert {k: v for k, v in usual.keys.items() if k not in changed} == {
         k: v for k, v in tables["keys"].items() if k not in changed
     }
     assert usual.prompts == tables["prompts"]
-    assert usual.keys["feel"].startswith("F1–F9  ")
+    assert usual.keys["feel"].startswith("Tab F1–F9  ")
     keys = KeysTable(
         next=("b", "enter"), pause=("p",), experimenter=("f10",), left=("comma",), play=("q", "w")
     )
@@ -89,7 +89,7 @@ def test_the_screen_names_the_keys_that_are_there(language: str) -> None:
     does = {name: line.partition("  ")[2] for name, line in tables["keys"].items()}
     assert own.keys["confirm"] == f"B  {does['confirm']}"
     assert own.keys["move"] == f"Comma →  {does['move']}"
-    assert own.keys["feel"] == f"Q–W  {does['feel']}"
+    assert own.keys["feel"] == f"Tab Q–W  {does['feel']}"
     twice = tables["keys"]["pause"].partition("  ")[0].partition(" ")[2]
     assert own.keys["pause"] == f"P {twice}  {does['pause']}"
     assert own.prompts["experimenter"].endswith("F10")
@@ -114,7 +114,9 @@ def make_answer(kind: str, keys: KeysTable) -> Answer:
         1, 1, 1, SCALES[kind], SCALES[kind], TIMED[kind], "oak",
         tuple(Part(name, "s1") for name in names), tuple(Judgement(name, "s1") for name in judged),
     )  # fmt: skip
-    return Answer(trial, read_scales()[SCALES[kind]], keys)
+    answer = Answer(trial, read_scales()[SCALES[kind]], keys)
+    answer.felt = frozenset(names)
+    return answer
 
 
 def press(kind: str, key: str, keys: KeysTable = USUAL) -> dict[str, Any]:
@@ -159,4 +161,4 @@ def test_the_same_keys_feel_and_move_in_every_task() -> None:
     box = KeysTable(play=("1", "2", "3"), left=("4",), right=("5",), type_values=False)
     assert press("rows", "2", box)["feels"] == "2"
     assert press("choice", "5", box)["values"] == {"x": "b"}
-    assert label_keys(box, read_texts()["keys"])["feel"] == "1–3  feel one"
+    assert label_keys(box, read_texts()["keys"])["feel"] == "Tab 1–3  feel one"

@@ -252,6 +252,8 @@ class Answer:
         self.markers = Markers()
         self.selected = self.rated[0]
         self.chosen = ""
+        self.felt: frozenset[str] = frozenset()
+        self.loops = False
         self._parts = [part.name for part in trial.parts]
         self._choices, self._keys = scale.choices, keys
         self._held, self._digits = Held(), Digits()
@@ -307,6 +309,8 @@ class Answer:
             return self._feel_again(time_s)
         if action == "reference" or action.startswith(PLAY):
             return self._feel_row(self._find_part(action), time_s)
+        if action == "loop" and self.kind == "rows":
+            self.loops = not self.loops
         if can_answer:
             self._held.press(action or key, time_s)
             self._step(action, time_s)
@@ -362,4 +366,5 @@ class Answer:
     def _set(self, part: str, value: float | None, time_s: float) -> None:
         if part in self.rated and value is not None:
             self.selected = part
-            self.markers.put(part, value, time_s)
+            if self.kind != "rows" or part in self.felt:  # no vibration is rated before it was felt
+                self.markers.put(part, value, time_s)

@@ -103,6 +103,7 @@ def make_views(
             **base,
             playing=parts[-1],
             felt=frozenset(parts[:-1]),
+            loops=kind == "rows",
             selected=judged[0],
         )
         views[f"{name} fresh"] = View(
@@ -152,6 +153,7 @@ def make_views(
         place,
         trial=trial,
         scale=scales["mushra"],
+        felt=frozenset({"reference", "2", "3"}),
         markers={"2": 44.0},
         selected="3",
     )
