@@ -15,7 +15,9 @@ from feel321.types import Samples
 
 PERIOD_S = 0.25  # all tones are multiples of its inverse
 SETTLING_S, TONES_S = 0.25, 0.85  # until a coil moves steadily; length of the tones
-REST_S = 0.15  # after them, for what is late
+REST_S = (
+    0.15  # after them and the latency of the certificate, which may differ from today's by so much
+)
 CLEAR = 10.0  # least ratio of a tone's amplitude to the noise at its frequency
 FEWEST = 3  # tones that must be clear
 
@@ -46,7 +48,8 @@ class Drift:
 
 def measure_drift(rig: Rig, certificate: Certificate) -> list[Drift]:
     """Play tones on each coil of a rig, and compare what the sensor measures with its certificate."""
-    n = round((TONES_S + REST_S) * certificate.rate_hz)
+    late = max(coil.latency for coil in certificate.coils.values())
+    n = round((TONES_S + REST_S) * certificate.rate_hz) + late
     with open_session(rig, rate_hz=certificate.rate_hz, n_longest=n) as session:
         return [
             _measure_coil(session, coil, band_hz=certificate.band_hz)
@@ -72,7 +75,8 @@ def make_tones(coil: CoilCertificate, frequency_hz: Samples, *, rate_hz: float) 
     )  # Schroeder's phases: a low peak
     waves = np.sin(2 * np.pi * (np.outer(frequency_hz, time_s) + turns[:, None]))
     tones = (size**-0.5) @ waves * signal.windows.tukey(n_tones, 0.1)
-    return np.concatenate([tones / np.abs(tones).max(), np.zeros(round(REST_S * rate_hz))])
+    rest = round(REST_S * rate_hz) + coil.latency
+    return np.concatenate([tones / np.abs(tones).max(), np.zeros(rest)])
 
 
 def _measure_coil(

@@ -306,6 +306,8 @@ def _compare_with_certificate(folder: Path, rig: Rig, *, rate_hz: float) -> _Com
 
 def _print_drifts(known: _Comparison | None) -> None:
     for one in known.drifts if known else ():
+        if not one.n_tones:
+            continue
         click.echo(
             f"{one.coil}: {one.median_db:+.2f} dB from its certificate, {one.largest_db:+.2f} dB at most, "
             f"in {one.n_tones} tones"

@@ -358,6 +358,15 @@ def test_no_drift_is_found_where_there_is_none(rig: Rig, certificate: Certificat
         assert one.find_fault(allowed_db=1.0) == ""
 
 
+def test_a_long_latency_is_waited_for(rig: Rig, certificate: Certificate) -> None:
+    late = {
+        name: replace(coil, latency=coil.latency + 5000) for name, coil in certificate.coils.items()
+    }
+    slow = alter(rig, "simulation", latency=5100)
+    for one in drift.measure_drift(slow, replace(certificate, coils=late)):
+        assert one.find_fault(allowed_db=1.0) == ""
+
+
 @pytest.mark.parametrize(
     ("changes", "median_db", "reason"),
     [
