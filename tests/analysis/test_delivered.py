@@ -139,4 +139,4 @@ def test_a_rig_as_a_factor_takes_out_what_the_rig_adds(small: object) -> None:
         ])["estimate"]["rig as a factor"]
         for one in (rows, shifted)
     ]
-    np.testing.assert_allclose(*slopes, rtol=1e-6)
+    np.testing.assert_allclose(*slopes, rtol=1e-3)
