@@ -86,6 +86,7 @@ def measure_plain(folder: Path) -> None:
     """Make plain filters of Welch spectra, play through them, and calibrate; in the environment of the server."""
     from feel321.study.actuator import calibrate, calibration
     from feel321.study.actuator.certificate import write_certificate
+    from feel321.study.actuator.duplex import open_session
     from feel321.study.actuator.rig import read_rig
 
     rig = read_rig(folder / "rig.toml")
@@ -94,7 +95,7 @@ def measure_plain(folder: Path) -> None:
     rows = {}
     sweep = calibrate.make_main(rig, rate_hz=RATE_HZ, peak=1.0)
     n = sweep.period * sweep.n_repeats
-    with calibrate.open_session(rig, rate_hz=RATE_HZ, n_longest=n) as session:
+    with open_session(rig, rate_hz=RATE_HZ, n_longest=n) as session:
         for name, coil in certificate.coils.items():
             peak = float(coil.levels.max())
             noise = np.resize(

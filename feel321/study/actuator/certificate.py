@@ -104,10 +104,6 @@ class CoilCertificate:
         gains = signal.freqz(self.fir, worN=np.asarray(frequencies_hz), fs=rate_hz)[1]
         return float(np.abs(gains).max())
 
-    def drive(self, asked_m_s2: Samples) -> Samples:
-        """Make the samples to be sent, shape (n + tail,), for the motion that is asked for, shape (n,)."""
-        return self.equalise(asked_m_s2 / self.target)
-
     def equalise(self, samples: Samples) -> Samples:
         """Filter samples, shape (n,), so that full scale becomes `target` m/s²; shape (n + tail,)."""
         energy = np.cumsum(self.fir[::-1] ** 2)[::-1]
@@ -150,6 +146,15 @@ class Certificate:
     def passed(self) -> bool:
         """Whether all limits were kept."""
         return not self.failures
+
+    def drive(self, name: str, asked_m_s2: Samples) -> Samples:
+        """Make the samples to be sent to a coil, shape (n + tail,), for the motion that is asked of it, shape (n,).
+
+        They go through its filter, and wait for the coil with the longest latency, so that all move together.
+        """
+        coil = self.coils[name]
+        waits = max(one.latency for one in self.coils.values()) - coil.latency
+        return np.concatenate([np.zeros(waits), coil.equalise(asked_m_s2 / coil.target)])
 
     def apply(self, rig: Rig) -> Rig:
         """Give a rig the full scales that were measured, in which the mixer keeps the limits."""

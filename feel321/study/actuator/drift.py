@@ -7,14 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, signal
 
-from feel321.study.actuator.calibrate import (
-    MARGIN,
-    Session,
-    find_allowed,
-    open_session,
-    require_sensor,
-)
+from feel321.study.actuator.calibrate import MARGIN, find_allowed
 from feel321.study.actuator.certificate import Certificate, CoilCertificate
+from feel321.study.actuator.duplex import Session, open_session, require_sensor
 from feel321.study.actuator.rig import Rig
 from feel321.types import Samples
 

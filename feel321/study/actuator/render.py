@@ -129,7 +129,7 @@ def render_motion(
     """Render the motions asked of the actuators, shape (n,) each, as samples of shape (n + tail, channels)."""
     channels = {
         actuator.channel - 1: (
-            certificate.coils[actuator.name].drive(asked_m_s2[actuator.name])
+            certificate.drive(actuator.name, asked_m_s2[actuator.name])
             if certificate
             else asked_m_s2[actuator.name] / actuator.full_scale_m_s2
         )

@@ -84,7 +84,8 @@ def calibrate(
 
 
 def _flip(rig: Rig, *, rate_hz: float) -> str:
-    from feel321.study.actuator.calibrate import measure_rest, require_sensor, scale_by_flip
+    from feel321.study.actuator.calibrate import measure_rest, scale_by_flip
+    from feel321.study.actuator.duplex import require_sensor
 
     sensor = require_sensor(rig)
     rests = []
@@ -126,7 +127,8 @@ def _type_gains(rig: Rig, gains: Sequence[str], *, rate_hz: float, made: datetim
 
 
 def _measure(rig: Rig, *, rate_hz: float, made: datetime) -> Certificate:
-    from feel321.study.actuator.calibrate import SweepStopped, calibrate_rig
+    from feel321.study.actuator.calibrate import calibrate_rig
+    from feel321.study.actuator.duplex import SweepStopped
     from feel321.study.actuator.rig import FILE_DEVICE
 
     if rig.device.name == FILE_DEVICE:

@@ -20,7 +20,7 @@ import pytest
 
 from feel321.study.actuator import calibrate as module
 from feel321.study.actuator import doctor, drift
-from feel321.study.actuator.calibrate import SweepStopped, calibrate_rig, find_failures
+from feel321.study.actuator.calibrate import calibrate_rig, find_failures
 from feel321.study.actuator.calibration import make_sweep
 from feel321.study.actuator.certificate import (
     Certificate,
@@ -28,6 +28,7 @@ from feel321.study.actuator.certificate import (
     list_certificates,
     write_certificate,
 )
+from feel321.study.actuator.duplex import SweepStopped
 from feel321.study.actuator.output import StreamOutput
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig
 from feel321.study.actuator.simulated import BLOCK_FRAMES, SimulatedStream

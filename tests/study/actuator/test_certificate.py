@@ -152,3 +152,19 @@ def test_the_filters_gain_counts_against_the_limits_of_tones() -> None:
     assert certificate.coils["left coil"].find_gain([100.0, 200.0], rate_hz=RATE_HZ) == 1
     halved = replace(certificate.coils["left coil"], fir=np.array([1.5, 0.5]))
     assert halved.find_gain([10.0, 4000.0], rate_hz=RATE_HZ) == pytest.approx(2, abs=1e-3)
+
+
+def test_coils_of_unlike_latency_move_together() -> None:
+    certificate = make()
+    left, right = certificate.coils.values()
+    certificate = replace(
+        certificate, coils={"left coil": left, "right coil": replace(right, latency=5)}
+    )
+    asked = np.random.default_rng(1).standard_normal(50)
+    sent = {name: certificate.drive(name, asked) for name in certificate.coils}
+    frames = np.zeros((60, 2))
+    for column, samples in enumerate(sent.values()):
+        frames[: len(samples), column] = samples
+    moved = certificate.predict(frames)
+    np.testing.assert_allclose(moved[0], moved[1], atol=1e-9)
+    np.testing.assert_allclose(moved[0, 5:55], asked, atol=1e-9)
