@@ -286,6 +286,9 @@ def test_a_certificate_stands_in_for_a_sensor_and_is_asked_once(
     assert len(calls) == 1
     assert predicted[0].keys() == {"level_error_db", *MATCHES}
     assert predicted[0]["level_error_db"] == pytest.approx(-6.02, abs=0.01)
+    typed = Stub(RIG, predict)
+    typed.method = "manual"  # predicts what it was told
+    assert not make_check(built, certificate=typed).describe(one.stimulus_id, sent, None)
     measured = check.describe(one.stimulus_id, sent, delay(read_motion(stimuli, one)))
     assert measured["is_calibrated"] == 1
     assert not make_check(built).describe(one.stimulus_id, sent, None)
