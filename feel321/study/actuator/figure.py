@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,16 +13,23 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from numpy.typing import ArrayLike
 
     from feel321.study.actuator.certificate import Certificate, CoilCertificate
 
 PANEL_CM = 4.2
 FLOOR_DB = -60.0
+LEGEND: Any = {"frameon": False, "handlelength": 1.5, "columnspacing": 1.2}
 
 
 def draw_certificate(certificate: Certificate, stem: Path) -> None:
     """Draw the coils of a certificate, one panel each, and save them as vector."""
+    style.save_figure(make_figure(certificate), stem, formats=("svg",))
+
+
+def make_figure(certificate: Certificate) -> Figure:
+    """Make the figure of a certificate by measurement."""
     coils = list(certificate.coils.values())
     with style.print_style():
         figure = style.new_canvas(PANEL_CM * len(coils) + 0.5)
@@ -32,10 +39,10 @@ def draw_certificate(certificate: Certificate, stem: Path) -> None:
         panels[-1].set_xlabel("Frequency (Hz)")
         _set_ticks(panels[-1], certificate.band_hz)
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, **LEGEND)
         passed = "passed" if certificate.passed else "did not pass"
         style.add_title(figure, f"{certificate.id} ({certificate.method}): {passed}")
-    style.save_figure(figure, stem, formats=("svg",))
+    return figure
 
 
 def _set_ticks(axes: Axes, band_hz: tuple[float, float]) -> None:
@@ -56,12 +63,12 @@ def _draw_coil(axes: Axes, coil: CoilCertificate, *, certificate: Certificate) -
 
     axes.axhline(0, color=style.GREY, linewidth=style.THIN)
     plot(coil.response[inside] / coil.target, "without filter", style.RED)
-    if np.isfinite(coil.equalised).any():
-        plot(coil.equalised[inside] / coil.target, "with filter", style.BLUE)
-        plot(coil.distortion[inside], "distortion (re fundamental)", style.GREY)
+    plot(coil.equalised[inside] / coil.target, "with filter", style.BLUE)
+    plot(coil.distortion[inside], "harmonics", style.GREY)
     axes.set_xscale("log")
     axes.margins(x=0)
     axes.set_ylim(FLOOR_DB - 2, None)
     axes.set_ylabel("Level (dB)")
-    off = f", within {coil.largest_db:.1f} dB" if np.isfinite(coil.largest_db) else ""
-    axes.set_title(f"{coil.name}: {coil.target:.3g} m/s² at full scale{off}")
+    axes.set_title(
+        f"{coil.name}: {coil.target:.3g} m/s² at full scale, within {coil.largest_db:.1f} dB"
+    )

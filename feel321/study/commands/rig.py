@@ -72,7 +72,8 @@ def calibrate(
         else _measure(rig, rate_hz=rate_hz, made=made)
     )
     certificate = write_certificate(certificate, study.path)
-    draw_certificate(certificate, study.calibration / certificate.id)
+    if not gains:  # of which there is nothing to see
+        draw_certificate(certificate, study.calibration / certificate.id)
     if as_json:
         shared.print_json(_describe_certificate(certificate))
     else:

@@ -29,6 +29,7 @@ from feel321.study.actuator.certificate import (
     write_certificate,
 )
 from feel321.study.actuator.duplex import SweepStopped
+from feel321.study.actuator.figure import make_figure
 from feel321.study.actuator.output import StreamOutput
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig
 from feel321.study.actuator.simulated import BLOCK_FRAMES, SimulatedStream
@@ -423,3 +424,16 @@ def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:
     assert module._play_sweep(session, sent, sweep, channel=1) is whole  # type: ignore[arg-type]  # plays only
     with pytest.raises(OSError, match=r"are \d+ samples out of step, 4 times in a row"):
         module._play_sweep(session, sent, sweep, channel=1)  # type: ignore[arg-type]  # plays only
+
+
+def test_nothing_in_the_figure_runs_off_its_edges(certificate: Certificate) -> None:
+    drawn = make_figure(certificate)
+    drawn.draw_without_rendering()
+    (legend,) = drawn.legends
+    box = legend.get_window_extent()
+    assert 0 <= box.x0 < box.x1 <= drawn.bbox.width
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["without filter", "with filter", "harmonics"]
+    assert [axes.get_title(loc="left").split(":")[0] for axes in drawn.axes] == list(
+        certificate.coils
+    )
