@@ -11,14 +11,14 @@ from itertools import groupby
 
 from feel321.protocols.detection import THRESHOLD
 from feel321.protocols.tasks import measure_chance
-from feel321.protocols.trial import ASIDE, Flow, Page, Trial
+from feel321.protocols.trial import ASIDE, MATCHING, Flow, Page, Trial
 
 SECONDS = 60.0
-RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done"})
+RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done", "matching_done"})
 """Pages after which the time to the next break starts anew."""
 
 
-COUNTED = frozenset({"main", THRESHOLD})
+COUNTED = frozenset({"main", THRESHOLD, MATCHING})
 """Phases whose answers are results."""
 
 
@@ -251,6 +251,7 @@ def _list_steps(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
     """List the steps of a session in which nothing goes wrong and no break is due."""
     yield from (Page("welcome"), Page("consent"))
     yield from _list_threshold([trial for trial in trials if trial.protocol == THRESHOLD], flow)
+    yield from _list_matching([trial for trial in trials if trial.protocol == MATCHING], flow)
     main = [trial for trial in trials if trial.phase == "main"]
     sections = [list(section) for _, section in groupby(main, key=lambda trial: trial.protocol)]
     for place, section in enumerate(sections):
@@ -286,3 +287,11 @@ def _list_threshold(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Tria
         yield Page("threshold_next", flow.break_s) if place else Page("main")
         yield from own
     yield Page("threshold_done", flow.rest_s)
+
+
+def _list_matching(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
+    """List the steps of the matching block, if there is one."""
+    if trials:
+        yield from (Page(f"instructions.{MATCHING}"), Page("main"))
+        yield from trials
+        yield Page("matching_done", flow.rest_s)

@@ -1,7 +1,7 @@
 """The texts for participants: one TOML file per language in `catalog/`, or a file of the lab's own.
 
-Every language has the keys, lists and {placeholders} of the English one; a lab's own file is checked against it when
-it is read, so that no gap turns up in the middle of a session.
+Every language has the keys, lists and {placeholders} of the English one. A lab's own file may hold only the texts that
+it changes; it is checked when it is read, so that no gap turns up in the middle of a session.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.resources import files
 from pathlib import Path
 from string import Formatter
@@ -25,6 +26,9 @@ CATALOG = files("feel321.protocols") / "catalog"
 
 MODEL = "en"
 """The language that every other one is compared with."""
+
+COPY_FILE = "texts.toml"
+"""A study's own texts, as `write_copy` writes them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,16 +108,69 @@ def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> list[str]:
     return gaps + [f"{place} is not a known text" for place in own if place not in wanted]
 
 
+def list_borrowed(path: Path) -> list[str]:
+    """List the texts of the catalogue that an own file does without, if it has most of its own: a translation."""
+    own, base = _parse_own(path)
+    places = [place for place, _ in _flatten(base)]
+    borrowed = [place for place in places if place not in dict(_flatten(own))]
+    return borrowed if 2 * len(borrowed) < len(places) else []
+
+
+def write_copy(language: str) -> str:
+    """Write the texts of a language as a file of a study's own in which every text is still a comment."""
+    source = (CATALOG / f"{language}.toml").read_text(encoding="utf-8")
+    head = f"""# The texts of this study, where they are not those of feel321. Take the # from the lines to change;
+# delete the others if you like: what this file does not say stays as it is. In study.toml, under [session]:
+# language = "{COPY_FILE}". Then: feel321 check
+language = "{language}"  # of all that is not changed here
+"""
+    lines = (
+        line if not line or line.startswith(("[", "#")) else f"# {line}"
+        for line in source.splitlines()
+    )
+    return "\n".join([head, *lines, ""])
+
+
 def _read_own(path: Path) -> dict[str, Any]:
+    own, base = _parse_own(path)
+    texts = _merge(base, own)
+    if gaps := find_gaps(texts, read_texts()):
+        known = [place for place, _ in _flatten(base)]
+        raise ValueError("\n".join(f"{path}: {gap}{_advise(gap, known)}" for gap in gaps))
+    return texts
+
+
+def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Read an own file, and the texts of the language that it changes."""
     try:
-        texts = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        own = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: not valid TOML ({error}); fix it there") from None
-    if gaps := find_gaps(texts, read_texts()):
+    language = own.pop("language", MODEL)
+    if language not in list_languages():
         raise ValueError(
-            "\n".join(f"{path}: {gap}; compare protocols/catalog/{MODEL}.toml" for gap in gaps)
+            f"{path}: language must be one of {', '.join(list_languages())}, got {language!r}; "
+            "it gives the texts that the file leaves out"
         )
-    return texts
+    return own, read_texts(language)
+
+
+def _merge(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Put texts into tables in place of those of the same name; lists are replaced as a whole."""
+    merged = dict(base)
+    for key, entry in own.items():
+        before = base.get(key)
+        if isinstance(before, dict) and isinstance(entry, dict):
+            entry = _merge(before, entry)  # noqa: PLW2901 - what it becomes
+        merged[key] = entry
+    return merged
+
+
+def _advise(gap: str, known: list[str]) -> str:
+    place, is_unknown, _ = gap.partition(" is not a known text")
+    near = get_close_matches(place, known, n=1, cutoff=0.5) if is_unknown else []
+    hint = f", did you mean {near[0]}?" if near else ""
+    return f"{hint}; compare protocols/catalog/{MODEL}.toml"
 
 
 def _flatten(texts: object, place: str = "") -> Iterator[tuple[str, object]]:

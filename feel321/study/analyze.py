@@ -22,6 +22,7 @@ from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.folder import StudyFolder, find_changes, require_study
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
+from feel321.study.matches import describe_matches, write_matches
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings
@@ -77,7 +78,8 @@ def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
     further = measure_rotations(study, settings, stimuli)
-    return replace(further, notes=(*further.notes, *note_estimates(everybody)))
+    matched = describe_matches(write_matches(study, stimuli))
+    return replace(further, notes=(*further.notes, *matched, *note_estimates(everybody)))
 
 
 # How the metrics of a study's stimuli depend on the way the sensor was mounted, for the report to explore.

@@ -29,6 +29,7 @@ VERBS = {
         "release",
         "simulate",
         "status",
+        "texts",
         "withdraw",
     ),
 }

@@ -27,6 +27,7 @@ from feel321.study.actuator.rig import (
     take_device,
 )
 from feel321.study.folder import DELIVERED
+from feel321.study.keys import USUAL
 from feel321.study.ledger.slots import read_ledger
 from feel321.study.minutes import read_pace
 from feel321.study.observer.participant import Participant, identify_observer
@@ -124,14 +125,15 @@ def open_lab(
     from feel321.study.screen.window import open_screen
 
     clock = start_clock(journal.records.find_elapsed())
-    texts = make_screen_texts(read_study_texts(lab.settings, lab.study.path))
+    texts = make_screen_texts(read_study_texts(lab.settings, lab.study.path), lab.rig.keys)
     surfaces = list_surfaces(lab.settings, lab.study.path)
     with ExitStack() as stack:
         output = stack.enter_context(_open_output(plan, lab=lab, clock=clock))
         screen = open_screen(clock=clock, windowed=lab.windowed, screen=lab.screen)
         window = stack.enter_context(screen)
-        hand = stack.enter_context(_open_hand(plan, journal, stimuli, casting=lab.casting))
-        journal.write(DeviceOpened(dict(output.identity)))
+        hand = stack.enter_context(_open_hand(plan, journal, stimuli, lab=lab))
+        own = {} if lab.rig.keys == USUAL else {"keys": lab.rig.keys.model_dump(mode="json")}
+        journal.write(DeviceOpened({**output.identity, **own}))
         yield ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=hand)
 
 
@@ -191,10 +193,10 @@ def _make_check(lab: Lab) -> Check | None:
 
 @contextmanager
 def _open_hand(
-    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting | None
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, lab: Lab
 ) -> Iterator[Hand | None]:
     """Seat a simulated participant, who remembers the last answer before a break."""
-    if casting is None:
+    if (casting := lab.casting) is None:
         yield None
         return
     from feel321.study.screen.robot import PressingHand, XKeyboard
@@ -203,7 +205,7 @@ def _open_hand(
     mind = Participant(casting.model, seed=casting.seed, number=person, percepts=casting.percepts)
     mind.recall(journal.records, plan.trials, stimuli=stimuli)
     with closing(XKeyboard()) as keyboard:
-        yield PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter)
+        yield PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter, keys=lab.rig.keys)
 
 
 @dataclass(frozen=True, slots=True)

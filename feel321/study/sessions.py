@@ -166,7 +166,7 @@ def list_rig_problems(
         from feel321.study.actuator.tone import find_tone_problems
 
         block = settings.session.threshold.make_block()
-        problems += find_tone_problems(block, rig, certificate=certificate)
+        problems += find_tone_problems(block, rig, rate_hz=own.rate_hz, certificate=certificate)
     return [f"{study.rig.name}: {problem}" for problem in problems]
 
 

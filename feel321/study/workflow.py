@@ -3,9 +3,10 @@
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 
 from feel321.protocols.order import find_crowding
-from feel321.protocols.texts import read_scales
+from feel321.protocols.texts import list_borrowed, read_scales
 from feel321.protocols.trial import CHOOSING, Item
 from feel321.stimuli.condition import condition, fade
 from feel321.stimuli.recording import Recording
@@ -325,6 +326,11 @@ def _check_certificate(
 def find_warnings(study: StudyFolder, settings: Settings) -> list[str]:
     """Find what is allowed in a study and still worth knowing."""
     remarks = [f"{study.settings.name}: {remark}" for remark in list_remarks(settings)]
+    language = find_language(settings, study.path)
+    if isinstance(language, Path) and (borrowed := list_borrowed(language)):
+        remarks.append(
+            f"{settings.session.language}: has no {', '.join(borrowed)}; the catalogue's is shown there"
+        )
     if settings.session.order != "random" or not study.stimuli.exists():
         return remarks
     plan = make_plan(

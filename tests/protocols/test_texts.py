@@ -12,13 +12,15 @@ from feel321.protocols.texts import (
     CATALOG,
     MODEL,
     find_gaps,
+    list_borrowed,
     list_languages,
     read_pages,
     read_refusals,
     read_scales,
     read_texts,
+    write_copy,
 )
-from feel321.protocols.trial import PAGES, SURFACE, Item
+from feel321.protocols.trial import MATCHING, PAGES, SURFACE, Item
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,6 +34,7 @@ ENDS = {
         "mushra": ("Not at all", "Just like the reference"),
         "abx": ("Wrong", "Right"),
         "threshold": ("Wrong", "Right"),
+        "matching": ("Weaker", "Stronger"),
     },
     "de": {
         "realism": ("Überhaupt nicht echt", "Wie die echte Oberfläche"),
@@ -40,6 +43,7 @@ ENDS = {
         "mushra": ("Überhaupt nicht", "Genau wie die Referenz"),
         "abx": ("Falsch", "Richtig"),
         "threshold": ("Falsch", "Richtig"),
+        "matching": ("Schwächer", "Stärker"),
     },
 }
 ALONG = {
@@ -71,7 +75,10 @@ def test_every_language_is_complete(language: str) -> None:
 @pytest.mark.parametrize("language", list_languages())
 def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
     scales = read_scales(language)
-    assert set(scales) == {protocol.scale for protocol in PROTOCOLS.values()} | {THRESHOLD}
+    assert set(scales) == {protocol.scale for protocol in PROTOCOLS.values()} | {
+        THRESHOLD,
+        MATCHING,
+    }
     assert all(name == scale.name for name, scale in scales.items())
     assert all(
         scale.question.endswith("?") and scale.low_label != scale.high_label
@@ -133,7 +140,7 @@ def test_pages_of_all_tasks_speak_of_no_slider(language: str, slider: str) -> No
 
 @pytest.mark.parametrize("language", list_languages())
 def test_every_language_has_every_page(language: str) -> None:
-    tasks = (*PROTOCOLS, THRESHOLD)
+    tasks = (*PROTOCOLS, THRESHOLD, MATCHING)
     wanted = {*PAGES, *(f"instructions.{name}" for name in tasks)} - {"instructions"}
     pages = read_pages(language)
     assert set(pages) == wanted
@@ -172,15 +179,13 @@ def test_keys_with_dots_want_quotes(own: Path, english: str) -> None:
         english.replace('[pages."instructions.realism"]', "[pages.instructions.realism]"),
         encoding="utf-8",
     )
-    with pytest.raises(ValueError, match="is missing") as caught:
+    with pytest.raises(ValueError, match="is not a known text") as caught:
         read_pages(own)
     assert [
         line.split(": ", 1)[1].partition(";")[0] for line in str(caught.value).splitlines()
     ] == [
-        'pages."instructions.realism".title is missing',
-        'pages."instructions.realism".text is missing',
-        "pages.instructions.realism.title is not a known text",
-        "pages.instructions.realism.text is not a known text",
+        'pages.instructions.realism.title is not a known text, did you mean pages."instructions.realism".title?',
+        'pages.instructions.realism.text is not a known text, did you mean pages."instructions.realism".text?',
     ]
 
 
@@ -198,7 +203,10 @@ def test_tables_that_nobody_reads_are_told_though_they_are_empty(
     extra: str, place: str, own: Path, english: str
 ) -> None:
     own.write_text(f"{english}\n{extra}\n", encoding="utf-8")
-    with pytest.raises(ValueError, match=rf": {re.escape(place)} is not a known text; compare"):
+    with pytest.raises(
+        ValueError,
+        match=rf": {re.escape(place)} is not a known text(, did you mean .*\?)?; compare",
+    ):
         read_texts(own)
 
 
@@ -228,13 +236,11 @@ def test_all_gaps_of_an_own_file_are_told_at_once(own: Path, english: str) -> No
         for line in str(caught.value).splitlines()
     ]
     assert {remedy for _, _, remedy in told} == {"protocols/catalog/en.toml"}
-    assert [gap for gap, _, _ in told] == [
+    assert [gap.partition(", did you")[0] for gap, _, _ in told] == [
         "scales.abx.choices[2] must be 'b', got 'c': choices are names of parts, the same in every language",
         "pages.warm_up.title must be a text, got 5",
         "refusals.not_felt must have the placeholders {parts}, got {part}",
         "scales.mushra.anchors[5] is missing",
-        "pages.rest.title is missing",
-        "pages.rest.text is missing",
         "keys.fly is not a known text",
     ]
 
@@ -267,3 +273,63 @@ def test_texts_of_the_screen_are_in_the_same_file(own: Path) -> None:
     assert {"move", "choose", "confirm", "again", "pause"} <= set(texts["keys"])
     assert "{sample}" in texts["prompts"]["surface"]
     assert texts == tomllib.loads(own.read_text(encoding="utf-8"))
+
+
+def test_an_own_file_may_hold_only_what_it_changes(tmp_path: Path) -> None:
+    """All else is of the language that it names."""
+    path = tmp_path / "texts.toml"
+    for language in list_languages():
+        path.write_text(
+            f'language = "{language}"\n[pages.end]\ntitle = "Merci"\n[scales.mushra]\n'
+            'anchors = ["1", "2", "3", "4", "5"]\n',
+            encoding="utf-8",
+        )
+        own, usual = read_texts(path), read_texts(language)
+        assert (own["pages"]["end"]["title"], own["scales"]["mushra"]["anchors"]) == (
+            "Merci", ["1", "2", "3", "4", "5"],
+        )  # fmt: skip
+        own["pages"]["end"]["title"] = usual["pages"]["end"]["title"]
+        own["scales"]["mushra"]["anchors"] = usual["scales"]["mushra"]["anchors"]
+        assert own == usual
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ('[pages.ends]\ntitle = "x"', "pages.ends.title is not a known text, did you mean pages.end.title?"),
+        ('[keys]\nmoves = "x  y"', "keys.moves is not a known text, did you mean keys.move?"),
+        ('[prompts]\nfeel = "x"', "prompts.feel must have the placeholders {part}, got none"),
+        ('[scales.mushra]\nanchors = ["a", "b"]', "scales.mushra.anchors[3] is missing"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_a_few_lines_are_named(text: str, fault: str, tmp_path: Path) -> None:
+    path = tmp_path / "texts.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match="compare protocols") as caught:
+        read_texts(path)
+    assert str(caught.value).splitlines()[0].removeprefix(f"{path}: ").startswith(fault)
+
+
+def test_an_own_file_names_a_language_that_is_there(tmp_path: Path) -> None:
+    (tmp_path / "texts.toml").write_text('language = "fr"', encoding="utf-8")
+    with pytest.raises(ValueError, match="language must be one of de, en, got 'fr'; it gives"):
+        read_texts(tmp_path / "texts.toml")
+
+
+@pytest.mark.parametrize("language", list_languages())
+def test_the_copy_to_edit_changes_nothing_until_it_is_edited(language: str, tmp_path: Path) -> None:
+    path = tmp_path / "texts.toml"
+    path.write_text(write_copy(language), encoding="utf-8")
+    assert read_texts(path) == read_texts(language)
+    assert list_borrowed(path) == []
+    # With every comment mark of a text taken away it is the whole catalogue.
+    whole = re.sub(r"(?m)^# (?=\S)", "", write_copy(language).partition("[scales")[2])
+    path.write_text(f'language = "{language}"\n[scales{whole}', encoding="utf-8")
+    assert read_texts(path) == read_texts(language)
+
+
+def test_a_translation_that_lacks_a_text_is_told_which(own: Path, english: str) -> None:
+    assert list_borrowed(own) == []
+    own.write_text(re.sub(r"(?s)\[pages\.ready\].*?(?=\[pages)", "", english), encoding="utf-8")
+    assert list_borrowed(own) == ["pages.ready.title", "pages.ready.text"]
+    assert read_texts(own) == read_texts()

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.texts import CATALOG
+from feel321.protocols.texts import CATALOG, read_texts, write_copy
+from feel321.protocols.trial import ASIDE
 from feel321.stimuli.wav import write_wav
-from feel321.study.settings.read import read_settings
+from feel321.study.cli import main
+from feel321.study.session.journal import digest
+from feel321.study.settings.read import make_identity, read_settings
 from feel321.study.workflow import build_study, check_study, find_warnings
 
 if TYPE_CHECKING:
@@ -68,8 +72,7 @@ def test_gaps_in_texts_are_all_named(study: StudyFolder, ask: list[str]) -> None
     english = (CATALOG / "en.toml").read_text(encoding="utf-8")
     (study.path / "fr.toml").write_text(english.replace("again =", "agian ="), encoding="utf-8")
     assert [line.split(": ", 1)[1] for line in check_study(study).problems[1:]] == [
-        "keys.again is missing; compare protocols/catalog/en.toml",
-        "keys.agian is not a known text; compare protocols/catalog/en.toml",
+        "keys.agian is not a known text, did you mean keys.again?; compare protocols/catalog/en.toml"
     ]
 
 
@@ -149,3 +152,41 @@ def test_remarks_on_settings_need_no_stimuli(study: StudyFolder) -> None:
     assert [
         line.split(": ")[:2] for line in find_warnings(study, read_settings(study.settings))
     ] == [["study.toml", "session.breaks.rest_s"]]
+
+
+def test_the_digest_of_bundled_texts_is_that_of_what_a_session_asks(study: StudyFolder) -> None:
+    """Pages aside from the plan came later: they may not keep a session that was begun before from going on."""
+    settings = read_settings(study.settings)
+    texts = read_texts("en")
+    for key in ASIDE:
+        del texts["pages"][key]
+    wanted = digest(json.dumps(texts, sort_keys=True))
+    assert make_identity(settings, study.path, {})["texts_sha256"] == wanted
+    (study.path / "texts.toml").write_text(write_copy("en"), encoding="utf-8")
+    own = settings.session.model_copy(update={"language": "texts.toml"})
+    same = settings.model_copy(update={"session": own})
+    assert make_identity(same, study.path, {})["texts_sha256"] == wanted
+
+
+def test_a_translation_says_what_it_lacks(study: StudyFolder) -> None:
+    english = (CATALOG / "en.toml").read_text(encoding="utf-8")
+    (study.path / "fr.toml").write_text(english.replace('title = "Ready?"\n', ""), encoding="utf-8")
+    text = study.settings.read_text(encoding="utf-8")
+    study.settings.write_text(f'{text}[session]\nlanguage = "fr.toml"\n', encoding="utf-8")
+    found = check_study(study)
+    assert found.problems == ()
+    assert "fr.toml: has no pages.ready.title; the catalogue's is shown there" in found.warnings
+
+
+def test_the_texts_are_written_to_be_edited(
+    study: StudyFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["texts", str(study.path), "--language", "de"]) == 0
+    path = study.path / "texts.toml"
+    line = f'{path}: edit it, then in study.toml under [session]: language = "texts.toml"\n'
+    assert capsys.readouterr().out == line
+    assert read_texts(path) == read_texts("de")
+    assert main(["texts", str(study.path)]) == 1
+    assert "already exists and is not overwritten" in capsys.readouterr().err
+    assert main(["texts", str(study.path), "--language", "fr"]) == 1
+    assert capsys.readouterr().err == "feel321: language must be one of de, en; got 'fr'\n"

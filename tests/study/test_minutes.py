@@ -55,6 +55,14 @@ every_trials = 7
 every_min = 2
 break_s = 20
 """
+RIG = """
+[limits]
+peak_m_s2 = 100.0
+rms_m_s2 = 50.0
+duration_s = 30.0
+[keys]
+experimenter = "f10"
+"""
 DURATIONS = {"bumps": 0.25, "taps": 0.25}
 
 
@@ -134,10 +142,11 @@ def test_less_and_less_is_left(plan: Plan) -> None:
 
 
 def test_the_terminal_shows_what_is_left(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     monkeypatch.setattr(shared, "is_terminal", lambda: True)
-    log = lab._Log("p07", "feel321 run")
+    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
+    log = lab._Log("p07", "feel321 run", tmp_path / "rig.toml")
     log.note(Place(12, 48, left_s=14 * 60.0))
     log.note(Place(13, 48, left_s=13 * 60.0))
     log.note(Place(13, 48, fault="device 'pulse' stopped"))
@@ -147,7 +156,7 @@ def test_the_terminal_shows_what_is_left(
     assert shown == [
         "p07: 12 of 48 done, about 14 min left",
         "p07: 13 of 48 done, about 13 min left",
-        "p07: the device failed (device 'pulse' stopped); check it, then press F12 in the participant's window",
+        "p07: the device failed (device 'pulse' stopped); check it, then press F10 in the participant's window",
     ]
     monkeypatch.setattr(shared, "is_terminal", lambda: False)
     log.note(Place(14, 48, left_s=12 * 60.0))

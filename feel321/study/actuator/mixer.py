@@ -241,11 +241,13 @@ NOT_SCHEDULED = -1
 class Cue:
     """One playback, from its request to its end; the callback writes it, everybody may read it.
 
-    sound: (n_samples, channels); gap_frames: silence before it, at least.
+    sound: (n_samples, channels), times `scale`; gap_frames: silence before it, at least; first_frame: 0 for the whole.
     """
 
     sound: Frames
     gap_frames: int
+    scale: float = 1.0
+    first_frame: int = 0
     onset_frame: int = NOT_SCHEDULED
     n_played: int = 0
     clipped: int = 0
@@ -253,9 +255,14 @@ class Cue:
     is_over: bool = False
 
     @property
-    def is_complete(self) -> bool:
-        """Whether every sample was played as it is."""
+    def is_at_end(self) -> bool:
+        """Whether it was played to its end."""
         return self.n_played == len(self.sound)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every sample of the stimulus was played as it is."""
+        return self.is_at_end and not self.first_frame
 
 
 class Mixer:
@@ -290,8 +297,13 @@ class Mixer:
         self._latest: Cue | None = None
         self._cue: Cue | None = None
 
-    def start(self, stimulus_id: str, *, gap_s: float, scale: float = 1.0) -> Cue:
-        """Ask for a stimulus, times `scale`; the one that is playing is stopped."""
+    def start(
+        self, stimulus_id: str, *, gap_s: float, scale: float = 1.0, goes_on: bool = False
+    ) -> Cue:
+        """Ask for a stimulus, times `scale`; the one that is playing is stopped.
+
+        goes_on: begin where the last one was stopped, which is faded in there as that one was faded out.
+        """
         if stimulus_id not in self._sounds:
             raise ValueError(
                 f"the stimulus must be one of the {len(self._sounds)} that were loaded, got {stimulus_id!r}"
@@ -299,9 +311,21 @@ class Mixer:
         self.stop()
         sound = self._sounds[stimulus_id]
         sound = sound if scale == 1 else sound * np.float32(scale)
-        self._latest = Cue(sound, gap_frames=round(gap_s * self._rate_hz))
+        first = self._find_place(len(sound)) if goes_on else 0
+        if first:
+            sound = sound[first:].copy()
+            n = min(len(sound), len(self._fade_steps))
+            sound[:n] *= (self._fade_steps[:n] / np.float32(n))[:, None]
+        self._latest = Cue(
+            sound, gap_frames=round(gap_s * self._rate_hz), scale=scale, first_frame=first
+        )
         self._waiting.append(self._latest)
         return self._latest
+
+    def _find_place(self, n_frames: int) -> int:
+        """Find where a sound of so many frames has to begin to go on with the last one."""
+        last = self._latest
+        return 0 if last is None else (last.first_frame + last.n_played) % n_frames
 
     @property
     def is_playing(self) -> bool:
@@ -377,7 +401,7 @@ class Mixer:
             pulse = block[first : max(cue.onset_frame + self._sync_frames - self.frame, 0)]
             pulse[:, self._sync.channel - 1] = self._sync.level
         cue.n_played += self._fade(piece) if is_stopping else len(piece)
-        is_over = is_stopping or cue.is_complete
+        is_over = is_stopping or cue.is_at_end
         return self.frame + first + len(piece) if is_over else None
 
     def _fade(self, piece: Frames) -> int:

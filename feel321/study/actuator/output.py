@@ -27,7 +27,7 @@ from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, ident
 from feel321.study.actuator.simulated import SIMULATED, SimulatedStream
 from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
 from feel321.study.folder import name_delivered
-from feel321.study.session.ports import Playback, Tone
+from feel321.study.session.ports import Playback, Scaled, Tone
 from feel321.types import Samples
 
 
@@ -47,8 +47,10 @@ class Output(Protocol):
     def identity(self) -> Mapping[str, Any]:
         """Rig, device, rate and channels, for the journal's header; compared when a session is resumed."""
 
-    def start(self, stimulus: Stimulus | Tone, *, gap_s: float) -> None:
-        """Schedule silence, then a stimulus, and return at once."""
+    def start(
+        self, stimulus: Stimulus | Tone | Scaled, *, gap_s: float, goes_on: bool = False
+    ) -> None:
+        """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped."""
 
     @property
     def is_playing(self) -> bool:
@@ -112,11 +114,13 @@ class FileOutput:
             "channels": self._rig.n_channels,
         }
 
-    def start(self, stimulus: Stimulus | Tone, *, gap_s: float) -> None:
+    def start(
+        self, stimulus: Stimulus | Tone | Scaled, *, gap_s: float, goes_on: bool = False
+    ) -> None:
         """Begin a playback."""
+        scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         self._name = stimulus.stimulus_id
-        scale = stimulus.scale if isinstance(stimulus, Tone) else 1.0
-        self._cue = self._mixer.start(self._name, gap_s=gap_s, scale=scale)
+        self._cue = self._mixer.start(self._name, gap_s=gap_s, scale=scale, goes_on=goes_on)
         self._blocks = []
         self._begin_s, self._first_frame = self._clock(), self._mixer.frame
         self._requested_s = self._begin_s + gap_s
@@ -143,7 +147,7 @@ class FileOutput:
         if cue is None or not cue.is_over:
             raise ValueError("no playback is over; start one and wait until is_playing is False")
         onset_s = self._begin_s + (cue.onset_frame - self._first_frame) / self._rate_hz
-        error, sha256, measured = "", "", {"n_samples": float(cue.n_played)}
+        error, sha256, measured = "", "", _measure_place(cue)
         try:
             samples = np.concatenate(self._blocks).T
             number, sha256 = write_delivered(self._folder, samples, rate_hz=self._rate_hz)
@@ -317,7 +321,9 @@ class StreamOutput:
         """Silence the device and let it go."""
         self._connection.close()
 
-    def start(self, stimulus: Stimulus | Tone | str, *, gap_s: float) -> None:
+    def start(
+        self, stimulus: Stimulus | Tone | Scaled | str, *, gap_s: float, goes_on: bool = False
+    ) -> None:
         """Schedule silence, then a stimulus; a dead device is opened again first, if it can be."""
         self._name = name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
         self._error = self._connection.revive()
@@ -329,8 +335,8 @@ class StreamOutput:
         self._latency_s = stream.latency_s
         take = Take(self._rate_hz, stream.there_and_back_s, sensor=self._room)
         self._take = take  # before the mixer knows, so that no block is missed
-        scale = stimulus.scale if isinstance(stimulus, Tone) else 1.0
-        take.cue = self._mixer.start(name, gap_s=gap_s, scale=scale)
+        scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
+        take.cue = self._mixer.start(name, gap_s=gap_s, scale=scale, goes_on=goes_on)
         ahead_s = stream.compare_clocks(self._clock)
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
 
@@ -365,7 +371,7 @@ class StreamOutput:
             )
         cue = take.cue
         measured = {
-            "n_samples": float(cue.n_played),
+            **_measure_place(cue),
             "blocks": float(take.n_blocks),
             "callback_ms_max": take.longest_s * 1e3,
         }
@@ -425,11 +431,17 @@ class StreamOutput:
         take.longest_s = max(take.longest_s, perf_counter() - begin_s)
 
 
+def _measure_place(cue: Cue) -> dict[str, float]:
+    """Count the samples that were played, and, where they are not from its first on, those left out before."""
+    before = {"first_sample": float(cue.first_frame)} if cue.first_frame else {}
+    return {"n_samples": float(cue.n_played), **before}
+
+
 def _describe(
     check: Check | None, stimulus_id: str, cue: Cue, *, measured: ArrayLike | None
 ) -> Mapping[str, float]:
-    """Compare a playback that came to its end with what was asked."""
-    if check is None or not cue.is_complete:
+    """Compare a playback that came to its end with what was asked; at another level than the set's, it is not."""
+    if check is None or not cue.is_complete or cue.scale != 1:
         return {}
     return check.describe(stimulus_id, cue.sound, measured)
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from feel321.study.keys import USUAL, KeysTable
 from feel321.study.settings import fields
 
 FILE_DEVICE = "file"  # the name of the device that renders to WAV files
@@ -226,6 +227,7 @@ class Rig(fields.TomlTable):
     sync: SyncTable | None = None
     calibration: CalibrationTable = CalibrationTable()
     simulation: SimulationTable | None = None
+    keys: KeysTable = USUAL
 
     @property
     def n_channels(self) -> int:
@@ -265,8 +267,8 @@ def take_device(rig: Rig, name: str) -> Rig:
 
 
 def identify(rig: Rig) -> dict[str, Any]:
-    """List all that decides what a rig does to a stimulus, for a journal's header; how it is calibrated does not."""
-    settings = rig.model_dump(mode="json", exclude={"calibration"})
+    """List all that decides what a rig does to a stimulus, for a journal's header; calibration and keys do not."""
+    settings = rig.model_dump(mode="json", exclude={"calibration", "keys"})
     for actuator in settings["actuators"]:
         # Journals of rigs without these settings were written before there were any.
         for name in ("direction", "weight"):

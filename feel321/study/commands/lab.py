@@ -14,6 +14,8 @@ import click
 from feel321.study.commands import shared
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from feel321.study.session.ports import Place
     from feel321.study.study import Study
 
@@ -69,8 +71,8 @@ def run(  # noqa: PLR0913 - one parameter per option
         seed=seed,
         accept_rig=accept_rig,
     )
-    log = _Log(participant, _write_command(context))
     folder = replace(study.folder, is_rehearsal=rehearse)
+    log = _Log(participant, _write_command(context), folder.rig)
     with _catch_termination(), log.watch():
         outcome = run_participant(folder, visit, now=study.now, on_step=log.note, warn=shared.warn)
         if outcome.stopped:
@@ -88,6 +90,7 @@ class _Log:
 
     participant: str
     command: str
+    rig: Path
     place: Place | None = None
 
     def note(self, place: Place) -> None:
@@ -102,12 +105,14 @@ class _Log:
         self.place = place
 
     def _call(self, fault: str) -> None:
-        from feel321.study.screen.input import CONFIRM
+        from feel321.study.actuator.rig import read_rig
+        from feel321.study.keys import label_key
 
+        key = label_key(read_rig(self.rig).keys.find_key("experimenter"), {})
         begin = "\n" if shared.is_terminal() else ""
         click.echo(
             f"{begin}{self.participant}: the device failed ({fault}); check it, then press "
-            f"{CONFIRM['experimenter'].upper()} in the participant's window",
+            f"{key} in the participant's window",
             err=True,
         )
 

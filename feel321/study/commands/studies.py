@@ -213,6 +213,30 @@ def note(*, study: Study, text: str, participant: str, rehearsals: bool) -> None
     click.echo(f"{participant}: noted")
 
 
+@click.command(epilog="Example: feel321 texts my-study --language de")
+@shared.study_argument
+@click.option(
+    "--language", help="A language of the catalogue, such as en or de.  [default: the study's]"
+)
+def texts(*, study: Study, language: str | None) -> None:
+    """Write the participants' texts to texts.toml, to be edited.
+
+    Every text in it is a comment. A study's own file needs to hold only the texts that it changes; the others are those
+    of the language that it names. A text that does not exist is refused with the nearest that does.
+    """
+    from feel321.doors import check_name
+    from feel321.files import create_text
+    from feel321.protocols.texts import COPY_FILE, MODEL, list_languages, write_copy
+
+    if language is None:
+        own = study.settings.session.language
+        language = own if own in list_languages() else MODEL
+    check_name(language, list_languages(), "language")
+    path = study.folder.path / COPY_FILE
+    create_text(path, write_copy(language))
+    click.echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
+
+
 def _choose(study: Study, *, rehearsals: bool) -> Study:
     return replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))
 

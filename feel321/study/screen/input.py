@@ -14,43 +14,33 @@ from itertools import count
 from typing import Any, Literal
 
 from feel321.protocols.trial import RATING_RANGE, Scale, Trial
+from feel321.study.keys import PLAY, USUAL, KeysTable
 from feel321.study.screen.drawing import Target, find_points
 from feel321.study.session.ports import Move
 
-# The keys. Every other module takes them from here.
-
-CONFIRM = {"participant": "enter", "experimenter": "f12"}  # by whom a page is for
-
-STOP, PAUSE, AGAIN, REFERENCE = "space", "escape", "r", "0"
-"""Stop what plays; pause, pressed twice; feel again; feel the reference where every vibration has its digit."""
-
 FINE, COARSE = 1.0, 10.0
 
-SIDEWAYS = {"left": -FINE, "right": FINE}
-PAGES = {"pageup": COARSE, "pagedown": -COARSE}
-STEPS: dict[str, dict[str, float]] = {
-    "slider": {**SIDEWAYS, "up": COARSE, "down": -COARSE, **PAGES},
-    "rows": {**SIDEWAYS, **PAGES},
-    "choice": {},
+MOVES = {"left": -FINE, "right": FINE, "more": COARSE, "less": -COARSE}
+"""How far actions move a marker, in points."""
+
+ROW_STEPS = {"up": -1, "down": 1}  # how far actions move the selection, in rows
+FAR = frozenset({"up", "down", "more", "less"})  # actions that move far; their keys repeat slowly
+
+ALIASES = {
+    "return": "enter",
+    "page_up": "pageup",
+    "page_down": "pagedown",
+    "add": "plus",
+    "subtract": "minus",
+    "divide": "slash",
+    "decimal": "period",
 }
-"""How far keys move the marker, in points, by kind of screen."""
-
-ROW_STEPS = {"up": -1, "down": 1}  # how far keys move the selection, in rows
-FAR = frozenset({"up", "down", "pageup", "pagedown"})  # keys that move far; they repeat slowly
-
-ALIASES = {"return": "enter", "page_up": "pageup", "page_down": "pagedown"}
 
 
 def name_key(symbol: str) -> str:
     """Name a key, the same on the main block and on the number block."""
     name = symbol.lower().removeprefix("num_").removeprefix("_")
     return ALIASES.get(name, name)
-
-
-def find_choice_keys(choices: tuple[str, ...]) -> dict[str, str]:
-    """Find what keys choose: the arrows the first and the last, digits and letters any."""
-    digits = {str(number): name for number, name in enumerate(choices, 1)}
-    return {"left": choices[0], "right": choices[-1], **digits, **{name: name for name in choices}}
 
 
 # What reaches a window.
@@ -255,15 +245,17 @@ class Markers:
 class Answer:
     """Markers and choices of one trial, and what keys and clicks do to them."""
 
-    def __init__(self, trial: Trial, scale: Scale) -> None:
+    def __init__(self, trial: Trial, scale: Scale, keys: KeysTable = USUAL) -> None:
         self.kind = "rows" if trial.timing == "free" else "slider"
         self.kind = "choice" if scale.choices else self.kind
         self.rated = [judgement.part for judgement in trial.judgements]
         self.markers = Markers()
         self.selected = self.rated[0]
         self.chosen = ""
+        self.felt: frozenset[str] = frozenset()
+        self.loops = False
         self._parts = [part.name for part in trial.parts]
-        self._choice_keys = find_choice_keys(scale.choices) if scale.choices else {}
+        self._choices, self._keys = scale.choices, keys
         self._held, self._digits = Held(), Digits()
         self._dragged: Target | None = None
 
@@ -283,7 +275,7 @@ class Answer:
         """Do what an event asks for, as far as it is about the answer."""
         match event.kind:
             case "release":
-                self._held.release(event.key)
+                self._held.release(self._keys.name_action(event.key) or event.key)
             case "unfocused":
                 self._held.release()
             case "press":
@@ -312,17 +304,27 @@ class Answer:
 
     def _press(self, event: InputEvent, *, can_answer: bool) -> Request | None:
         key, time_s = event.key, event.time_s
-        if self.kind == "rows" and key.isdigit():
-            others = [part for part in self._parts if part not in self.rated]
-            return self._feel_row(others[0] if key == REFERENCE and others else key, time_s)
-        if key == AGAIN:
+        action = self._keys.name_action(key)
+        if action == "again":
             return self._feel_again(time_s)
+        if action == "reference" or action.startswith(PLAY):
+            return self._feel_row(self._find_part(action), time_s)
+        if action == "loop" and self.kind == "rows":
+            self.loops = not self.loops
         if can_answer:
-            self._held.press(key, time_s)
-            self._step(key, time_s)
-            if self.kind == "slider" and key.isdigit():
+            self._held.press(action or key, time_s)
+            self._step(action, time_s)
+            if self.kind == "choice":
+                self.chosen = key if key in self._choices and not action else self.chosen
+            elif action == "type_values":
                 self._set(self.selected, self._digits.type(key, time_s), time_s)
         return None
+
+    def _find_part(self, action: str) -> str:
+        """Find the part that an action plays: the reference, or one of the others in their order."""
+        others = [part for part in self._parts if part != "reference"]
+        number = int(action.removeprefix(PLAY)) if action.startswith(PLAY) else 0
+        return others[number - 1] if 0 < number <= len(others) else str(number or action)
 
     def _click(self, event: InputEvent, target: Target | None) -> Request | None:
         self._dragged = target if target and target.name == "mark" else None
@@ -347,19 +349,22 @@ class Answer:
             self.selected = part
         return Request("feel", time_s, part)
 
-    def _step(self, key: str, time_s: float) -> None:
+    def _step(self, action: str, time_s: float) -> None:
         """Move the marker, the row or the choice by one step."""
-        if (step := STEPS[self.kind].get(key)) is not None:
+        if self.kind == "choice":
+            ends = {"left": self._choices[0], "right": self._choices[-1]}
+            self.chosen = ends.get(action, self.chosen)
+        elif (step := MOVES.get(action)) is not None:
             self._digits.take()
             value = self.markers.values.get(self.selected)
             self._set(self.selected, FIRST if value is None else value + step, time_s)
-        elif self.kind == "rows" and key in ROW_STEPS:
-            place = self.rated.index(self.selected) + ROW_STEPS[key]
+        elif self.kind == "rows" and action in ROW_STEPS:
+            self.finish_typing(time_s)
+            place = self.rated.index(self.selected) + ROW_STEPS[action]
             self.selected = self.rated[min(max(place, 0), len(self.rated) - 1)]
-        elif self.kind == "choice":
-            self.chosen = self._choice_keys.get(key, self.chosen)
 
     def _set(self, part: str, value: float | None, time_s: float) -> None:
         if part in self.rated and value is not None:
             self.selected = part
-            self.markers.put(part, value, time_s)
+            if self.kind != "rows" or part in self.felt:  # no vibration is rated before it was felt
+                self.markers.put(part, value, time_s)

@@ -8,8 +8,9 @@ from typing import Any
 from feel321.protocols.texts import PageText
 from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
+from feel321.study.keys import USUAL, KeysTable, label_key, label_keys, label_prompts
 from feel321.study.screen.drawing import GROUND, INK, Box, Photo, Sheet, Target, Text, measure
-from feel321.study.session.ports import Place, Tone
+from feel321.study.session.ports import Place, Scaled, Tone
 
 # The three hues are Okabe and Ito's, which every kind of colour vision can distinguish; none of them is the only sign
 # of anything.
@@ -43,6 +44,7 @@ class View:
     selected: str = ""
     chosen: str = ""
     typed: str = ""
+    loops: bool = False
     left_s: int = 0
     notice: str = ""
     picture: Path | None = None
@@ -56,6 +58,17 @@ class View:
         has_felt = self.felt.issuperset(part.name for part in self.trial.parts)
         return self.state == "answering" or self.trial.timing == "free" or has_felt
 
+    def can_rate(self, part: str) -> bool:
+        """Whether a part's own marker can be moved: where each part has one, once it was felt to its end."""
+        return self.can_answer and (self.kind != "rows" or part in self.felt)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all was felt and all is answered."""
+        if self.trial is None or not self.felt.issuperset(part.name for part in self.trial.parts):
+            return False
+        return bool(self.chosen) or self.markers.keys() >= set(self.trial.judged)
+
     @property
     def can_leave(self) -> bool:
         """Whether there is anything to pause or to end: not on the last page."""
@@ -68,34 +81,39 @@ class Hand:
     def watch(self, view: View) -> None:
         """Look at what is on the screen."""
 
-    def feel(self, part: Part, stimulus: Stimulus | Tone) -> None:
+    def feel(self, part: Part, stimulus: Stimulus | Tone | Scaled) -> None:
         """Feel what is played."""
 
 
 @dataclass(frozen=True, slots=True)
 class ScreenTexts:
-    """What participants read besides the scales, in their language."""
+    """What participants read besides the scales, in their language; keys: what they do, in words and as they are."""
 
     pages: Mapping[str, PageText]
     refusals: Mapping[str, str]
     prompts: Mapping[str, str]
     parts: Mapping[str, str]
     keys: Mapping[str, str]
+    own_keys: KeysTable = USUAL
 
     def name_part(self, name: str) -> str:
         """Find the word for a part."""
         return self.parts.get(name, name)
 
 
-def make_screen_texts(tables: Mapping[str, Any]) -> ScreenTexts:
-    """Pick the screen's texts from those of a language."""
+def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> ScreenTexts:
+    """Pick the screen's texts from those of a language, with the names of the lab's own keys."""
     pages = {key: PageText(key, **entry) for key, entry in tables["pages"].items()}
-    return ScreenTexts(pages, *(tables[name] for name in ("refusals", "prompts", "parts", "keys")))
+    lines, parts = tables["keys"], tables["parts"]
+    prompts = label_prompts(keys, tables["prompts"], lines)
+    labelled = label_keys(keys, lines)
+    labelled["loop"] = f"{label_key(keys.loop[0], {})}  {LOOP}"
+    return ScreenTexts(pages, tables["refusals"], prompts, parts, labelled, keys)
 
 
 HINTS = {
-    "slider": ("move", "coarse", "digits"),
-    "rows": ("choose", "move", "coarse_rows", "feel"),
+    "slider": ("move", "coarse_rows", "digits"),
+    "rows": ("feel", "loop", "choose", "move", "coarse_rows"),
     "choice": ("pick",),
 }
 """The keys that have no button, by kind of screen."""
@@ -118,7 +136,7 @@ ROW = 6.6  # largest height of a row, in units
 LABEL = 0.45  # largest width of a slider's label, as a share of the track
 LABEL_LINES = 2  # most lines of a slider's label
 
-FELT = "✓"
+FELT, LOOP = "✓", "⟳"
 
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
@@ -233,13 +251,17 @@ def _add_text(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> No
 
 @dataclass(frozen=True, slots=True)
 class _Button:
-    """A button; share: how much of the time until it is ready has gone by, from 0 to 1."""
+    """A button; share: how much of the time until it is ready has gone by, from 0 to 1.
+
+    explains: whether it can be clicked before it is ready, to learn what is missing.
+    """
 
     text: str
     name: str
     is_main: bool = False
     is_ready: bool = True
     share: float = 0.0
+    explains: bool = False
 
 
 def _split_key(text: str) -> tuple[str, str]:
@@ -261,7 +283,7 @@ def _add_buttons(sheet: Sheet, left: Sequence[_Button], right: Sequence[_Button]
         for button in buttons:
             box = Box(place, strip.top, widths[button], strip.height)
             _add_button(sheet, button, box)
-            if button.is_ready:
+            if button.is_ready or button.explains:
                 sheet.targets.append(Target(box, button.name))
             place = box.right + gap  # noqa: PLW2901 - walks along the strip
 
@@ -344,6 +366,17 @@ def _label_anchors(sheet: Sheet, track: Box, scale: Scale, *, top: float) -> Non
         sheet.write(box, word, SMALL, color=DIM, align="center")
 
 
+def _add_bands(sheet: Sheet, grid: Box, scale: Scale) -> None:
+    """Cut a list of sliders into equal bands, each with its word above: ITU-R BS.1534-3, attachment 1."""
+    count, unit = len(scale.anchors), sheet.unit
+    height = sheet.find_height(1, SMALL)
+    for place, word in enumerate(scale.anchors):
+        left, width = grid.left + place * grid.width / count, grid.width / count
+        sheet.write(Box(left, grid.top, width, height), word, SMALL, color=DIM, align="center")
+        if place:
+            sheet.fill(Box(left - 0.1 * unit, grid.top, 0.2 * unit, grid.height), LINE)
+
+
 @dataclass(frozen=True, slots=True)
 class _TrialLayout:
     """Puts a trial on a sheet."""
@@ -385,8 +418,11 @@ class _TrialLayout:
 
     def list_buttons(self) -> list[_Button]:
         keys, state = self.texts.keys, self.view.state
-        is_ready = state in {"answering", "stroking"}
-        confirm = _Button(keys["confirm"], "confirm", is_main=True, is_ready=is_ready)
+        is_open = state == "answering" or self.view.loops
+        is_ready = state == "stroking" or (is_open and self.view.is_done)
+        confirm = _Button(
+            keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=is_open
+        )
         if state == "feeling":
             return [_Button(keys["stop"], "stop"), confirm]
         if self.trial.timing == "strict":
@@ -421,6 +457,9 @@ class _TrialLayout:
         sheet.fill(box, fill, line=line, round_px=size_px / 2.5, line_px=size_px / 12)
         inner = Box(box.left + 1.6 * tick, box.top, box.width - 3.2 * tick, box.height)
         sheet.write(inner, name, size, color=ink, bold=True, align="center")
+        if self.view.loops and is_on:
+            left = Box(box.left + 0.5 * tick, box.top, tick, box.height)
+            sheet.write(left, LOOP, size, color=ink, bold=True)
         if is_felt:
             right = Box(box.right - 1.5 * tick, box.top, tick, box.height)
             sheet.write(right, FELT, size, color=ink, bold=True)
@@ -474,14 +513,15 @@ class _TrialLayout:
         names = {part.name: self.texts.name_part(part.name) for part in self.trial.parts}
         width = max(sheet.measure(name, SMALL, bold=True) for name in names.values()) + 9 * unit
         step = sheet.find_height(1, SMALL)
-        left, head = box.left + width + 12 * unit, 2 * step + 1.2 * unit
-        track = Box(left, box.top, box.right - 12 * unit - left, 0)
+        left, head = box.left + width + 6 * unit, 2 * step + 1.2 * unit
+        track = Box(left, box.top, box.right - 11 * unit - left, 0)
         row = min(ROW * unit, (box.height - head) / len(rated))
         half = track.width / 2
         sheet.write(Box(left, box.top, half, step), self.scale.low_label, SMALL)
         high = Box(left + half, box.top, half, step)
         sheet.write(high, self.scale.high_label, SMALL, align="right")
-        _label_anchors(sheet, track, self.scale, top=box.top + step)
+        grid = Box(track.left, box.top + step, track.width, step + 1.2 * unit + len(rated) * row)
+        _add_bands(sheet, grid, self.scale)
         fields = {
             name: Box(box.left, box.top, width, 2 * step) for name in names if name not in rated
         }
@@ -490,7 +530,8 @@ class _TrialLayout:
             own = Box(track.left, line.top + 0.14 * row, track.width, 0.72 * row)
             self.add_row(name, line, own)
             target = Box(own.left - 2 * unit, line.top, own.width + 4 * unit, row)
-            sheet.targets.append(Target(target, "mark", name, own))
+            if self.view.can_rate(name):
+                sheet.targets.append(Target(target, "mark", name, own))
             fields[name] = Box(box.left + unit, line.top + 0.04 * row, width - unit, 0.92 * row)
         for name, spot in fields.items():
             self.add_part(spot, name, names[name], size=SMALL)
@@ -500,9 +541,9 @@ class _TrialLayout:
         sheet, unit = self.sheet, self.sheet.unit
         is_selected, value = name == self.view.selected, self.view.markers.get(name)
         if is_selected:
-            sheet.fill(line, PANEL)
+            sheet.fill(line, "", line=LINE, line_px=0.2 * unit)
             sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), BLUE)
-        _add_track(sheet, track, is_ready=True)
+        _add_track(sheet, track, is_ready=self.view.can_rate(name))
         _add_marker(sheet, track, value, color=BLUE if is_selected else INK)
         if value is not None:
             width = line.right - track.right - 4 * unit

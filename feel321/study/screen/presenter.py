@@ -12,7 +12,7 @@ from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.actuator.output import Output
 from feel321.study.screen.drawing import Sheet
-from feel321.study.screen.input import CONFIRM, PAUSE, STOP, Answer, InputEvent, Request, Twice
+from feel321.study.screen.input import Answer, InputEvent, Request, Twice
 from feel321.study.screen.layout import Hand, ScreenTexts, View, compose
 from feel321.study.screen.window import Window
 from feel321.study.session.ports import (
@@ -23,6 +23,7 @@ from feel321.study.session.ports import (
     Pause,
     Place,
     Playback,
+    Scaled,
     Surface,
     Tone,
 )
@@ -85,6 +86,7 @@ class Screen:
                 selected=answer.selected,
                 chosen=answer.chosen,
                 typed=answer.typed,
+                loops=answer.loops,
             )
         self._hand.watch(view)
         if view != self._composed[0]:
@@ -102,8 +104,10 @@ class Screen:
             # Nobody sees what is asked: a trial begins anew after a pause, a page waits.
             return Request("pause", event.time_s) if trial is not None else None
         if event.kind == "press":
-            confirm = CONFIRM[page.by if page is not None else "participant"]
-            name = {confirm: "confirm", STOP: "stop", PAUSE: "pause"}.get(event.key, "")
+            is_theirs = page is not None and page.by == "experimenter"
+            confirm = "experimenter" if is_theirs else "next"
+            action = self._texts.own_keys.name_action(event.key)
+            name = {confirm: "confirm", "stop": "stop", "pause": "pause"}.get(action, "")
         if name == "pause":
             # A key must be pressed twice; the button of a trial is enough.
             is_meant = (event.kind == "click" and trial) or self._twice.press(event.time_s)
@@ -127,6 +131,8 @@ class Screen:
 CLOSED = "the window was closed"
 LEFT = "the participant ended it for today"
 
+LOOP_S = 60.0  # how long a vibration goes on and on at most, until it is asked for again
+LOOP_PAUSE_S = 0.1  # before it begins again, so that the limit of the rig counts from 0
 SILENCE_S = 1.0  # longest wait for an output to fall silent before it is asked what happened
 
 
@@ -148,6 +154,8 @@ class ScreenPresenter:
         self._output, self._texts, self._clock, self._surfaces = output, texts, clock, surfaces
         self._acts: deque[Act] = deque()
         self._possible_s = 0.0
+        self._is_switching = self._is_at_end = self._goes_round = False
+        self._asked_s = 0.0
 
     def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
         """Show a page until whoever it is for is done with it, for its least time at least."""
@@ -171,7 +179,7 @@ class ScreenPresenter:
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Show a trial, all markers unset."""
-        answer = Answer(trial, scale)
+        answer = Answer(trial, scale, self._texts.own_keys)
         self._acts.clear()
         surface = self._surfaces.get(trial.recording)
         view = View(
@@ -187,13 +195,17 @@ class ScreenPresenter:
         self._screen.bring_up(view, answer)
         self._possible_s = self._clock()
 
-    def play(self, part: Part, stimulus: Stimulus | Tone, *, gap_s: float) -> Playback:
+    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
         """Play a stimulus to its end, or until the participant stops it."""
         frames = self._screen.window.frames
         self._announce("feeling", part)
         self._hand.feel(part, stimulus)
         late = frames.late
-        self._output.start(stimulus, gap_s=gap_s)
+        answer, goes_round = self._screen.find_answer(), self._goes_round
+        goes_on, self._goes_round, self._is_switching = self._is_switching, False, False
+        self._asked_s = self._asked_s if goes_round else self._clock()
+        pause_s = LOOP_PAUSE_S if goes_round else gap_s
+        self._output.start(stimulus, gap_s=pause_s, goes_on=goes_on and answer.loops)
         try:
             act = self._watch_playing()
         except BaseException:
@@ -201,6 +213,11 @@ class ScreenPresenter:
             raise
         playback = self._output.collect()
         self._end_part(part, is_felt=playback.completed and not playback.error)
+        is_free = answer.loops and self._clock() - self._asked_s < LOOP_S
+        if is_free and self._is_at_end and not playback.error and not act:
+            self._goes_round = True
+            self._acts.extend(answer.markers.settle(self._clock()))
+            self._acts.append(Feel(self._clock(), part.name))  # again, until something else is done
         measured = {**playback.measured, "late_frames": frames.late - late}
         return replace(playback, act=act, measured=measured)
 
@@ -239,22 +256,29 @@ class ScreenPresenter:
         """Show frames until the output is silent; what ends the trial stops it, and so does feeling another part."""
         act: Pause | Abort | None = None
         stopped_s = float("inf")
+        answer = self._screen.find_answer()
         while self._output.is_playing and self._clock() - stopped_s < SILENCE_S:
             for request in self._screen.listen():
                 is_switch = request.name == "feel" and self._screen.view.kind == "rows"
+                is_switch = is_switch or (request.name == "confirm" and answer.loops)
                 if is_switch:
-                    self._acts.append(Feel(request.time_s, request.part))
+                    self._acts.extend(_list_acts(request, answer, possible_s=self._possible_s))
+                    self._is_switching = request.name == "feel"
                 act = act or find_end(request)
                 if act or is_switch or request.name == "stop":
                     self._output.stop()
                     stopped_s = min(stopped_s, self._clock())
+        self._is_at_end = stopped_s == float("inf")
         return act
 
     def _end_part(self, part: Part, *, is_felt: bool) -> None:
         # What was felt to its end stays felt, though it be cut short when it is felt again.
-        felt = self._screen.view.felt | ({part.name} if is_felt else set())
+        before = self._screen.view.felt
+        felt = before | ({part.name} if is_felt else set())
         self._screen.view = replace(self._screen.view, felt=felt, playing="")
-        self._possible_s = self._clock()
+        self._screen.find_answer().felt = felt
+        if not self._screen.find_answer().loops or felt != before:
+            self._possible_s = self._clock()  # what goes on and on keeps nobody from answering
 
 
 def find_end(request: Request) -> Pause | Abort | None:

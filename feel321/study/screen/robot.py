@@ -8,14 +8,20 @@ lost is pressed again, and one too many is taken back.
 from collections.abc import Callable, Mapping
 from math import copysign
 
-from feel321.protocols.trial import Page, Part, Trial
+from feel321.protocols.trial import MATCHING, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
-from feel321.study.observer.participant import Experience, Participant
-from feel321.study.screen.input import AGAIN, CONFIRM, PAUSE, REFERENCE, ROW_STEPS, STEPS
+from feel321.study.keys import KEY_NAMES, PLAY, USUAL, KeysTable
+from feel321.study.observer.participant import Experience, Participant, feel_level
+from feel321.study.screen.input import MOVES, ROW_STEPS
 from feel321.study.screen.layout import Hand, View
-from feel321.study.session.ports import Tone
+from feel321.study.session.ports import Scaled, Tone
 
-KEYSYMS = {"enter": "Return", "pageup": "Prior", "pagedown": "Next"}
+KEYSYMS = {name: name for name in KEY_NAMES[-10:]} | {
+    "enter": "Return",
+    "pageup": "Prior",
+    "pagedown": "Next",
+    "backspace": "BackSpace",
+}
 """X11's names of keys, where they are not ours, beginning with a capital."""
 
 
@@ -59,10 +65,7 @@ class XKeyboard:
         self._display.sync()
 
 
-RETRY_S, RETRIES = (
-    2.0,
-    15,
-)  # how long a failed device is left alone, and how often it is tried again at most
+RETRY_S, RETRIES = 2.0, 15  # pause before a failed device is tried again, and how often that is
 THINKING_S = 0.3  # before the first key; answers in less than 0.2 s would count as too fast
 SETTLING_FRAMES = 2  # frames after a key was released until the screen shows what it did
 
@@ -77,12 +80,17 @@ class PressingHand(Hand):
         *,
         stimuli: Mapping[str, Stimulus],
         clock: Callable[[], float],
+        keys: KeysTable = USUAL,
     ) -> None:
+        self._keys = keys
         self._mind, self._keyboard, self._stimuli, self._clock = mind, keyboard, stimuli, clock
         self._task: tuple[int, str] = (-1, "")
         self._since_s = 0.0
         self._values: Mapping[str, float | str] = {}
         self._tones: dict[str, Tone] = {}
+        self._levels_db: dict[str, float] = {}
+        self._seen: Mapping[str, float] = {}
+        self._felt: Mapping[str, float] = {}
         self._experience: Experience | None = None
         self._confirmed: Experience | None = None
         self._held = ""
@@ -91,8 +99,10 @@ class PressingHand(Hand):
 
     def watch(self, view: View) -> None:
         """Look at what is on the screen, and press or release a key."""
+        self._seen = view.markers
         if view.screen != self._task[0]:
-            self._experience, self._values, self._tones = None, {}, {}
+            self._experience, self._values = None, {}
+            self._tones, self._levels_db = {}, {}
             self._mind.before, self._confirmed = self._confirmed or self._mind.before, None
         if (task := (view.screen, view.state)) != self._task:
             self._task, self._since_s = task, self._clock()
@@ -102,42 +112,45 @@ class PressingHand(Hand):
             self._held, self._settling = "", SETTLING_FRAMES
         elif self._settling:
             self._settling -= 1
-        elif self._clock() - self._since_s >= wait_s and (key := self._choose_key(view)):
-            self._keyboard.press(key)
-            self._held = key
+        elif self._clock() - self._since_s >= wait_s and (act := self._choose_act(view)):
+            self._held = self._keys.find_key(act) or act  # digits are typed as they are
+            self._keyboard.press(self._held)
 
-    def feel(self, part: Part, stimulus: Stimulus | Tone) -> None:
-        """Feel a tone; what stimuli of a set feel like is known to the participant by their names."""
+    def feel(self, part: Part, stimulus: Stimulus | Tone | Scaled) -> None:
+        """Feel a tone or a level; what stimuli of a set feel like is known to the participant by their names."""
+        self._felt = self._seen
         if isinstance(stimulus, Tone):
             self._tones[part.name] = stimulus
+        elif isinstance(stimulus, Scaled):
+            self._levels_db.setdefault(part.name, feel_level(stimulus))
 
-    def _choose_key(self, view: View) -> str:
+    def _choose_act(self, view: View) -> str:
+        """Choose what to do with the next key: an action, or a digit to type; empty to wait."""
         match view.state:
             case "reading":
                 return "" if view.left_s else self._leave(view.page)
             case "stroking":
-                return CONFIRM["participant"]
+                return "next"
             case "answering" if view.trial is not None:
                 return self._answer(view, view.trial)
         return ""
 
     def _leave(self, page: Page | None) -> str:
         if page is None or page.key != "call_us":
-            return CONFIRM[page.by if page else "participant"]
+            return "experimenter" if page and page.by == "experimenter" else "next"
         self._retries += 1
-        return PAUSE if self._retries > RETRIES else CONFIRM[page.by]
+        return "pause" if self._retries > RETRIES else "experimenter"
 
     def _answer(self, view: View, trial: Trial) -> str:
         """Feel what was not felt, answer what was not answered, confirm; empty to wait."""
         if unfelt := [part.name for part in trial.parts if part.name not in view.felt]:
             self._confirmed = None
-            # Its digit where parts are felt at will, elsewhere all are felt again.
-            digit = unfelt[0] if unfelt[0].isdigit() else REFERENCE
-            return digit if view.kind == "rows" else AGAIN
+            # Its own key where parts are felt at will, elsewhere all are felt again.
+            return self._feel_row(view, unfelt[0]) if view.kind == "rows" else "again"
         if self._experience is None and view.scale is not None:
             self._experience = (
-                Experience(trial, {}, self._tones)
-                if self._tones
+                Experience(trial, {}, self._tones, self._levels_db)
+                if self._tones or self._levels_db
                 else self._mind.imagine(trial, self._stimuli)
             )
             self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
@@ -145,33 +158,44 @@ class PressingHand(Hand):
             value = self._values[judgement.part]
             if isinstance(value, str):
                 choices = view.scale.choices if view.scale else ()
-                key = None if view.chosen == value else str(choices.index(value) + 1)
+                act = None if view.chosen == value else "left" if value == choices[0] else "right"
             else:
-                key = _find_marker_key(view, judgement.part, round(value))
-            if key is not None:
-                return key
+                act = self._move_marker(view, judgement.part, round(value))
+            if act is not None:
+                return act
+        if trial.protocol == MATCHING and self._felt != view.markers:
+            return "again"  # It is another vibration now.
         if trial.phase == "main":
             self._confirmed = self._experience
-        return CONFIRM["participant"]
+        return "next"
+
+    def _feel_row(self, view: View, part: str) -> str:
+        action = f"{PLAY}{part}" if part.isdigit() else "reference"
+        if self._keys.find_key(action):
+            return action
+        return "again" if view.selected == part else _go_to_row(view, part)
+
+    def _move_marker(self, view: View, part: str, target: int) -> str | None:
+        """Find what brings a marker nearer to a value: empty to wait, None if it stands there."""
+        marker = view.markers.get(part)
+        if marker == target and not (view.typed and view.selected == part):
+            return None
+        if view.kind == "rows" and view.selected != part:
+            return _go_to_row(view, part)
+        # Every other trial by digits, so that both ways are used.
+        if self._keys.type_values and view.trial is not None and view.trial.number % 2:
+            text = str(target)
+            is_open = view.typed != text and text.startswith(view.typed)
+            return text[len(view.typed)] if is_open else ""
+        if marker is None:
+            return "right"  # Where the first key puts a marker is the screen's business.
+        apart = target - marker
+        steps = {action: copysign(1, apart) * step for action, step in MOVES.items()}
+        near = (action for action in steps if 0 < steps[action] <= abs(apart))
+        return max(near, key=steps.__getitem__, default="")
 
 
-def _find_marker_key(view: View, part: str, target: int) -> str | None:
-    """Find the key that brings a marker nearer to a value: empty to wait, None if it stands there."""
-    marker = view.markers.get(part)
-    if marker == target and not view.typed:
-        return None
-    if view.kind == "rows" and view.selected != part:
-        rows = [judgement.part for judgement in view.trial.judgements] if view.trial else []
-        direction = 1 if view.selected not in rows else rows.index(part) - rows.index(view.selected)
-        return next((key for key, step in ROW_STEPS.items() if step * direction > 0), "")
-    # Every other trial by digits, so that both ways are used.
-    if view.kind == "slider" and view.trial is not None and view.trial.number % 2:
-        text = str(target)
-        is_open = view.typed != text and text.startswith(view.typed)
-        return text[len(view.typed)] if is_open else ""
-    if marker is None:
-        return "right"  # Where the first key puts a marker is the screen's business.
-    apart = target - marker
-    steps = {key: copysign(1, apart) * step for key, step in STEPS[view.kind].items()}
-    near = (key for key in steps if 0 < steps[key] <= abs(apart))
-    return max(near, key=steps.__getitem__, default="")
+def _go_to_row(view: View, part: str) -> str:
+    rows = [judgement.part for judgement in view.trial.judgements] if view.trial else []
+    direction = 1 if view.selected not in rows else rows.index(part) - rows.index(view.selected)
+    return next((action for action, step in ROW_STEPS.items() if step * direction > 0), "")

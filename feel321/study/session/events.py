@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
+from feel321.protocols.trial import MATCHING
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -327,6 +329,16 @@ class Attempt:
         before = self.parts.get(played.part)
         if before is None or not before.completed or played.completed or played.error:
             self.parts[played.part] = played
+
+    def follow(self, event: AttemptEvent) -> None:
+        """Take an event; a marker that changes how strong a part is makes that part unfelt."""
+        match event:
+            case PartPlayed():
+                self.take(event)
+            case MarkerMoved() if self.trial.protocol == MATCHING:
+                self.parts.pop(event.part, None)
+            case TrialPaused():
+                self.parts.clear()  # It is shown again before it goes on.
 
     def list_unfelt(self) -> list[str]:
         """List the parts that were not felt to their end."""

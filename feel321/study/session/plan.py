@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import create_text, hold_lock
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import THRESHOLD, Detection, ThresholdBlock, draw_block, make_block
+from feel321.protocols.matching import MatchingBlock, draw_matching
 from feel321.protocols.order import (
     TASK_ORDERS,
     arrange_sections,
@@ -72,6 +73,7 @@ class Design:
     flow: Flow
     threshold: ThresholdBlock | None = None
     task_order: str = TASK_ORDERS[0]
+    matching: MatchingBlock | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -108,6 +110,8 @@ class Plan:
         The threshold block, where the session has one.
     task_order : str
         Whether the order of tasks is `fixed` or `counterbalanced` between participants.
+    matching : MatchingBlock or None
+        The block in which strength is matched, where the session has one.
     sha256 : str
         Digest of the plan as it was stored; empty before that.
     """
@@ -126,6 +130,7 @@ class Plan:
     trials: tuple[Trial, ...]
     threshold: ThresholdBlock | None = None
     task_order: str = TASK_ORDERS[0]
+    matching: MatchingBlock | None = None
     sha256: str = field(default="", compare=False)
 
     def to_frame(self) -> DataFrame:
@@ -167,6 +172,7 @@ def make_plan(
         trials=own.trials,
         threshold=own.threshold,
         task_order=design.task_order,
+        matching=own.matching,
     )
 
 
@@ -178,6 +184,7 @@ class Course:
     tasks: tuple[Task, ...]
     trials: tuple[Trial, ...]
     threshold: ThresholdBlock | None
+    matching: MatchingBlock | None
 
 
 def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Course:
@@ -205,15 +212,18 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
     if block:
         block = draw_block(block, seed=design.seed, number=number)
     trials = (*main, *rehearsal, *(make_block(block, first_number=first) if block else ()))
-    return Course(groups, tasks, trials, block)
+    key = [design.seed, number, len(trials)]
+    matching, own = draw_matching(design.matching, items, first_number=len(trials) + 1, key=key)
+    return Course(groups, tasks, (*trials, *own), block, matching)
 
 
 def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
     del entry["sha256"]
-    if plan.threshold is None:
-        del entry["threshold"]  # so were plans stored before there were any
+    for block in ("threshold", "matching"):
+        if entry[block] is None:
+            del entry[block]  # so were plans stored before there were any
     if plan.task_order == TASK_ORDERS[0]:
         del entry["task_order"]
     create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())

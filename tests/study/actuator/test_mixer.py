@@ -422,3 +422,24 @@ def test_starts_and_stops_from_another_thread_lose_no_cue() -> None:
         mixer.fill(block)
     thread.join()
     assert all(cue.is_over for cue in cues)
+
+
+@pytest.mark.parametrize("n_before", [700, 2999])
+def test_what_goes_on_begins_where_the_last_one_was_stopped(n_before: int) -> None:
+    """To the sample, faded in over 5 ms; it is no whole playback, and the next one is one again."""
+    mixer, sounds = make_mixer()
+    last = mixer.start("a", gap_s=0.0)
+    fill(mixer, n_before, [100], 2)
+    mixer.stop()
+    fill(mixer, 100, [100], 2)
+    cue = mixer.start("b", gap_s=0.0, goes_on=True)
+    out = fill(mixer, 4000, [64], 2)
+    assert last.is_over
+    assert cue.first_frame == last.n_played % 3000
+    rest, n_fade = sounds["b"][cue.first_frame :], min(40, 3000 - cue.first_frame)
+    assert_array_equal(out[n_fade : len(rest)], rest[n_fade:])
+    ramp = np.arange(1, n_fade + 1, dtype=np.float32) / np.float32(n_fade)
+    assert_array_equal(out[:n_fade], rest[:n_fade] * ramp[:, None])
+    assert (cue.is_over, cue.is_at_end, cue.is_complete) == (True, True, False)
+    assert not out[len(rest) :].any()
+    assert not mixer.start("b", gap_s=0.0, goes_on=True).first_frame  # it had come to its end

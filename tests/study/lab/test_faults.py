@@ -122,32 +122,6 @@ def test_a_window_that_is_closed_ends_it_for_today(
     assert audit_study(study) == []
 
 
-def test_a_sound_server_that_dies_in_a_trial_costs_nothing_but_time(
-    rig: Any, sound: Any, make_study: Callable[..., StudyFolder]
-) -> None:
-    study = make_study("realism", device=STREAM)
-    session = rig.start(study, "sim001", *HAND)
-    session.wait_for("rated")
-    shown = session.count("shown")
-    session.wait_for("shown", shown + 1)
-    sound.kill()
-    session.wait_for("device_failed")
-    sound.start()
-    code, _, err = session.finish()
-    spoiled = [record.data["flags"] for record in session.records if record.event == "spoiled"]
-    assert "device_error" in spoiled[0]
-    assert set(spoiled[0]) <= {"device_error", "underrun"}  # it may have run dry just before
-    assert code == 0, err
-    assert set(err.splitlines()) == {
-        f"sim001: the device failed ({reason}); check it, then press F12 in the participant's window"
-        for reason in {
-            record.data["reason"] for record in session.records if record.event == "device_failed"
-        }
-    }
-    assert session.count("resumed") == 0
-    check_whole(study)
-
-
 def test_a_rehearsal_lies_apart_and_is_no_data(
     lab: Any, make_study: Callable[..., StudyFolder], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -218,3 +192,59 @@ def test_xdotool_alone_leads_through_realism(
     assert values == [75.0] * TOTAL
     check_whole(study)
     assert not read_status(study).participants[0].simulated
+
+
+OWN_KEYS = '[keys]\nnext = ["b", "q"]\nexperimenter = "f10"\n'
+
+
+def lead_by_keys(session: Any, *, until: Callable[[], bool]) -> None:
+    """Rate with an arrow and continue by the pedal's key, whatever is on the screen."""
+    end_s = time.monotonic() + session.patience_s
+    while not until():
+        assert time.monotonic() < end_s, [record.event for record in session.records][-5:]
+        if session.records[-1].event in {"played", "moved", "refused"}:
+            time.sleep(0.2)  # a faster answer would not count
+            session.press("Right")
+        session.press("b")
+        time.sleep(0.1)
+
+
+def test_a_person_with_a_pedal_is_interrupted_by_a_crash_and_by_a_dead_server(
+    rig: Any, sound: Any, make_study: Callable[..., StudyFolder]
+) -> None:
+    """Real keys on a real window: a resumed session waits, a failed device calls, and nothing is lost."""
+    study = make_study("realism", device=STREAM)
+    study.rig.write_text(study.rig.read_text(encoding="utf-8") + OWN_KEYS, encoding="utf-8")
+    session = rig.start(study, "p01")
+    session.wait_for("device")
+    lead_by_keys(session, until=lambda: session.count("rated") >= 1)
+    session.send(signal.SIGKILL)
+    session.finish()
+
+    session = rig.start(study, "p01")
+    session.wait_for("device", 2)
+    n_shown = session.count("shown")
+    session.find_window()
+    session.press("Return", "F12")  # are no keys of this lab
+    time.sleep(1.5)  # longer than it took to the first vibration before there was a page
+    assert session.count("shown") == n_shown
+    while session.count("shown") == n_shown:
+        session.press("q")
+    pages = [record.data["key"] for record in session.records if record.event == "page"]
+    assert pages.count("ready") == 1
+
+    sound.kill()
+    lead_by_keys(session, until=lambda: session.count("device_failed") >= 1)
+    session.press("b", "F12")
+    assert session.count("device_failed") == 1
+    session.press("F10")
+    session.wait_for("device_failed", 2)  # it was tried again, and is dead still
+    sound.start()
+    session.press("F10")
+    lead_by_keys(session, until=lambda: session.count("finished") == 1)
+    code, out, err = session.finish()
+    assert (code, out.splitlines()[-1]) == (0, f"p01: all {TOTAL} done")
+    assert err.count("check it, then press F10 in the participant's window") == 2
+    rated = [record.data for record in session.records if record.event == "rated"]
+    assert sorted(entry["trial"] for entry in rated if not entry["rejected"]) == [1, 2, 3, 4]
+    check_whole(study)

@@ -101,7 +101,8 @@ class SilentOutput:
         self.began_s = self.ends_s = 0.0
         self.was_stopped = False
 
-    def start(self, stimulus: Any, *, gap_s: float) -> None:  # noqa: ARG002 - the form of an output
+    def start(self, stimulus: Any, *, gap_s: float, goes_on: bool = False) -> None:  # noqa: ARG002 - the form of an output
+        tell(goes_on=goes_on)
         self.began_s = clock() + gap_s
         self.ends_s = self.began_s + self.duration_s
         self.was_stopped = False
@@ -141,7 +142,7 @@ class Watcher(Hand):
                     name: getattr(view, name)
                     for name in ("kind", "state", "screen", "playing", "notice", "typed")
                 },
-                **{name: getattr(view, name) for name in ("selected", "chosen", "left_s")},
+                **{name: getattr(view, name) for name in ("selected", "chosen", "left_s", "loops")},
                 "page": view.page.key if view.page else "",
                 "felt": sorted(view.felt),
                 "markers": dict(view.markers),

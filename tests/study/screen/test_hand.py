@@ -10,9 +10,9 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Judgement, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer.participant import ObserverModel, Participant, SimulatedObserver
-from feel321.study.screen.input import STEPS
+from feel321.study.screen.input import MOVES
 from feel321.study.screen.layout import View
-from feel321.study.screen.robot import THINKING_S, PressingHand
+from feel321.study.screen.robot import RETRIES, RETRY_S, THINKING_S, PressingHand
 from feel321.study.session.ports import Place
 from feel321.study.simulation import find_person
 
@@ -88,16 +88,16 @@ class Screen:
 
     def obey(self, key: str) -> None:
         view = self.view
-        if key in {"enter", "f12"}:
+        if key in {"enter", "f12", "escape"}:
             self.confirmed = True
-        elif view.kind == "choice" and view.scale is not None:
-            self.view = replace(view, chosen=view.scale.choices[int(key) - 1])
+        elif view.kind == "choice" and view.scale is not None and key != "r":
+            self.view = replace(view, chosen=view.scale.choices[{"left": 0, "right": -1}[key]])
         elif key == "r":
             self.view = replace(
                 view, felt=frozenset(part.name for part in view.trial.parts if view.trial)
             )
-        elif view.kind == "rows" and key.isdigit():
-            self.view = replace(view, felt=view.felt | {"reference" if key == "0" else key})
+        elif view.kind == "rows" and (key == "tab" or key[0] == "f"):
+            self.view = replace(view, felt=view.felt | {"reference" if key == "tab" else key[1:]})
         elif key.isdigit():
             self.view, self.typed_frames = replace(view, typed=view.typed + key), 10
         elif view.kind == "rows" and key in {"up", "down"}:
@@ -108,7 +108,7 @@ class Screen:
             self.move(key)
 
     def move(self, key: str) -> None:
-        step = STEPS[self.view.kind][key]
+        step = MOVES[{"pageup": "more", "pagedown": "less"}.get(key, key)]
         at = self.view.markers.get(self.view.selected, 50.0 - step)
         moved = min(max(at + step, 0.0), 100.0)
         self.view = replace(self.view, markers={**self.view.markers, self.view.selected: moved})
@@ -199,11 +199,11 @@ def test_every_way_to_move_a_marker_is_gone() -> None:
     pressed = {
         key for number in range(1, 9) for key in visit.meet(bring_up(number, "realism")).pressed
     }
-    assert {"left", "right", "up", "down", "enter"} & pressed > {"right", "enter"}
+    assert {"left", "right", "pageup", "pagedown", "enter"} & pressed > {"right", "enter"}
     assert any(key.isdigit() for key in pressed)
     rows = visit.meet(bring_up(9, "mushra")).pressed
-    assert rows[:5] == ["0", "1", "2", "3", "4"]
-    assert {"down", "right", "enter"} <= set(rows)
+    assert rows[:5] == ["tab", "f1", "f2", "f3", "f4"]
+    assert {"down", "enter"} <= set(rows)
 
 
 def test_nothing_is_pressed_while_something_is_felt_or_before_it_was_thought_about() -> None:
@@ -257,3 +257,21 @@ def test_a_trial_on_the_real_surface_is_answered_too() -> None:
 def test_numbered_participants_are_the_persons_of_simulate(code: str, number: int) -> None:
     assert find_person(code) == number
     assert find_person("p07") != find_person("p08")
+
+
+def test_a_failed_device_is_tried_again_but_not_for_ever() -> None:
+    pressed = []
+    visit = Visit()
+    for number in range(RETRIES + 1):
+        page = Page("call_us", by="experimenter")
+        visit.screen = Screen(View("page", "reading", number, Place(0, 80), page=page))
+        called_s = visit.time_s
+        while not visit.screen.pressed:
+            visit.hand.watch(visit.screen.view)
+            visit.time_s += FRAME_S
+            assert visit.time_s - called_s < RETRY_S + 1
+        assert visit.time_s - called_s >= RETRY_S
+        while len(visit.screen.released) < len(visit.screen.pressed):
+            visit.hand.watch(visit.screen.view)
+        pressed += visit.screen.pressed
+    assert pressed == [*["f12"] * RETRIES, "escape"]

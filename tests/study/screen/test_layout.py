@@ -254,3 +254,48 @@ def test_pictures_of_every_screen(display: Callable[..., dict[str, str]], tmp_pa
         assert pixels.shape[1::-1] == SHOWN[path.stem[-2:]]
         assert pixels[..., :3].max() > 0.9  # something is written
         assert pixels[..., :3].mean() < 0.35  # on a dark ground
+
+
+def test_mushra_has_its_words_in_five_bands_with_lines_between_them(
+    gallery: dict[str, Any],
+) -> None:
+    """ITU-R BS.1534-3: each word stands over the middle of its fifth of the sliders."""
+    view = gallery["make_views"](read_scales(), read_texts())["mushra of five"]
+    sheet = compose(view, make_screen_texts(read_texts()), size=(1920, 1080))
+    track = next(t.track for t in sheet.targets if t.name == "mark")
+    assert track is not None
+    words = {item.words: find_ink(item) for item in sheet.items if isinstance(item, Text)}
+    for place, word in enumerate(read_scales()["mushra"].anchors):
+        middle = words[word].left + words[word].width / 2
+        assert find_points(track, middle) == pytest.approx(10 + 20 * place, abs=1)
+    lines = {
+        find_points(track, item.box.left + item.box.width / 2)
+        for item in sheet.items
+        if isinstance(item, Area) and item.box.height > 5 * track.height
+    }
+    assert lines == {20.0, 40.0, 60.0, 80.0}
+
+
+def test_only_what_was_felt_can_be_rated_and_continue_is_dim_until_all_is_done(
+    gallery: dict[str, Any],
+) -> None:
+    texts = make_screen_texts(read_texts())
+    views = gallery["make_views"](read_scales(), read_texts())
+
+    def look(view: View) -> tuple[set[str], bool]:
+        sheet = compose(view, texts, size=(1280, 720))
+        button = next(t.box for t in sheet.targets if t.name == "confirm")
+        is_lit = any(
+            isinstance(i, Area) and i.box == button and i.fill == layout.BLUE for i in sheet.items
+        )
+        return {t.part for t in sheet.targets if t.name == "mark"}, is_lit
+
+    assert look(views["mushra of five"]) == ({"2", "3"}, False)
+    answered = views["mushra answered"]
+    assert look(answered) == ({str(n) for n in range(1, 13)}, True)
+    assert not look(replace(answered, felt=answered.felt - {"reference"}))[1]
+    assert not look(replace(answered, markers={}))[1]
+    assert [look(views[f"similarity {state}"])[1] for state in ("fresh", "answered")] == [
+        False,
+        True,
+    ]

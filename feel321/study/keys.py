@@ -1,0 +1,161 @@
+"""The keys of a session. A key does the same in every task; a lab's own keys stand in `[keys]` of `rig.toml`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from string import ascii_lowercase, digits
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, BeforeValidator, model_validator
+
+from feel321.study.settings import fields
+
+KEY_NAMES = (
+    *ascii_lowercase,
+    *digits,
+    *(f"f{number}" for number in range(1, 25)),
+    *("enter", "space", "escape", "tab", "backspace", "insert", "delete", "home", "end"),
+    *("left", "right", "up", "down", "pageup", "pagedown", "comma", "period", "minus", "plus"),
+    *("equal", "slash", "backslash", "semicolon", "apostrophe", "grave"),
+)
+"""Names of keys, the same on the main block and on the number block."""
+
+SIGNS = {"left": "←", "right": "→", "up": "↑", "down": "↓", "pageup": "⇞", "pagedown": "⇟"}
+"""What stands on keys that have no word."""
+
+PLAY = "play "
+"""What the action of each of the keys `play` begins with; a number from 1 follows."""
+
+
+def _as_tuple(names: object) -> object:
+    return (
+        (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else names
+    )
+
+
+def _check_keys(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in fields.check_some(names):
+        if name not in KEY_NAMES:
+            near = get_close_matches(name.lower(), KEY_NAMES, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else "press it in a text editor to see it"
+            raise ValueError(
+                f"must be keys, a letter, a digit, f1 to f24 or a name such as enter, space, pageup, comma; {hint}"
+            )
+    return names
+
+
+Keys = Annotated[tuple[str, ...], BeforeValidator(_as_tuple), AfterValidator(_check_keys)]
+
+
+class KeysTable(fields.TomlTable):
+    """`[keys]`: which key does what: one key, or several that do the same; the screen names the first.
+
+    next: confirm a page or an answer. stop: what plays. pause: pressed twice, also ends the session on a page. again:
+    feel it again. loop: vibrations of a list go on and on, or not. reference, play: feel the reference, the first
+    vibration, the second, and so on. left, right: one point, or the first and the last choice. more, less: ten points.
+    up, down: another vibration of a list. type_values: whether digits are typed as values.
+    """
+
+    next: Keys = ("enter",)
+    experimenter: Keys = ("f12",)
+    stop: Keys = ("space",)
+    pause: Keys = ("escape",)
+    again: Keys = ("r",)
+    loop: Keys = ("l",)
+    reference: Keys = ("tab",)
+    play: Keys = tuple(f"f{number}" for number in range(1, 10))
+    left: Keys = ("left",)
+    right: Keys = ("right",)
+    more: Keys = ("pageup",)
+    less: Keys = ("pagedown",)
+    up: Keys = ("up",)
+    down: Keys = ("down",)
+    type_values: bool = True
+
+    @model_validator(mode="after")
+    def _do_one_thing_each(self) -> Self:
+        uses: dict[str, list[str]] = {}
+        for key, action in self.list_uses():
+            uses.setdefault(key, []).append(action)
+        for key, actions in uses.items():
+            if len(actions) > 1:
+                raise ValueError(
+                    f"got {key!r} for {' and '.join(actions)}, but a key does one thing; change one of them"
+                )
+        return self
+
+    def list_uses(self) -> Iterator[tuple[str, str]]:
+        """List every key with its action."""
+        for action, keys in self:
+            if action == "type_values":
+                yield from ((digit, "type_values") for digit in digits * self.type_values)
+            else:
+                for number, key in enumerate(keys, start=1):
+                    yield key, f"{PLAY}{number}" if action == "play" else action
+
+    def name_action(self, key: str) -> str:
+        """Name what a key does; empty if nothing."""
+        return dict(self.list_uses()).get(key, "")
+
+    def find_key(self, action: str) -> str:
+        """Find the first key of an action; empty if there is none."""
+        return next((key for key, own in self.list_uses() if own == action), "")
+
+
+ACTIONS: Mapping[str, tuple[str, ...]] = {
+    "move": ("left", "right"),
+    "coarse_rows": ("more", "less"),
+    "choose": ("up", "down"),
+    "pick": ("left", "right"),
+    "confirm": ("next",),
+    "again": ("again",),
+    "stop": ("stop",),
+    "pause": ("pause",),
+    "leave": ("pause",),
+}
+"""The actions that a line of a language's `keys` is about."""
+
+USUAL = KeysTable()
+
+
+def label_keys(keys: KeysTable, lines: Mapping[str, str]) -> dict[str, str]:
+    """Put a lab's own keys into the lines of a language that name a key, two spaces, and what it does."""
+    words = _list_words(lines)
+    labelled = dict(lines)
+    for line, actions in ACTIONS.items():
+        before, _, does = lines[line].partition("  ")
+        own = [keys.find_key(action) for action in actions]
+        if own != [USUAL.find_key(action) for action in actions]:
+            twice = before.partition(" ")[2] if actions == ("pause",) else ""
+            labels = " ".join(filter(None, [*(label_key(key, words) for key in own), twice]))
+            labelled[line] = f"{labels}  {does}"
+    ends = [label_key(key, words) for key in (keys.play[0], keys.play[-1])]
+    feel = f"{label_key(keys.reference[0], words)} {'–'.join(dict.fromkeys(ends))}"
+    labelled["feel"] = f"{feel}  {lines['feel'].partition('  ')[2]}"
+    return labelled
+
+
+def label_prompts(
+    keys: KeysTable, prompts: Mapping[str, str], lines: Mapping[str, str]
+) -> dict[str, str]:
+    """Put a lab's own keys into sentences that name a key as the lines of the same language do."""
+    words = _list_words(lines)
+    labelled = dict(prompts)
+    for action in ("next", "pause", "experimenter"):
+        usual, own = USUAL.find_key(action), keys.find_key(action)
+        if own != usual:
+            word, label = label_key(usual, words), label_key(own, words)
+            labelled = {name: text.replace(word, label) for name, text in labelled.items()}
+    return labelled
+
+
+def label_key(key: str, words: Mapping[str, str]) -> str:
+    """Name a key as it stands on it; words: of a language, by key."""
+    return words.get(key) or SIGNS.get(key) or key.capitalize()
+
+
+def _list_words(lines: Mapping[str, str]) -> dict[str, str]:
+    """List the words that a language has for keys."""
+    enter, space, escape = (lines[line].partition("  ")[0] for line in ("confirm", "stop", "pause"))
+    return {"enter": enter, "space": space, "escape": escape.partition(" ")[0]}
