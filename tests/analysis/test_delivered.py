@@ -127,7 +127,11 @@ def test_a_rig_as_a_factor_takes_out_what_the_rig_adds(small: object) -> None:
     write_roster(small, ("p01", "p04"))
     before = read_table(small.ratings, small.manifest)
     rows = next(split_parts(before)).rows
-    shifted = rows.assign(rating=rows["rating"] + 7 * (rows["rig"] == ODD))
+    # Unbalanced, or people's recordings would take it out by themselves.
+    left = (rows["rig"] == USUAL) | (rows["recording"] != "rec0") | (rows["spectral_match"] > 0.5)
+    rows = rows[left]
+    there = (rows["rig"] == ODD) & (rows["recording"] == "rec0")
+    shifted = rows.assign(rating=rows["rating"] + 25 * there)
     slopes = [
         vary_primary(one, before.metrics, top=200, leave_out=False).set_index([
             "variant",
@@ -135,4 +139,4 @@ def test_a_rig_as_a_factor_takes_out_what_the_rig_adds(small: object) -> None:
         ])["estimate"]["rig as a factor"]
         for one in (rows, shifted)
     ]
-    np.testing.assert_allclose(*slopes, rtol=1e-6)
+    np.testing.assert_allclose(*slopes, rtol=1e-3)

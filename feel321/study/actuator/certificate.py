@@ -23,7 +23,7 @@ from scipy import fft, signal
 from feel321.files import create_text, file_named, write_bytes
 from feel321.records import to_json_value
 from feel321.study.actuator.calibration import Band, Spectrum
-from feel321.study.actuator.rig import ActuatorTable, CalibrationTable, Rig, digest
+from feel321.study.actuator.rig import ActuatorTable, CalibrationTable, Rig, SensorTable, digest
 from feel321.types import Samples
 
 FOLDER = "calibration"
@@ -167,6 +167,8 @@ class Certificate:
     def find_faults(self, rig: Rig, now: datetime, *, rate_hz: float | None = None) -> list[str]:
         """Find why the certificate is not valid for a rig today, one line each."""
         found = []
+        if self.sensor and rig.sensor is None:  # taken off since the coils were measured
+            rig = rig.model_copy(update={"sensor": _read_sensor(self.sensor)})
         if (own := digest(rig)) != self.rig_sha256:
             found.append(
                 f"certificate {self.id} is of another rig (digest {self.rig_sha256[:12]}, this rig's is {own[:12]}); "
@@ -202,6 +204,12 @@ class Certificate:
             own = coil.respond(drive, rate_hz=self.rate_hz)[: len(drive) - late]
             moved[:, late:] += np.outer(coil.direction, own)
         return moved
+
+
+def _read_sensor(sensor: Mapping[str, Any]) -> SensorTable:
+    """Read a sensor as it was dumped: with its data sheet's numbers and the scale that follows from them."""
+    values = {key: tuple(own) if isinstance(own, list) else own for key, own in sensor.items()}
+    return SensorTable.model_construct(None, **values)
 
 
 def write_certificate(certificate: Certificate, folder: Path) -> Certificate:

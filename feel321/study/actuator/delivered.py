@@ -253,8 +253,8 @@ class DeliveryCheck:
             return {}
         if measured is not None:
             return self.measure(stimulus_id, np.asarray(measured, dtype=np.float64))
-        if self._certificate is None:
-            return {}
+        if self._certificate is None or self._certificate.method != MEASURED:
+            return {}  # typed gains predict what was asked
         if stimulus_id not in self._predicted:
             moved, coils = self._certificate.predict(sent), self._certificate.coils
             seen = {name: coil.direction for name, coil in coils.items()}

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from feel321.protocols.trial import Flow
+from feel321.stimuli.match import spectral_match_bounded
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
@@ -129,6 +130,14 @@ def test_what_was_cut_off_at_the_end_is_no_loss_unless_it_is_most() -> None:
     assert most.level_error_db < -8
 
 
+def test_what_lies_below_the_band_is_no_part_of_the_level() -> None:
+    asked = make_noise(8)
+    sway = 30 * np.sin(2 * np.pi * 9 * np.arange(48000) / RATE)
+    found = compare(asked + sway, delay(asked), rate_hz=RATE)
+    assert found.level_error_db == pytest.approx(0, abs=0.05)
+    assert found.coherence > 0.98
+
+
 def test_silence_and_noise_alone_have_nothing_of_what_was_asked() -> None:
     asked = make_noise(4)
     silent = compare(asked, np.zeros((1, 60000)), rate_hz=RATE)
@@ -215,6 +224,18 @@ def test_unknown_directions_are_found_by_three_axes(
     assert found["temporal_match"] == pytest.approx(one.temporal_match, abs=1e-5)
 
 
+def test_an_anchor_is_as_strong_as_its_recording_and_its_error_is_scaled_back(
+    built: tuple[StimulusSet, dict[str, Baseline]],
+) -> None:
+    stimuli, baselines = built
+    one = next(one for one in stimuli if one.role == "anchor")
+    made = baselines[one.stimulus_id].reduction
+    found = make_check(built).measure(one.stimulus_id, delay(2 * read_motion(stimuli, one)))
+    expected = spectral_match_bounded(made.acceleration, 2 * made.samples, made.rate_hz)
+    assert made.factor != pytest.approx(1, abs=0.1)
+    assert found["spectral_match_bounded"] == pytest.approx(expected, abs=0.01)
+
+
 def test_a_rig_that_moves_no_known_way_is_asked_for_the_stimulus_itself() -> None:
     unknown = RIG.model_copy(
         update={"actuators": (ActuatorTable(name="a", channel=1, plays=("reduced", "x", "y")),)}
@@ -265,6 +286,9 @@ def test_a_certificate_stands_in_for_a_sensor_and_is_asked_once(
     assert len(calls) == 1
     assert predicted[0].keys() == {"level_error_db", *MATCHES}
     assert predicted[0]["level_error_db"] == pytest.approx(-6.02, abs=0.01)
+    typed = Stub(RIG, predict)
+    typed.method = "manual"  # predicts what it was told
+    assert not make_check(built, certificate=typed).describe(one.stimulus_id, sent, None)
     measured = check.describe(one.stimulus_id, sent, delay(read_motion(stimuli, one)))
     assert measured["is_calibrated"] == 1
     assert not make_check(built).describe(one.stimulus_id, sent, None)
