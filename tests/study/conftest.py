@@ -228,6 +228,14 @@ def present(
 
 
 @pytest.fixture(scope="session")
+def begin_study(
+    tmp_path_factory: pytest.TempPathFactory, plan: Plan, stimuli: StimulusSet
+) -> Callable[[], Callable[..., list[Any]]]:
+    """Gives what `present` is, in a new study each time."""
+    return lambda: make_present(tmp_path_factory.mktemp("present"), plan, stimuli, start_ticking())
+
+
+@pytest.fixture(scope="session")
 def present_once(
     tmp_path_factory: pytest.TempPathFactory, plan: Plan, stimuli: StimulusSet
 ) -> Callable[..., list[Any]]:
