@@ -214,7 +214,8 @@ def _play_sweep(session: Session, sent: Samples, sweep: Sweep, *, channel: int) 
             return recorded
     raise OSError(
         f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are lost "
-        "between output and sensor; use the sound card itself, or raise latency_s in rig.toml"
+        "between output and sensor, or the sensor's device has a clock of its own; put both on one sound card, named "
+        "itself, raise latency_s in rig.toml, or lower sweep_s and repeats under [calibration]"
     )
 
 
