@@ -59,6 +59,7 @@ guards: .venv/.tests # sizes, docstrings, faces, wheel, pins, exclusions
 bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor, cost of the session engine, thresholds recovered
 	$(PYTHON) tests/bench/bench.py
 	$(PYTHON) tests/bench/engine.py
+	$(PYTHON) tests/bench/delivered.py
 	$(PYTHON) tests/bench/thresholds.py
 
 soak: .venv/.tests ## the tests that take minutes

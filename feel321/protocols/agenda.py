@@ -11,14 +11,14 @@ from itertools import groupby
 
 from feel321.protocols.detection import THRESHOLD
 from feel321.protocols.tasks import measure_chance
-from feel321.protocols.trial import ASIDE, Flow, Page, Trial
+from feel321.protocols.trial import ASIDE, MATCHING, Flow, Page, Trial
 
 SECONDS = 60.0
-RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done"})
+RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done", "matching_done"})
 """Pages after which the time to the next break starts anew."""
 
 
-COUNTED = frozenset({"main", THRESHOLD})
+COUNTED = frozenset({"main", THRESHOLD, MATCHING})
 """Phases whose answers are results."""
 
 
@@ -89,6 +89,7 @@ class Agenda:
         self._steps: deque[Page | Trial] = deque(_list_steps(trials, flow))
         self._attempts: Counter[int] = Counter()
         self._spent: Counter[int] = Counter()
+        self._lost: int | None = None
         self._training = Training(trials, flow)
         self._since_break, self._break_s = 0, 0.0
         self.total = sum(trial.phase == "main" for trial in trials)
@@ -152,6 +153,7 @@ class Agenda:
         as_expected: bool | None,
         time_s: float,
         spent: bool = True,
+        lost: bool = False,
     ) -> None:
         """Take an attempt at a trial as made.
 
@@ -167,6 +169,9 @@ class Agenda:
             Time in s since the session began.
         spent : bool
             Whether a bad attempt is one of those that a trial has: a device that fails may not use them up.
+        lost : bool
+            Whether its stimulus did not reach the hand. If that of another trial did not either, just before, the
+            device failed, and the attempt is not spent.
 
         Raises
         ------
@@ -175,9 +180,10 @@ class Agenda:
         """
         self._take(number)
         trial = self._trials[number]
+        before, self._lost = self._lost, number if lost else None
         if not accepted:
             self._attempts[number] += 1
-            self._spent[number] += spent
+            self._spent[number] += spent and not (lost and before not in {None, number})
             if self._spent[number] < self._flow.max_attempts:
                 self._steps.insert(_find_place(self._steps, trial), trial)
                 return
@@ -245,6 +251,7 @@ def _list_steps(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
     """List the steps of a session in which nothing goes wrong and no break is due."""
     yield from (Page("welcome"), Page("consent"))
     yield from _list_threshold([trial for trial in trials if trial.protocol == THRESHOLD], flow)
+    yield from _list_matching([trial for trial in trials if trial.protocol == MATCHING], flow)
     main = [trial for trial in trials if trial.phase == "main"]
     sections = [list(section) for _, section in groupby(main, key=lambda trial: trial.protocol)]
     for place, section in enumerate(sections):
@@ -280,3 +287,11 @@ def _list_threshold(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Tria
         yield Page("threshold_next", flow.break_s) if place else Page("main")
         yield from own
     yield Page("threshold_done", flow.rest_s)
+
+
+def _list_matching(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
+    """List the steps of the matching block, if there is one."""
+    if trials:
+        yield from (Page(f"instructions.{MATCHING}"), Page("main"))
+        yield from trials
+        yield Page("matching_done", flow.rest_s)

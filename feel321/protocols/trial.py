@@ -26,13 +26,16 @@ SURFACE = "surface"
 ORIGINAL = "original"
 """Name of the recording itself as a reference."""
 
+MATCHING = "matching"
+"""Protocol, scale and phase of the trials of `protocols.matching`."""
+
 FLAGS = ("underrun", "clipped", "device_error", "not_delivered", "too_fast", "not_felt")
 """What can be wrong with an attempt at a trial."""
 
 PAGES = (
-    "welcome", "consent", "threshold_next", "threshold_done", "instructions", "training", "expected", "unexpected",
-    "training_passed", "training_again", "training_failed", "practice", "main", "break", "rest", "pause", "warm_up",
-    "end", "ready", "call_us",
+    "welcome", "consent", "threshold_next", "threshold_done", "matching_done", "instructions", "training", "expected",
+    "unexpected", "training_passed", "training_again", "training_failed", "practice", "main", "break", "rest", "pause",
+    "ready", "call_us", "warm_up", "end",
 )  # fmt: skip
 """Keys of all pages; that of `instructions` is followed by a dot and the protocol."""
 
@@ -161,7 +164,7 @@ class Trial:
     judgements : tuple of Judgement
         The answers to give.
     phase : str
-        `training`, `practice`, `threshold` or `main`; only trials of the main phase become ratings.
+        `training`, `practice`, `threshold`, `matching` or `main`; only trials of the main phase become ratings.
     catch : str
         `identical`, `hidden_reference` or `anchor` where the right answer is known; else empty.
     """

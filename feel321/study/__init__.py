@@ -9,7 +9,17 @@ from feel321.doors import forward_old_names as _forward_old_names
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.journal import Journal
 from feel321.study.session.plan import Plan
-from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback, Presenter, Tone
+from feel321.study.session.ports import (
+    Abort,
+    Confirm,
+    Feel,
+    Move,
+    Pause,
+    Playback,
+    Presenter,
+    Scaled,
+    Tone,
+)
 from feel321.study.study import Study
 
 if _TYPE_CHECKING:
@@ -26,6 +36,7 @@ __all__ = [
     "Plan",
     "Playback",
     "Presenter",
+    "Scaled",
     "Settings",
     "Study",
     "Tone",

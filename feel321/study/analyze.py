@@ -21,7 +21,8 @@ from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.folder import StudyFolder, find_changes, require_study
-from feel321.study.ledger.progress import write_roster
+from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
+from feel321.study.matches import describe_matches, write_matches
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings
@@ -70,12 +71,15 @@ def analyze_study(  # noqa: PLR0913 - one per choice
 
 
 def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
-    write_roster(study)
+    everybody = list_progress(study)
+    write_roster(study, everybody)
     stimuli = read_stimuli(study.stimuli)
     if not write_ratings(study, stimuli):
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
-    return measure_rotations(study, settings, stimuli)
+    further = measure_rotations(study, settings, stimuli)
+    matched = describe_matches(write_matches(study, stimuli))
+    return replace(further, notes=(*further.notes, *matched, *note_estimates(everybody)))
 
 
 # How the metrics of a study's stimuli depend on the way the sensor was mounted, for the report to explore.

@@ -22,7 +22,7 @@ from typing import Any
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.trial import ASIDE, RATING_RANGE, Page, Trial
+from feel321.protocols.trial import ASIDE, MATCHING, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
 from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
 from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
@@ -119,6 +119,7 @@ class _Course:
         self._trials = {trial.number: trial for trial in plan.trials}
         self._detection = recall_detection(plan, ())
         self._attempt: events.Attempt | None = None
+        self._toned = (0, 0)
         self._state = ""
         self._aside = ""
 
@@ -150,12 +151,12 @@ class _Course:
             raise ValueError(
                 f"{event.event!r} of trial {event.trial}, attempt {event.attempt}, which was not shown"
             )
+        attempt.follow(event)
         match event:
             case events.TonePresented():
                 self._check_tone(event, attempt.trial)
             case events.PartPlayed():
                 _check_part(event, attempt.trial)
-                attempt.take(event)
             case events.TrialRated():
                 self._check_rated(event, attempt, record.data["values"])
                 self._attempt = None
@@ -165,11 +166,10 @@ class _Course:
                     raise ValueError(f"spoils trial {event.trial}, with which nothing was wrong")
                 _check_flags(event.flags, flags)
                 self._attempt = None
-            case events.TrialPaused():
-                attempt.parts.clear()  # It is shown again before it goes on.
 
     def _check_tone(self, event: events.TonePresented, trial: Trial) -> None:
         """Check that a trial of the threshold block presents what follows from the answers before it."""
+        self._toned = event.trial, event.attempt
         if self._detection is None or trial.protocol != THRESHOLD:
             raise ValueError(f"presents a tone in trial {trial.number}, which has none")
         wanted = self._detection.present(trial)
@@ -187,6 +187,8 @@ class _Course:
         self, event: events.TrialRated, attempt: events.Attempt, values: Mapping[str, Any]
     ) -> None:
         """Check that an answer could be taken, and that it counts as the rules say."""
+        if attempt.trial.protocol == THRESHOLD and self._toned != attempt.key:
+            raise ValueError(f"rates trial {event.trial}, in which no level was presented")
         if unfelt := attempt.list_unfelt():
             raise ValueError(
                 f"rates trial {event.trial}, of which {', '.join(unfelt)} was not felt to its end"
@@ -255,13 +257,18 @@ def _check_values(values: Mapping[str, Any], trial: Trial) -> None:
     if sorted(values) != sorted(trial.judged):
         got, asked = (", ".join(names) or "nothing" for names in (values, trial.judged))
         raise ValueError(f"rates {got}, trial {trial.number} asks for {asked}")
-    is_threshold, (low, high) = trial.protocol == THRESHOLD, RATING_RANGE
-    choices = INTERVALS if is_threshold else PROTOCOLS[trial.protocol].choices
+    choices, (low, high) = find_choices(trial.protocol), RATING_RANGE
     for part, value in values.items():
         is_points = isinstance(value, float) and low <= value <= high
         if not (value in choices if choices else is_points):
             allowed = f"one of {', '.join(choices)}" if choices else f"{low:g} to {high:g} points"
             raise ValueError(f"has {value!r} for {part}, which must be {allowed}")
+
+
+def find_choices(protocol: str) -> tuple[str, ...]:
+    """Find what can be chosen in a trial; nothing where there is a slider."""
+    own = {THRESHOLD: INTERVALS, MATCHING: ()}
+    return own[protocol] if protocol in own else PROTOCOLS[protocol].choices
 
 
 def _check_flags(flags: Sequence[str], expected: Sequence[str]) -> None:

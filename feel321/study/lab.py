@@ -187,7 +187,7 @@ def _make_check(lab: Lab) -> Check | None:
         lab.rig,
         full_scale_m_s2=lab.settings.rig.full_scale_m_s2,
         reduced=reduced,
-        predict=lab.certificate.predict if lab.certificate else None,
+        certificate=lab.certificate,
     )
 
 

@@ -165,7 +165,8 @@ def list_rig_problems(
     if settings.session.threshold:
         from feel321.study.actuator.tone import find_tone_problems
 
-        problems += find_tone_problems(settings.session.threshold.make_block(), rig)
+        block = settings.session.threshold.make_block()
+        problems += find_tone_problems(block, rig, rate_hz=own.rate_hz, certificate=certificate)
     return [f"{study.rig.name}: {problem}" for problem in problems]
 
 

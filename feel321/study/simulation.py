@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.ledger.progress import write_roster
+from feel321.study.matches import write_matches
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import Clock
 from feel321.study.sessions import Room, lead_session, open_room, plan_sessions, require_current_set
@@ -222,4 +223,5 @@ def simulate_study(
         for notice in filter(None, (find_unfelt(settings, stimuli), ledger_notice, *notices)):
             warn(notice)
     write_roster(study)
+    write_matches(study, stimuli)
     return write_ratings(study, stimuli)

@@ -5,7 +5,7 @@ whether it was made yet or not.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from math import inf, log10
+from math import inf, log10, sqrt
 from operator import itemgetter
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.condition import condition
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.anchors import THRESHOLDS, to_db
+from feel321.stimuli.sets.anchors import THRESHOLDS, acceleration_threshold, to_db
 from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import (
@@ -32,6 +32,9 @@ from feel321.study.settings.schema import ACCEPT, Settings
 
 WEAK_DB = 10.0
 """Stimuli with a lower sensation level are listed: they are felt, but hardly as what they are."""
+
+REACH_DB = 12.0
+"""Three standard deviations of thresholds between participants."""
 
 COSTLY_DB = 1.0
 """A recording that takes less headroom from the others is not worth a line."""
@@ -58,6 +61,7 @@ def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Reci
             *(unfelt if is_accepted else ()),
             *weak,
             *_compare_with_surface(settings, foreseen),
+            *_find_out_of_reach(settings),
         ),
         notes=(*describe_gains(foreseen, recipe), *_list_levels(levels)),
         figures={
@@ -68,6 +72,21 @@ def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Reci
             "sensation_levels_db": levels,
         },
     )
+
+
+def _find_out_of_reach(settings: Settings) -> Iterator[str]:
+    """List the frequencies at which many participants may have a threshold beyond the levels that are played."""
+    if (block := settings.session.threshold) is None:
+        return
+    for frequency in block.frequencies_hz:
+        curve = acceleration_threshold(frequency, threshold=settings.stimuli.threshold)
+        level_db = to_db(float(curve) / sqrt(2))
+        if not block.lowest_db + REACH_DB <= level_db <= block.highest_db - REACH_DB:
+            yield (
+                f"session.threshold: at {frequency:g} Hz thresholds are expected around {level_db:.0f} dB "
+                f"({settings.stimuli.threshold}); lowest_db and highest_db should be {REACH_DB:g} dB away from that, "
+                f"got {block.lowest_db:g} and {block.highest_db:g}"
+            )
 
 
 def describe_gains(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:

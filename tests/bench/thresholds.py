@@ -101,7 +101,7 @@ def main() -> int:
     """Measure once and print; 1 if intervals hold too few thresholds."""
     is_kept = True
     for procedure in PROCEDURES:
-        for trials in (USUAL.trials, 60):
+        for trials in (40, USUAL.trials):
             with tempfile.TemporaryDirectory() as folder:
                 found = recover(Path(folder), procedure, observers=OBSERVERS, trials=trials)
             kept = found.coverage >= LEAST_COVERAGE and not math.isnan(found.off.mean())

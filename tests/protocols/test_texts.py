@@ -20,7 +20,7 @@ from feel321.protocols.texts import (
     read_texts,
     write_copy,
 )
-from feel321.protocols.trial import PAGES, SURFACE, Item
+from feel321.protocols.trial import MATCHING, PAGES, SURFACE, Item
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,6 +34,7 @@ ENDS = {
         "mushra": ("Not at all", "Just like the reference"),
         "abx": ("Wrong", "Right"),
         "threshold": ("Wrong", "Right"),
+        "matching": ("Weaker", "Stronger"),
     },
     "de": {
         "realism": ("Überhaupt nicht echt", "Wie die echte Oberfläche"),
@@ -42,6 +43,7 @@ ENDS = {
         "mushra": ("Überhaupt nicht", "Genau wie die Referenz"),
         "abx": ("Falsch", "Richtig"),
         "threshold": ("Falsch", "Richtig"),
+        "matching": ("Schwächer", "Stärker"),
     },
 }
 ALONG = {
@@ -73,7 +75,10 @@ def test_every_language_is_complete(language: str) -> None:
 @pytest.mark.parametrize("language", list_languages())
 def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
     scales = read_scales(language)
-    assert set(scales) == {protocol.scale for protocol in PROTOCOLS.values()} | {THRESHOLD}
+    assert set(scales) == {protocol.scale for protocol in PROTOCOLS.values()} | {
+        THRESHOLD,
+        MATCHING,
+    }
     assert all(name == scale.name for name, scale in scales.items())
     assert all(
         scale.question.endswith("?") and scale.low_label != scale.high_label
@@ -135,7 +140,7 @@ def test_pages_of_all_tasks_speak_of_no_slider(language: str, slider: str) -> No
 
 @pytest.mark.parametrize("language", list_languages())
 def test_every_language_has_every_page(language: str) -> None:
-    tasks = (*PROTOCOLS, THRESHOLD)
+    tasks = (*PROTOCOLS, THRESHOLD, MATCHING)
     wanted = {*PAGES, *(f"instructions.{name}" for name in tasks)} - {"instructions"}
     pages = read_pages(language)
     assert set(pages) == wanted

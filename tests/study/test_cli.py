@@ -10,9 +10,11 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from feel321.analysis.report import association
+from feel321.analysis.table.reading import Further
 from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition, list_steps
 from feel321.stimuli.formats.read import read_recording
@@ -613,7 +615,9 @@ def test_draws_and_seed_of_a_study_reach_its_report(
     monkeypatch.setattr("feel321.study.analyze.write_report", write_report)
     monkeypatch.setattr("feel321.study.analyze.read_stimuli", lambda _: None)
     monkeypatch.setattr("feel321.study.analyze.write_ratings", lambda *_: 1)
-    monkeypatch.setattr("feel321.study.analyze.measure_rotations", lambda *_: None)
+    monkeypatch.setattr(
+        "feel321.study.analyze.measure_rotations", lambda *_: Further(pd.DataFrame())
+    )
     elsewhere = study.path / "else"
     elsewhere.mkdir()
     tables = ["--ratings", "r.csv", "--manifest", "m.csv"]
@@ -782,7 +786,7 @@ def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
         "coil", "ALSA", 48000.0, 20.0, 10, failed, underruns, 30.0, 0.1, 0.2, None, None, None, None, 1.0,
         is_program=False, error="",
     )  # fmt: skip
-    monkeypatch.setattr(doctor, "survey_devices", lambda *_: [])
+    monkeypatch.setattr(doctor, "survey_devices", list)
     monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
     assert main(["doctor", "--device", "coil"]) == code
     assert f"pulses 10, failed {failed}, underruns {underruns}" in capsys.readouterr().out
@@ -804,7 +808,7 @@ def test_doctor_says_how_onset_times_were_got_and_fails_on_a_faulty_sensor(
         "coil", "ALSA", 48000.0, 20.0, 10, 0, 0, 30.0, 0.1, 0.2, None, None, None, None, 1.0,
         is_program=False, error="", n_estimated=estimated, sensor=sensor,
     )  # fmt: skip
-    monkeypatch.setattr(doctor, "survey_devices", lambda *_: [])
+    monkeypatch.setattr(doctor, "survey_devices", list)
     monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
     assert main(["doctor", "--device", "coil", *as_json]) == 1
     printed = capsys.readouterr()

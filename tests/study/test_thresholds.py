@@ -24,10 +24,11 @@ from feel321.study.ratings import write_ratings
 from feel321.study.sensation import LOW_RATE_HZ, find_shift
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import require_plan
+from feel321.study.settings.schema import check_factor
 from feel321.study.simulation import simulate_study
 from feel321.study.status import read_status
 from feel321.study.thresholds import find_warnings, is_usable, list_columns, read_thresholds
-from feel321.study.workflow import build_study
+from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -250,6 +251,20 @@ def test_a_participant_who_guesses_has_no_sensation_levels(tmp_path: Path) -> No
         "threshold at 250 Hz",
     }
     assert {row["sensation_level_db"] for row in read_rows(study.ratings)} == {""}
+
+
+def test_check_warns_of_thresholds_beyond_the_levels(tmp_path: Path) -> None:
+    """The contactor's curve lies at -15 dB for 250 Hz, at 27 dB for 1000 Hz: 31.7 m/s² peak."""
+    study = create_study(tmp_path / "study")
+    study.settings.write_text(STUDY.format(frequencies="[250.0, 1000.0]"), encoding="utf-8")
+    (warning,) = (line for line in check_study(study).warnings if "session.threshold" in line)
+    assert "at 1000 Hz thresholds are expected around 27 dB (contactor)" in warning
+
+
+def test_no_factor_may_be_called_as_a_column_of_thresholds() -> None:
+    with pytest.raises(ValueError, match="must not be a column"):
+        check_factor("threshold_db_40hz")
+    assert check_factor("threshold_group") == "threshold_group"
 
 
 def test_identity_of_old_simulations_is_kept() -> None:

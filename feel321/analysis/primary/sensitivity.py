@@ -119,7 +119,8 @@ def vary_primary(
     out how much of the scale they use (raters whose ratings are all the same cannot be, and are left out, as the
     reason says); ratings as logits of (y (n - 1) + 1/2) / n, y = rating / top and n their number (Smithson & Verkuilen
     2006, doi 10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's ends. Only standardised slopes
-    compare across units.
+    compare across units. Where rows have them: the metrics of what was delivered in place of those intended; the rig as
+    a factor (mean ratings of each rig and recording taken out); without the people on each rig.
     """
     import pandas as pd
 
@@ -157,11 +158,44 @@ def _list_variants(
     names = ", ".join(map(str, rows.loc[steady, WHO].unique()))
     note = f"Without {names}, whose ratings are all the same." if names else ""
     scaled = rows.assign(**{RATING: (rows[RATING] - own.transform("mean")) / spread.mask(steady)})
+    yield from _list_rig_variants(rows, metrics, cells)
     make = partial(make_cells, scaled[~steady], metrics)
     yield Variant("rater-standardised", make, unit="rater SDs", note=note)
     share = (rows[RATING] / top * (len(rows) - 1) + 0.5) / len(rows)
     logits = rows.assign(**{RATING: np.log(share / (1 - share))})
     yield Variant("logits", partial(make_cells, logits, metrics), unit="logits")
+
+
+DELIVERED = "_delivered"
+"""Suffix of the columns of metrics of what was delivered."""
+
+RIGS = ("rig", "calibration")
+"""Columns on what participants felt the stimuli on; there where they differ."""
+
+
+def _list_rig_variants(rows: DataFrame, metrics: Sequence[str], cells: Cells) -> Iterator[Variant]:
+    """Take the metrics of what was delivered; take out what a rig does to ratings; leave each rig out."""
+    delivered = {name: rows[name + DELIVERED] for name in metrics if name + DELIVERED in rows}
+    if delivered:
+        lacking = [name for name in metrics if name not in delivered]
+        note = f"Of {', '.join(lacking)}, the intended one." if lacking else ""
+        make = partial(make_cells, rows.assign(**delivered), metrics)
+        yield Variant("delivered metrics", make, note=note)
+    for name in RIGS:
+        if name not in rows:
+            continue
+        means = rows.groupby([name, SCENE], observed=True)[RATING].transform("mean")
+        left = rows[RATING] - means + rows.groupby(SCENE, observed=True)[RATING].transform("mean")
+        make = partial(make_cells, rows.assign(**{RATING: left}), metrics)
+        yield Variant(f"{name} as a factor", make)
+        people = rows.drop_duplicates(WHO).groupby(name)[WHO]
+        for value, names in people:
+            if (
+                2 * len(names) <= cells.count(WHO) and cells.count(WHO) - len(names) > 1
+            ):  # the rest is most
+                make = partial(cells.leave_out, WHO, *names)
+                left_out = str(value) or "unknown"
+                yield Variant(f"without {name} {left_out}", make, kind=name, left=left_out)
 
 
 # How well would more participants or more recordings know a slope? The standard error, taken apart.

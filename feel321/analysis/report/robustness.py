@@ -15,7 +15,7 @@ from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.multiverse import Multiverse, UniverseEstimate, run_universes
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.primary.sensitivity import vary_primary
+from feel321.analysis.primary.sensitivity import MOVED, RIGS, vary_primary
 from feel321.analysis.refined.candidates import EQUAL
 from feel321.analysis.refined.refine import Refined, refine_metric
 from feel321.analysis.report.parts import ITEM, Choices, RatingsPart, fit_rest, split_parts
@@ -98,14 +98,12 @@ def compute_robustness(table: Table, choices: Choices) -> Section:
             universes |= _run_universes(table, part, choices)
         except ValueError as error:
             notes.append(f"{part.lead}: no variants. {error}")
-    pictures += [
-        _picture_universes(metric, *found)
-        for (_, metric), found in universes.items()
-        if len(found[1].curve)
-    ]
+    drawn = {key: found for key, found in universes.items() if len(found[1].curve)}
+    pictures += [_picture_universes(metric, *found) for (_, metric), found in drawn.items()]
     return Section(
         key=KEY_ROBUSTNESS,
         title="Robustness to other choices",
+        verdict=list(_name_rigs(parts, varied)),
         answers=[_describe_universes(metric, *found) for (_, metric), found in universes.items()],
         grids=(
             VARIANTS.build(_list_variants(parts, varied)),
@@ -229,6 +227,35 @@ def _describe_universes(metric: str, part: RatingsPart, result: Multiverse) -> s
     few = "; the others leave too few raters to fit the model" if some else ""
     rules = f"{result.n_combinations} combinations of screening rules"
     return f"{what}: {reach} points per +0.1 across {some}{sets} from {rules}{few}."
+
+
+def _name_rigs(parts: Mapping[str, RatingsPart], varied: Mapping[str, DataFrame]) -> Iterator[Line]:
+    """Say where a slope hinges on the rig: it moves by more than its standard error with another choice."""
+    for lead, table in varied.items():
+        moved = [
+            f"{words.format_name(name)} by {words.format_number(abs(shift), kind='slope')} ({variant})"
+            for name in table["metric"].unique()
+            for shift, variant in [_find_rig_shift(table[table["metric"] == name])]
+            if abs(shift) > MOVED
+        ]
+        if moved:
+            subject = words.capitalise(parts[lead].subject)
+            text = f"slopes depend on the rig. In standard errors they change: {'; '.join(moved)}."
+            yield Line(text, subject=subject, lead="rigs")
+
+
+def _find_rig_shift(table: DataFrame) -> tuple[float, str]:
+    """Find by how many standard errors a slope moves with the choice about rigs that moves it most, and which."""
+    own = table.set_index("variant")
+    whole = own.loc["primary"]
+    shifts = ((own["estimate"] - whole["estimate"]) / whole["se"]).filter(
+        regex=rf"\b({'|'.join(RIGS)})\b"
+    )
+    shifts = shifts[shifts.notna()]
+    if shifts.empty:
+        return 0.0, ""
+    most = str(shifts.abs().idxmax())
+    return float(shifts[most]), most
 
 
 def _note_variants(varied: Mapping[str, DataFrame]) -> Iterator[str]:

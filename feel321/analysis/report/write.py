@@ -19,6 +19,7 @@ from feel321.analysis.association.correlate import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.report import (
     association,
+    delivered,
     pairs,
     primary,
     raters,
@@ -230,6 +231,7 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     pairs.compute_space,
     robustness.compute_refined,
     association.compute_further,
+    delivered.compute,
     raters.compute,
     robustness.compute_robustness,
     standard.compute,

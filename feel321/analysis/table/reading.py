@@ -39,8 +39,8 @@ RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
 
 ROSTER_FILE = "participants.csv"
-RIG = ("rig", "calibration")
-"""Columns on what the participants felt the stimuli on."""
+RIG = {"rig": "rig", "calibration": "certificate of calibration"}
+"""Columns on what the participants felt the stimuli on, and what they are in words."""
 ROSTER = frozenset({
     "number", "simulated", "state", "sessions", "done", "total", "first_utc", "last_utc", "training_passed", *RIG,
 })  # fmt: skip
@@ -52,6 +52,11 @@ repeats are counted instead, so does what it was judged against."""
 
 ECHOED = ("recording", "reducer", "level")
 """Columns that both files may hold and must then agree on."""
+
+OPTIONAL = (
+    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
+)  # fmt: skip
+"""Columns that judgements keep where there are any."""
 
 MOSTLY = 0.5
 """Share of a column's cells that are numbers where the column is meant to hold numbers."""
@@ -133,14 +138,14 @@ def read_table(
     ]
     tests, known = rows[rows[ROLE] == TEST], schema.describe_explored(planned)
     explored = [name for name in known if name in rows and tests[name].notna().all()]
-    optional = ("protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION)
     rows = rows[[
         "participant", STIMULUS, "reference_id", "reference_reducer", "source", *ECHOED, ROLE, "matched", "scale",
-        "repeat", "rating", "simulated", *(name for name in optional if name in rows and name not in planned),
+        "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
         *planned, *explored,
     ]].reset_index(drop=True)  # fmt: skip
     rows, more_notes = _join_labels(rows, judged.given)
-    return Table(rows, planned, (*notes, *more_notes), tuple(explored))
+    rows, on_rigs = _join_rigs(rows, judged.given)
+    return Table(rows, planned, (*notes, *more_notes, *on_rigs), tuple(explored))
 
 
 def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
@@ -467,6 +472,29 @@ def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame,
             "no test compares them."
         )
     return joined, notes
+
+
+def _join_rigs(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
+    """Add the participants' rig and certificate, from the table beside the ratings, where they differ."""
+    path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
+    if path is None or not path.is_file():
+        return rows, []
+    header = schema.read_header(path)
+    columns = {"participant": schema.ColumnInfo("who", needed=True)}
+    columns |= {name: schema.ColumnInfo("a rig") for name in RIG if name in header}
+    sheet, _ = schema.read_sheet(path, path.name, columns)
+    sheet = sheet[sheet["participant"].isin(rows["participant"])].set_index("participant")
+    notes = []
+    for name in (name for name in sheet if len(sheet[name].unique()) > 1):
+        rows = rows.join(sheet[name], on="participant").fillna({name: ""})
+        sizes = ", ".join(
+            f"{key or 'unknown'} {n}" for key, n in sheet[name].value_counts().items()
+        )
+        notes.append(
+            f"Participants differ in {RIG[str(name)]} ({ROSTER_FILE}; participants: {sizes}): see Robustness to other "
+            "choices."
+        )
+    return rows, notes
 
 
 def _join_further(

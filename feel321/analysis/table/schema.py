@@ -111,6 +111,7 @@ RATINGS: Mapping[str, ColumnInfo] = {
     "simulated": ColumnInfo("whether the participant is a program", "true or false", kind="flag"),
     ERROR: ColumnInfo("level of the vibration delivered, over that asked for", "dB", kind="error"),
     SOURCE: ColumnInfo("what the delivered metrics rest on: sensor, certificate, or nothing"),
+    SENSATION: ColumnInfo("level over the participant's own threshold", "dB", used=False),
 }
 """One row per judgement."""
 

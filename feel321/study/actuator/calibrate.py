@@ -5,19 +5,14 @@ rig's limits nor the sensor's full scale is passed; then levels rise, and the lo
 """
 
 import math
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
-from pathlib import Path
-from time import perf_counter, sleep
 from typing import cast
 
 import numpy as np
 from scipy import fft
 
-from feel321.stimuli.wav import read_wav
 from feel321.study.actuator import calibration
 from feel321.study.actuator.calibration import Response, Sweep
 from feel321.study.actuator.certificate import (
@@ -28,92 +23,25 @@ from feel321.study.actuator.certificate import (
     CoilCertificate,
     begin_certificate,
 )
-from feel321.study.actuator.mixer import Frames
-from feel321.study.actuator.output import StreamOutput, open_stream
-from feel321.study.actuator.rig import STANDARD_GRAVITY, ActuatorTable, Rig, SensorTable
+from feel321.study.actuator.duplex import N_TRIES, OnStep, Session, open_session, require_sensor
+from feel321.study.actuator.rig import STANDARD_GRAVITY, ActuatorTable, Rig
 from feel321.types import Samples
-
-OnStep = Callable[[int, int], None]
 
 PROBE = 0.1  # of the level that limits allow: the first sweep of a coil
 LADDER = (0.125, 0.25, 0.5)  # of the loudest sweep, before it
 MARGIN = 0.9  # of limits and of the sensor's full scale, for what is foreseen
-CLIPPED = 0.999  # of the sensor's full scale
-N_TRIES = 4  # of a playback in which the device ran dry
 ALIVE = 0.8  # least median coherence of a coil that moves at all; of two sweeps of noise it is 0.5
 RINGING = 0.01  # of the RMS of a sweep: what may be left at the end of its pause
+IN_STEP = 2  # samples by which noise may shift what is in step
+MOST_TURNED = 0.3  # rad by which a third octave of equal sweeps may differ
+CLEAR = 10.0  # least height of a correlation's peak over its standard deviation
 CREST = 4.0  # peak of the noise over its RMS
 MOST_TURNED_DEG = 30.0  # from the direction in rig.toml
 SILENCE_S = 0.5
 SLIGHT = 0.001  # of the sensor's full scale: less is no gravity
+TAPS_PERIODS = 12.0  # of the band's lowest frequency: the length of a filter
 STEP_HZ = 0.5  # of the frequencies in a certificate
 DB = 20 / math.log(10)
-
-
-class SweepStopped(Exception):  # noqa: N818 - nothing went wrong
-    """A key was pressed; the coils are silent."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Session:
-    """What all coils of a calibration share; sounds: of the open output, to which more are added."""
-
-    rig: Rig
-    rate_hz: float
-    output: StreamOutput
-    sounds: dict[str, Frames]
-    folder: Path
-    advance: Callable[[float], None]
-    is_stopping: Callable[[], bool]
-
-    def play(self, samples: Samples, channel: int) -> Samples:
-        """Play samples, shape (n,), on a channel, and return what the sensor measured, shape (axes, n) in m/s²."""
-        sound = np.zeros((len(samples), self.rig.n_channels), dtype=np.float32)
-        sound[:, channel - 1] = samples
-        self.sounds[""] = sound
-        for _ in range(N_TRIES):
-            if (recorded := self._play_once(len(samples))) is not None:
-                self.advance(len(samples) / self.rate_hz)
-                return recorded
-        raise OSError(
-            f"device {self.rig.device.name!r} ran dry {N_TRIES} times in a row; close other programs, or raise "
-            "latency_s in rig.toml"
-        )
-
-    def _play_once(self, n: int) -> Samples | None:
-        """Return what was recorded, or None if the device ran dry meanwhile."""
-        self.output.start("", gap_s=0.05)
-        while self.output.is_playing:
-            if self.is_stopping():
-                self.output.stop()
-                raise SweepStopped
-            sleep(0.002)
-        playback = self.output.collect()
-        if playback.error or "file_number" not in playback.measured:
-            raise OSError(playback.error or "the sensor's input gave no samples; check its device")
-        if playback.underruns or playback.measured["sensor_gaps"] or not playback.completed:
-            return None
-        path = self.folder / f"{round(playback.measured['file_number']):04}.wav"
-        recorded = np.atleast_2d(read_wav(path)[0])[:, :n]
-        path.unlink()
-        return self._check(recorded, n=n, clipped=playback.clipped)
-
-    def _check(self, recorded: Samples, *, n: int, clipped: int) -> Samples:
-        if clipped:
-            raise ValueError(
-                f"the rig's limits cut {clipped} samples; lower level under [calibration], or sweep_s below duration_s"
-            )
-        if recorded.shape[1] < n:
-            raise OSError(
-                f"the sensor's input gave {recorded.shape[1]} samples of {n}; check its device"
-            )
-        full_scale = self.rig.sensor.full_scale_m_s2 if self.rig.sensor else math.inf
-        if np.abs(recorded).max() >= CLIPPED * full_scale:
-            raise ValueError(
-                f"the sensor's input is clipped (full scale is {full_scale:g} m/s²); lower its gain and raise "
-                "full_scale_m_s2 under [sensor] with it, or lower level under [calibration]"
-            )
-        return recorded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,7 +72,12 @@ def calibrate_rig(
     """Measure the coils of a rig, make their filters, and verify them by playing through them."""
     require_sensor(rig)
     coils = {}
-    with _open_session(rig, rate_hz=rate_hz, on_step=on_step, is_stopping=is_stopping) as session:
+    n_longest, n_all = _count_samples(rig, rate_hz=rate_hz)
+    advance = _make_advance(on_step, total_s=n_all / rate_hz)
+    opened = open_session(
+        rig, rate_hz=rate_hz, n_longest=n_longest, advance=advance, is_stopping=is_stopping
+    )
+    with opened as session:
         noise_m_s2 = _measure_silence(session)
         for actuator in rig.actuators:
             try:
@@ -153,60 +86,42 @@ def calibrate_rig(
                 coils[actuator.name] = _verify_coil(session, coil, run)
             except ValueError as error:
                 raise ValueError(f"coil {actuator.name!r}: {error}") from None
+        latencies = _measure_latencies(session, coils)
+    coils = {name: replace(coil, latency=latencies[name]) for name, coil in coils.items()}
     coils = {name: replace(coil, onto_db=_find_onto(coil, coils)) for name, coil in coils.items()}
     certificate = begin_certificate(rig, coils, method=MEASURED, made=made, rate_hz=rate_hz)
     failures = [line for coil in coils.values() for line in find_failures(rig, coil)]
     return replace(certificate, failures=tuple(failures))
 
 
-def require_sensor(rig: Rig) -> SensorTable:
-    """Find the rig's sensor, or refuse a rig without."""
-    if rig.sensor is None:
-        raise ValueError(
-            "rig.toml has no [sensor], which calibrate needs; add one, or type gains: feel321 calibrate --manual "
-            "'NAME=GAIN' (m/s² at full scale)"
-        )
-    return rig.sensor
-
-
-@contextmanager
-def _open_session(
-    rig: Rig, *, rate_hz: float, on_step: OnStep | None, is_stopping: Callable[[], bool]
-) -> Iterator[Session]:
-    """Open the stream; the longest sound is there from the start, because it decides how much can be recorded."""
+def _count_samples(rig: Rig, *, rate_hz: float) -> tuple[int, int]:
+    """Count the samples of the longest sound of a calibration, and of all sounds."""
     main = make_main(rig, rate_hz=rate_hz, peak=1.0)
     quiet = make_quiet(rig, rate_hz=rate_hz, peak=1.0)
-    per_coil = (2 * main.period * main.n_repeats + _count_noise(main)) + (
-        (1 + len(LADDER)) * quiet.period * quiet.n_repeats
-    )
-    total_s, done_s = SILENCE_S + len(rig.actuators) * per_coil / rate_hz, 0.0
+    lengths = [main.period * main.n_repeats, quiet.period * quiet.n_repeats, _count_noise(main)]
+    per_coil = 2 * lengths[0] + (1 + len(LADDER)) * lengths[1] + lengths[2]
+    n_coils = len(rig.actuators)
+    together = n_coils * lengths[1]
+    return max(*lengths, together), round(SILENCE_S * rate_hz) + n_coils * per_coil + together
+
+
+def _make_advance(on_step: OnStep | None, *, total_s: float) -> Callable[[float], None]:
+    """Make the function that adds up the seconds played, and reports them."""
+    done_s = 0.0
 
     def advance(seconds: float) -> None:
         nonlocal done_s
         done_s += seconds
         if on_step is not None:
-            on_step(round(done_s), max(round(total_s), round(done_s)))
+            on_step(round(done_s), round(total_s))
 
-    longest = max(main.period * main.n_repeats, _count_noise(main))
-    sounds: dict[str, Frames] = {"": np.zeros((longest, rig.n_channels), dtype=np.float32)}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        with open_stream(rig, sounds, rate_hz=rate_hz, folder=folder, clock=perf_counter) as output:
-            yield Session(
-                rig=rig,
-                rate_hz=rate_hz,
-                output=output,
-                sounds=sounds,
-                folder=folder,
-                advance=advance,
-                is_stopping=is_stopping,
-            )
+    return advance
 
 
 def measure_rest(rig: Rig, *, rate_hz: float) -> Samples:
     """Measure the mean of each axis of the sensor while nothing plays, shape (axes,) in m/s²."""
-    with _open_session(rig, rate_hz=rate_hz, on_step=None, is_stopping=lambda: False) as session:
-        n = round(SILENCE_S * rate_hz)
+    n = round(SILENCE_S * rate_hz)
+    with open_session(rig, rate_hz=rate_hz, n_longest=n) as session:
         rest: Samples = session.play(np.zeros(n), rig.actuators[0].channel).mean(axis=1)
         return rest
 
@@ -262,7 +177,7 @@ def _measure_coil(session: Session, actuator: ActuatorTable) -> CoilRun:
     level = rig.calibration.level * find_allowed(rig, actuator)
 
     def sweep(one: Sweep) -> tuple[Response, Samples]:
-        recorded = session.play(calibration.make_sweep(one), actuator.channel)
+        recorded = _play_sweep(session, calibration.make_sweep(one), one, channel=actuator.channel)
         return calibration.measure_sweep(one, recorded), recorded
 
     probe, _ = sweep(make_quiet(rig, rate_hz=rate_hz, peak=PROBE * level))
@@ -289,6 +204,44 @@ def _measure_coil(session: Session, actuator: ActuatorTable) -> CoilRun:
         ),
         repeats_db=_measure_repeats(loud, recorded, main),
     )
+
+
+def _play_sweep(session: Session, sent: Samples, sweep: Sweep, *, channel: int) -> Samples:
+    """Play sweeps until their recordings are in step: a sound server may drop samples without saying so."""
+    for _ in range(N_TRIES):
+        recorded = session.play(sent, channel)
+        if not (slip := find_slip(recorded, sweep)):
+            return recorded
+    raise OSError(
+        f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are lost "
+        "between output and sensor; use the sound card itself, or raise latency_s in rig.toml"
+    )
+
+
+def find_slip(recorded: Samples, sweep: Sweep) -> int:
+    """Find by how many samples later sweeps are out of step with the first one, at most; 0 where noise hides it.
+
+    Over the whole band by correlation with equal weights (Knapp & Carter's phase transform); and by the phase of each
+    third octave, because samples may be lost while the sweep passes through it.
+    """
+    periods = recorded.reshape(len(recorded), sweep.n_repeats, sweep.period)
+    spectra = fft.rfft(periods, axis=-1)
+    frequency_hz = fft.rfftfreq(sweep.period, 1 / sweep.rate_hz)
+    inside = calibration.find_inside(frequency_hz, band_hz=sweep.band_hz)
+    cross = (spectra[:, 1:] * spectra[:, :1].conj()).sum(axis=0)
+    pulses = fft.irfft(inside * cross / np.maximum(np.abs(cross), calibration.TINY), sweep.period)
+    places = np.argmax(pulses, axis=-1)
+    clear = pulses.max(axis=-1) > CLEAR * pulses.std(axis=-1)
+    lags = np.where(clear, np.minimum(places, sweep.period - places), 0)
+    energy = np.square(np.abs(spectra)).sum(axis=0)
+    together, size, middle_hz = (
+        _average_thirds(one, frequency_hz, band_hz=sweep.band_hz)
+        for one in (cross, np.sqrt(energy[1:] * energy[:1]), frequency_hz)
+    )
+    turned = np.abs(np.angle(together)) * (np.abs(together) > ALIVE * size)
+    lost = turned * (turned > MOST_TURNED) / (2 * math.pi * middle_hz) * sweep.rate_hz
+    slip = max(int(lags.max()), round(float(lost.max())))
+    return slip if slip > IN_STEP else 0
 
 
 def find_safe(rig: Rig, probe: Response) -> float:
@@ -387,7 +340,7 @@ def _make_coil(rig: Rig, run: CoilRun, *, noise_m_s2: float) -> CoilCertificate:
         main,
         band_hz=settings.band_hz,
         max_gain_db=settings.max_gain_db,
-        n_taps=round(main.rate_hz),
+        n_taps=round(TAPS_PERIODS / settings.band_hz[0] * main.rate_hz),
         phase=cast("calibration.Phase", settings.phase),
         min_coherence=settings.min_coherence,
     )
@@ -426,6 +379,36 @@ def _interpolate(grid_hz: Samples, found: Response) -> calibration.Spectrum:
     return np.asarray(np.interp(grid_hz, found.frequency_hz, found.response), dtype=np.complex128)
 
 
+def _measure_latencies(session: Session, coils: Mapping[str, CoilCertificate]) -> dict[str, int]:
+    """Measure the latencies of all coils in one recording, one coil after another, in samples.
+
+    A device that ran dry goes on with another latency, so those of different recordings cannot be compared.
+    """
+    quiet = make_quiet(session.rig, rate_hz=session.rate_hz, peak=1.0)
+    turn, n = quiet.period, quiet.period * quiet.n_repeats * len(coils)
+    once = calibration.make_sweep(quiet)[:turn]
+    places = {name: [place + k * turn * len(coils) for k in range(quiet.n_repeats)]
+              for place, name in zip(range(0, n, turn), coils, strict=False)}  # fmt: skip
+    sounds = {coil.channel: np.zeros(n) for coil in coils.values()}
+    for name, coil in coils.items():
+        for place in places[name]:
+            sounds[coil.channel][place : place + turn] = float(coil.levels[1]) * once
+    for _ in range(N_TRIES):
+        recorded = session.play_all(sounds, n=n)
+        own = {
+            name: np.concatenate([recorded[:, k : k + turn] for k in places[name]], axis=1)
+            for name in coils
+        }
+        if not any(find_slip(one, quiet) for one in own.values()):
+            break
+    return {
+        name: calibration.measure_sweep(
+            replace(quiet, peak=float(coils[name].levels[1])), one
+        ).latency
+        for name, one in own.items()
+    }
+
+
 def _find_direction(actuator: ActuatorTable, main: Response) -> Samples:
     """Find the direction of a coil, shape (3,): as measured; of a sensor with one axis, rig.toml's with its sign."""
     if len(main.direction) == len(np.eye(3)):
@@ -450,7 +433,7 @@ def _verify_coil(session: Session, coil: CoilCertificate, run: CoilRun) -> CoilC
     asked = calibration.make_sweep(sweep)
     filtered = coil.equalise(asked)[: len(asked)]
     scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
-    recorded = session.play(scale * filtered, coil.channel)
+    recorded = _play_sweep(session, scale * filtered, sweep, channel=coil.channel)
     after = calibration.measure_sweep(sweep, recorded, sent=scale * asked)
     found = calibration.verify(after, target=coil.target, band_hz=rig.calibration.band_hz)
     budget = _make_budget(rig, run, residual_db=float(np.sqrt(np.mean(found.deviation_db**2))))

@@ -30,9 +30,8 @@ Phase = Literal["corrected", "minimum", "linear"]
 BAND_HZ = (20.0, 1000.0)
 BELOW, ABOVE = 2.0, 1.25  # how far a sweep goes beyond its band; its ramps lie there
 ORDERS = (2, 3, 4, 5)  # harmonics that count as distortion
-LEAD_PERIODS = (
-    3.0  # of the band's lowest frequency: how far a filter of corrected phase reaches ahead
-)
+# How far a filter of corrected phase reaches ahead, in periods of the band's lowest frequency.
+LEAD_PERIODS = 4.0
 SMOOTH_HZ = 1.0  # spectra of sweeps, which are finer, are averaged over so many Hz
 TINY = float(np.finfo(float).tiny)
 

@@ -10,7 +10,7 @@ import io
 import json
 import math
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -98,6 +98,11 @@ class CoilCertificate:
         response = np.interp(grid_hz, self.frequency_hz, self.response)
         moved: Samples = fft.irfft(fft.rfft(drive, n) * response, n)[: len(drive)]
         return moved
+
+    def find_gain(self, frequencies_hz: Sequence[float], *, rate_hz: float) -> float:
+        """Find the largest gain of the filter at some frequencies."""
+        gains = signal.freqz(self.fir, worN=np.asarray(frequencies_hz), fs=rate_hz)[1]
+        return float(np.abs(gains).max())
 
     def drive(self, asked_m_s2: Samples) -> Samples:
         """Make the samples to be sent, shape (n + tail,), for the motion that is asked for, shape (n,)."""

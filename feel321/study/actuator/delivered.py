@@ -15,7 +15,7 @@ energies together, and the mean correlation of each axis with itself. On a senso
 coherence, in the direction in which it fits best; a one-axis stimulus is taken to be measured along its motion.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,8 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import Recipe, Reduction, reduce_again
+from feel321.study.actuator.calibration import Band, find_inside
+from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.render import find_directions, find_mix
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
@@ -76,7 +78,10 @@ def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
     total = correlation.sum(axis=0)
     lag = int(np.argmax(np.abs(total)))
     polarity = -1 if total[lag] < 0 else 1
-    felt = polarity * _center(_cut(measured, lag, n))
+    # A path that is slower than the device says is cut off at its end; what is there is compared.
+    n_there = max(min(n, measured.shape[-1] - lag), n // 2)
+    asked = _center(asked[:, :n_there])
+    felt = polarity * _center(_cut(measured, lag, n_there))
     power, coherent, whole = _find_power(asked, felt, rate_hz=rate_hz)
     level_db = 10 * np.log10(max(coherent, TINY) / max(power, TINY))
     return Delivery(
@@ -85,7 +90,7 @@ def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
         level_error_db=max(float(level_db), LOWEST_DB),
         coherence=float(coherent / whole) if whole > 0 else 0.0,
         rms_m_s2=float(np.sqrt(np.mean(np.square(measured).sum(axis=0)))),
-        error=felt - asked,
+        error=_cut(felt - asked, 0, n),
     )
 
 
@@ -118,13 +123,22 @@ def _find_power(
 ) -> tuple[np.float64, np.float64, np.float64]:
     """Sum over axes and the band: power asked, power that follows what was asked, and all power measured."""
     n = min(round(SEGMENT_S * rate_hz), 2 * asked.shape[-1] // (LEAST_SEGMENTS + 1))
-    frequency_hz = fft.rfftfreq(n, 1 / rate_hz)
-    inside = (frequency_hz >= LOWEST_HZ) & (frequency_hz <= HIGHEST_HZ)
+    band_hz = (LOWEST_HZ, HIGHEST_HZ)
+    inside = find_inside(fft.rfftfreq(n, 1 / rate_hz), band_hz=band_hz)
+    # What is strong below the band would leak into it.
+    asked, felt = (_limit(one, rate_hz, band_hz=band_hz) for one in (asked, felt))
     x, y = (_transform(one, n)[..., inside] for one in (asked, felt))
     sxx, syy = (np.square(np.abs(one)).sum(axis=1) for one in (x, y))
     sxy = (x.conj() * y).sum(axis=1)
     followed = np.square(np.abs(sxy)) / np.maximum(sxx, TINY)
     return sxx.sum(), followed.sum(), syy.sum()
+
+
+def _limit(samples: Samples, rate_hz: float, *, band_hz: Band) -> Samples:
+    """Take out of signals, (axes, n), what lies outside a band."""
+    n = samples.shape[-1]
+    inside = find_inside(fft.rfftfreq(n, 1 / rate_hz), band_hz=band_hz)
+    return np.asarray(fft.irfft(fft.rfft(samples) * inside, n))
 
 
 def _transform(samples: Samples, n: int) -> Samples:
@@ -166,26 +180,26 @@ class Baseline:
         """Bring the rig's error to the rate, length and strength of the reduced signal, in the band that counts."""
         rate, shape = self.reduction.rate_hz, self.reduction.samples.shape
         at_rate = _cut(resample(error, rate_hz, to_hz=rate) / self.gain, 0, shape[-1])
-        grid_hz = fft.rfftfreq(shape[-1], 1 / rate)
-        counts = (grid_hz >= LOWEST_HZ * (1 - REACH)) & (grid_hz <= HIGHEST_HZ * (1 + REACH))
-        return np.asarray(fft.irfft(fft.rfft(at_rate) * counts, shape[-1])).reshape(shape)
+        band_hz = (LOWEST_HZ * (1 - REACH), HIGHEST_HZ * (1 + REACH))
+        return _limit(at_rate, rate, band_hz=band_hz).reshape(shape)
 
 
-def ask_motion(tracks: Samples, rig: Rig) -> Samples:
-    """Find the motion asked of a rig for samples in m/s², (1, n) or (3, n): x, y, z, shape (3, n).
+def find_moves(rig: Rig, n_tracks: int, directions: Mapping[str, Samples] | None = None) -> Samples:
+    """Find how each of 1 or 3 tracks of a stimulus moves the hand: shape (axes, n_tracks).
 
-    A rig that does not give its coils' directions has one axis for one-axis stimuli: (1, n).
+    directions: of the coils, as a sensor of so many axes saw them; as in rig.toml by default. Where rig.toml gives none
+    either, a track moves the hand as it is.
     """
-    sources = (REDUCED,) if len(tracks) == 1 else AXES
-    directions, unknown = find_directions(rig)
-    mix = find_mix(rig)
-    if any(source in mix[name] for name in unknown for source in sources):
-        return tracks
-    moves = np.zeros((3, len(sources)))
+    sources, mix = (REDUCED,) if n_tracks == 1 else AXES, find_mix(rig)
+    if directions is None:
+        directions, unknown = find_directions(rig)
+        if any(source in mix[name] for name in unknown for source in sources):
+            return np.eye(n_tracks)
+    moves = np.zeros((len(next(iter(directions.values()))), n_tracks))
     for name, direction in directions.items():
-        for column, source in enumerate(sources):
-            moves[:, column] += mix[name].get(source, 0.0) * direction
-    return np.asarray(moves @ tracks)
+        factors = [mix[name].get(source, 0.0) for source in sources]
+        moves += np.outer(direction, factors)
+    return moves
 
 
 def reduce_stimuli(
@@ -210,9 +224,8 @@ def reduce_stimuli(
 class DeliveryCheck:
     """Compares each playback of a set with what was asked of a rig.
 
-    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known. predict: a certificate's
-    prediction of the motion, (3, n) in m/s², for samples sent, (n, channels), if there is one: only then does the rig
-    promise to give what is asked, so that level and polarity count.
+    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known. certificate: only with
+    one does the rig promise to give what is asked, so that level and polarity count.
     """
 
     def __init__(
@@ -222,48 +235,72 @@ class DeliveryCheck:
         *,
         full_scale_m_s2: float,
         reduced: Mapping[str, Baseline],
-        predict: Callable[[Frames], Samples] | None = None,
+        certificate: Certificate | None = None,
     ) -> None:
         self._stimuli, self._rig, self._full_scale = stimuli, rig, full_scale_m_s2
-        self._reduced, self._predict = reduced, predict
-        self._ids = {stimulus.stimulus_id for stimulus in stimuli}
+        self._reduced, self._certificate = reduced, certificate
         self._predicted: dict[str, dict[str, float]] = {}
+        self._own = {stimulus.stimulus_id for stimulus in stimuli}
 
     def describe(
         self, stimulus_id: str, sent: Frames, measured: ArrayLike | None
     ) -> Mapping[str, float]:
         """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted.
 
-        Of what is not in the set, such as the tones of a threshold, nothing is known.
+        Tones of the threshold block are not of the set, and not compared.
         """
-        if stimulus_id not in self._ids:
+        if stimulus_id not in self._own:
             return {}
         if measured is not None:
             return self.measure(stimulus_id, np.asarray(measured, dtype=np.float64))
-        if self._predict is None:
+        if self._certificate is None:
             return {}
         if stimulus_id not in self._predicted:
-            motion = self._predict(sent)
-            self._predicted[stimulus_id] = self._compare(stimulus_id, motion)[1]
+            moved, coils = self._certificate.predict(sent), self._certificate.coils
+            seen = {name: coil.direction for name, coil in coils.items()}
+            self._predicted[stimulus_id] = self._compare(stimulus_id, moved, seen)[1]
         return self._predicted[stimulus_id]
 
     def measure(self, stimulus_id: str, measured: Samples) -> dict[str, float]:
         """Compare what the sensor measured, shape (axes, m)."""
-        found, values = self._compare(stimulus_id, measured)
+        seen = self._find_seen(len(measured))
+        found, values = self._compare(stimulus_id, measured, seen)
         return values | {
             "lag": float(found.lag),
             "polarity": float(found.polarity),
             "coherence": found.coherence,
             "rms_m_s2": found.rms_m_s2,
-            "is_calibrated": float(self._predict is not None),
+            "is_calibrated": float(self._certificate is not None),
         }
 
-    def _compare(self, stimulus_id: str, measured: Samples) -> tuple[Delivery, dict[str, float]]:
+    def _find_seen(self, n_axes: int) -> dict[str, Samples] | None:
+        """Find the directions in which the sensor saw the coils move when they were calibrated, if it did."""
+        if self._certificate is None or self._certificate.method != MEASURED:
+            return None
+        coils = self._certificate.coils
+        if n_axes == len(AXES):
+            return {name: coil.direction for name, coil in coils.items()}
+        # One axis saw each coil alone, as strong as it was asked to be; the sign stands in its direction.
+        typed, _ = find_directions(self._rig)
+        signs = {
+            name: coil.direction @ typed.get(name, np.eye(3)[0]) for name, coil in coils.items()
+        }
+        return {name: np.sign([sign]) for name, sign in signs.items()}
+
+    def _compare(
+        self, stimulus_id: str, measured: Samples, seen: Mapping[str, Samples] | None
+    ) -> tuple[Delivery, dict[str, float]]:
         samples, rate = self._stimuli.read(stimulus_id)
         tracks = np.atleast_2d(samples) * self._full_scale
-        asked = ask_motion(tracks, self._rig)
-        if len(tracks) == 1:
-            asked, measured = _project(asked, measured, tracks)
+        moves = find_moves(self._rig, len(tracks), seen)
+        if len(measured) < len(moves) and len(tracks) == 1:  # the sensor looks along the motion
+            moves = np.full((1, 1), np.linalg.norm(moves))
+        asked = moves @ tracks
+        if len(measured) > len(moves):
+            measured = _find_way(asked, measured)
+        if len(measured) == len(moves) >= len(tracks):  # in the stimulus's own axes and strength
+            back = np.linalg.pinv(moves)
+            asked, measured = back @ asked, back @ measured
         found = compare(asked, measured, rate_hz=rate)
         values = {"level_error_db": found.level_error_db}
         reduced = self._reduced.get(stimulus_id)
@@ -273,11 +310,8 @@ class DeliveryCheck:
         return found, values
 
 
-def _project(asked: Samples, measured: Samples, tracks: Samples) -> tuple[Samples, Samples]:
-    """Project three measured axes on the direction in which a one-axis stimulus moves the hand."""
-    strength = np.linalg.norm(asked @ tracks[0]) / max(tracks[0] @ tracks[0], TINY)
-    if len(measured) == 1 or len(asked) == 1:
-        return strength * tracks, measured[:1]
-    direction = asked @ tracks[0]
-    direction /= max(np.linalg.norm(direction), TINY)
-    return strength * tracks, direction[None] @ measured
+def _find_way(asked: Samples, measured: Samples) -> Samples:
+    """Project measured axes, (axes, m), on the direction in which they follow one asked axis, (1, n)."""
+    correlation = _correlate(asked, _center(measured))
+    ways = correlation[:, np.argmax(np.einsum("in,in->n", correlation, correlation))]
+    return ways[None] / max(float(np.linalg.norm(ways)), TINY) @ measured

@@ -241,11 +241,12 @@ NOT_SCHEDULED = -1
 class Cue:
     """One playback, from its request to its end; the callback writes it, everybody may read it.
 
-    sound: (n_samples, channels); gap_frames: silence before it, at least; first_frame: 0 for the whole stimulus.
+    sound: (n_samples, channels), times `scale`; gap_frames: silence before it, at least; first_frame: 0 for the whole.
     """
 
     sound: Frames
     gap_frames: int
+    scale: float = 1.0
     first_frame: int = 0
     onset_frame: int = NOT_SCHEDULED
     n_played: int = 0
@@ -315,7 +316,9 @@ class Mixer:
             sound = sound[first:].copy()
             n = min(len(sound), len(self._fade_steps))
             sound[:n] *= (self._fade_steps[:n] / np.float32(n))[:, None]
-        self._latest = Cue(sound, round(gap_s * self._rate_hz), first)
+        self._latest = Cue(
+            sound, gap_frames=round(gap_s * self._rate_hz), scale=scale, first_frame=first
+        )
         self._waiting.append(self._latest)
         return self._latest
 

@@ -27,7 +27,7 @@ from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, ident
 from feel321.study.actuator.simulated import SIMULATED, SimulatedStream
 from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
 from feel321.study.folder import name_delivered
-from feel321.study.session.ports import Playback, Tone
+from feel321.study.session.ports import Playback, Scaled, Tone
 from feel321.types import Samples
 
 
@@ -47,7 +47,9 @@ class Output(Protocol):
     def identity(self) -> Mapping[str, Any]:
         """Rig, device, rate and channels, for the journal's header; compared when a session is resumed."""
 
-    def start(self, stimulus: Stimulus | Tone, *, gap_s: float, goes_on: bool = False) -> None:
+    def start(
+        self, stimulus: Stimulus | Tone | Scaled, *, gap_s: float, goes_on: bool = False
+    ) -> None:
         """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped."""
 
     @property
@@ -112,10 +114,12 @@ class FileOutput:
             "channels": self._rig.n_channels,
         }
 
-    def start(self, stimulus: Stimulus | Tone, *, gap_s: float, goes_on: bool = False) -> None:
+    def start(
+        self, stimulus: Stimulus | Tone | Scaled, *, gap_s: float, goes_on: bool = False
+    ) -> None:
         """Begin a playback."""
+        scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         self._name = stimulus.stimulus_id
-        scale = stimulus.scale if isinstance(stimulus, Tone) else 1.0
         self._cue = self._mixer.start(self._name, gap_s=gap_s, scale=scale, goes_on=goes_on)
         self._blocks = []
         self._begin_s, self._first_frame = self._clock(), self._mixer.frame
@@ -318,7 +322,7 @@ class StreamOutput:
         self._connection.close()
 
     def start(
-        self, stimulus: Stimulus | Tone | str, *, gap_s: float, goes_on: bool = False
+        self, stimulus: Stimulus | Tone | Scaled | str, *, gap_s: float, goes_on: bool = False
     ) -> None:
         """Schedule silence, then a stimulus; a dead device is opened again first, if it can be."""
         self._name = name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
@@ -331,7 +335,7 @@ class StreamOutput:
         self._latency_s = stream.latency_s
         take = Take(self._rate_hz, stream.there_and_back_s, sensor=self._room)
         self._take = take  # before the mixer knows, so that no block is missed
-        scale = stimulus.scale if isinstance(stimulus, Tone) else 1.0
+        scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         take.cue = self._mixer.start(name, gap_s=gap_s, scale=scale, goes_on=goes_on)
         ahead_s = stream.compare_clocks(self._clock)
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
@@ -436,8 +440,8 @@ def _measure_place(cue: Cue) -> dict[str, float]:
 def _describe(
     check: Check | None, stimulus_id: str, cue: Cue, *, measured: ArrayLike | None
 ) -> Mapping[str, float]:
-    """Compare a playback that came to its end with what was asked."""
-    if check is None or not cue.is_complete:
+    """Compare a playback that came to its end with what was asked; at another level than the set's, it is not."""
+    if check is None or not cue.is_complete or cue.scale != 1:
         return {}
     return check.describe(stimulus_id, cue.sound, measured)
 

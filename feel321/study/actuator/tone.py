@@ -10,8 +10,8 @@ import numpy as np
 
 from feel321.protocols.detection import ThresholdBlock, name_tone
 from feel321.study.actuator.certificate import Certificate
-from feel321.study.actuator.mixer import ROUNDING, Frames
-from feel321.study.actuator.render import find_mix, render_motion
+from feel321.study.actuator.mixer import ROUNDING, WINDOW_S, Frames
+from feel321.study.actuator.render import find_mix, render_motion, slide_rms
 from feel321.study.actuator.rig import REDUCED, Rig
 from feel321.types import Samples
 
@@ -39,17 +39,29 @@ def render_tones(
     return sounds
 
 
-def find_tone_problems(block: ThresholdBlock, rig: Rig) -> Iterator[str]:
-    """Find what keeps a rig from playing the strongest tone of a threshold block, in one line per limit."""
-    mix, limits = find_mix(rig), rig.limits
-    rms = 10 ** (block.plan.highest_db / 20)
+def find_tone_problems(
+    block: ThresholdBlock, rig: Rig, *, rate_hz: float, certificate: Certificate | None = None
+) -> Iterator[str]:
+    """Find what keeps a rig from playing the strongest tones of a threshold block, in one line per limit."""
+    if not any(REDUCED in actuator.plays for actuator in rig.actuators):
+        yield f"no actuator plays {REDUCED}, which session.threshold needs; add it to `plays`"
+    sounds = render_tones(block, rig, rate_hz=rate_hz, certificate=certificate)
+    strongest, limits = 10 ** (block.plan.highest_db / 20), rig.limits
     for actuator in rig.actuators:
-        asked = mix[actuator.name].get(REDUCED, 0.0) * rms
+        coil = certificate.coils[actuator.name] if certificate else None
+        full_scale = coil.target if coil else actuator.full_scale_m_s2
+        played = [
+            strongest * full_scale * sound[:, actuator.channel - 1].astype(np.float64)
+            for sound in sounds.values()
+        ]
+        peak = max(float(np.abs(samples).max()) for samples in played)
+        rms = max(float(slide_rms(one, round(WINDOW_S * rate_hz)).max()) for one in played)
+        longest_s = max(len(sound) for sound in sounds.values()) / rate_hz if peak else 0.0
         for limit, got, allowed in (
-            ("its full_scale_m_s2", asked * np.sqrt(2), actuator.full_scale_m_s2),
-            ("limits.peak_m_s2", asked * np.sqrt(2), limits.peak_m_s2),
-            ("limits.rms_m_s2", asked, limits.rms_m_s2),
-            ("limits.duration_s", bool(asked) * block.duration_s, limits.duration_s),
+            ("its full_scale_m_s2", peak, full_scale),
+            ("limits.peak_m_s2", peak, limits.peak_m_s2),
+            ("limits.rms_m_s2", rms, limits.rms_m_s2),
+            ("limits.duration_s", longest_s, limits.duration_s),
         ):
             if got > allowed * (1 + ROUNDING):
                 key = "duration_s" if limit.endswith("duration_s") else "highest_db"
@@ -57,5 +69,3 @@ def find_tone_problems(block: ThresholdBlock, rig: Rig) -> Iterator[str]:
                     f"actuator {actuator.name!r}: the strongest tone of session.threshold will ask for {got:.4g}, "
                     f"above {limit} of {allowed:g}; lower session.threshold.{key} in study.toml"
                 )
-    if not any(REDUCED in actuator.plays for actuator in rig.actuators):
-        yield f"no actuator plays {REDUCED}, which session.threshold needs; add it to `plays`"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from feel321.study.folder import StudyFolder, require_study
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate, CoilCertificate
     from feel321.study.actuator.doctor import Examination
+    from feel321.study.actuator.drift import Drift
     from feel321.study.actuator.rig import Rig
 
 # What the coils make of the samples sent to them.
@@ -83,7 +84,8 @@ def calibrate(
 
 
 def _flip(rig: Rig, *, rate_hz: float) -> str:
-    from feel321.study.actuator.calibrate import measure_rest, require_sensor, scale_by_flip
+    from feel321.study.actuator.calibrate import measure_rest, scale_by_flip
+    from feel321.study.actuator.duplex import require_sensor
 
     sensor = require_sensor(rig)
     rests = []
@@ -125,7 +127,8 @@ def _type_gains(rig: Rig, gains: Sequence[str], *, rate_hz: float, made: datetim
 
 
 def _measure(rig: Rig, *, rate_hz: float, made: datetime) -> Certificate:
-    from feel321.study.actuator.calibrate import SweepStopped, calibrate_rig
+    from feel321.study.actuator.calibrate import calibrate_rig
+    from feel321.study.actuator.duplex import SweepStopped
     from feel321.study.actuator.rig import FILE_DEVICE
 
     if rig.device.name == FILE_DEVICE:
@@ -237,8 +240,9 @@ def doctor(
     """Test the rig: list devices, measure latency and jitter.
 
     Checks rig.toml and plays quiet pulses on every actuator, through the same stream as in a session. A sensor named in
-    rig.toml must show the pulses, about as strong as they were sent; otherwise the exit code is 1. Without a study, or
-    where the rig plays to files, --device names what to play on.
+    rig.toml must show the pulses, about as strong as they were sent; otherwise the exit code is 1. With a certificate
+    of calibrate, a second of tones on each coil must show the response that it holds. Without a study, or where the rig
+    plays to files, --device names what to play on.
     """
     from feel321.study.actuator.doctor import examine_rig, survey_devices
     from feel321.study.actuator.rig import SIMULATED_DEVICE
@@ -249,19 +253,62 @@ def doctor(
     if rig is not None and seconds:
         with shared.show_progress("pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
+    has_fault = found is not None and found.sensor is not None and bool(found.sensor.fault)
+    known = None
+    if folder is not None and rig is not None and seconds and not has_fault:
+        known = _compare_with_certificate(folder, rig, rate_hz=rate_hz)
     if as_json:
         shared.print_json({
             "devices": devices,
             "examination": None if found is None else asdict(found),
+            "calibration": None if known is None else asdict(known),
         })
     else:
         for one in devices:
             click.echo(_describe_device(one))
         _print_examination(found)
+        _print_drifts(known)
     if found is not None and found.sensor is not None and found.sensor.fault:
         raise OSError(found.sensor.fault)
+    if known is not None and known.faults:
+        raise OSError("\n".join(known.faults))
     if found is not None and (found.n_failed or found.n_underruns):
         context.exit(1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Comparison:
+    """The rig today beside its certificate: how far the coils drifted, and what is wrong."""
+
+    certificate: str | None
+    drifts: Sequence[Drift]
+    faults: Sequence[str]
+
+
+def _compare_with_certificate(folder: Path, rig: Rig, *, rate_hz: float) -> _Comparison | None:
+    """Compare the rig with its newest certificate, if there is any."""
+    from feel321.study.actuator.certificate import judge_certificates, list_certificates
+    from feel321.study.actuator.drift import measure_drift
+
+    if not list_certificates(folder):
+        return None
+    now = datetime.now(UTC)
+    certificate, faults = judge_certificates(folder, rig, now=now, rate_hz=rate_hz)
+    if certificate is None:
+        return _Comparison(None, (), faults)
+    is_measured = certificate.method == "measured" and rig.sensor is not None
+    drifts = measure_drift(rig, certificate) if is_measured else []
+    allowed_db = rig.calibration.max_drift_db
+    found = [one.find_fault(allowed_db=allowed_db) for one in drifts]
+    return _Comparison(certificate.id, drifts, list(filter(None, found)))
+
+
+def _print_drifts(known: _Comparison | None) -> None:
+    for one in known.drifts if known else ():
+        click.echo(
+            f"{one.coil}: {one.median_db:+.2f} dB from its certificate, {one.largest_db:+.2f} dB at most, "
+            f"in {one.n_tones} tones"
+        )
 
 
 def _find_rig(folder: Path | None, *, device: str | None) -> tuple[Rig | None, float]:

@@ -6,7 +6,7 @@ The chain inside a journal cannot show that whole lines are missing at its end; 
 import csv
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from shlex import quote
@@ -172,6 +172,7 @@ class Progress:
     training_passed: bool | None = None
     rig: str = ""
     calibration: str = ""
+    estimated: int = 0
     problem: str = ""
     thresholds: Mapping[str, float | str] = field(default_factory=dict)
 
@@ -217,6 +218,7 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             training_passed=_find_training(newest),
             rig=use.rig,
             calibration=use.calibration,
+            estimated=use.estimated,
             thresholds=list_columns(read_thresholds(plan, newest)),
         )
 
@@ -235,9 +237,18 @@ def _find_training(records: Records) -> bool | None:
     return True if "training_passed" in pages else None
 
 
-def write_roster(study: StudyFolder) -> Path:
+def note_estimates(everybody: Iterable[Progress]) -> Iterator[str]:
+    """Say whose onset times the device did not give, for the report."""
+    if estimated := [f"{one.participant} ({one.estimated})" for one in everybody if one.estimated]:
+        yield (
+            f"Onset times of participants {', '.join(estimated)} are estimated from the latency: their device gave "
+            "none."
+        )
+
+
+def write_roster(study: StudyFolder, everybody: Sequence[Progress] | None = None) -> Path:
     """Write `participants.csv`: one row per participant, without those who withdrew."""
-    everybody = list_progress(study)
+    everybody = list_progress(study) if everybody is None else everybody
     for progress in everybody:
         if progress.problem:
             raise ValueError(progress.problem)

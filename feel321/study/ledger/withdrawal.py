@@ -15,6 +15,7 @@ from feel321.files import hold_lock, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import progress, slots
+from feel321.study.matches import MATCHES_FILE, write_matches
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
 from feel321.study.session.journal import Clock, Journal, list_journals, require_journal
@@ -142,6 +143,7 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
     tables: dict[Path, Callable[[], object]] = {
         study.ratings: lambda: write_ratings(study, read_stimuli(study.stimuli)),
         study.path / progress.ROSTER_FILE: lambda: progress.write_roster(study),
+        study.path / MATCHES_FILE: lambda: write_matches(study, read_stimuli(study.stimuli)),
     }
     for path, write in tables.items():
         # What a kill may have left of an earlier writing.

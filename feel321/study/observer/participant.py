@@ -40,13 +40,23 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 from feel321.protocols.detection import ASKED, INTERVALS, THRESHOLD
+from feel321.protocols.matching import DB_PER_POINT, FIRST, MIDDLE, SECOND
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.threshold import predict_correct
-from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Page, Part, Scale, Trial
+from feel321.protocols.trial import (
+    MATCHING,
+    RATING_RANGE,
+    SURFACE,
+    Judgement,
+    Page,
+    Part,
+    Scale,
+    Trial,
+)
 from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS, acceleration_threshold, to_db
 from feel321.study.observer.percepts import Percept, compare_percepts
 from feel321.study.session.events import TrialRated
-from feel321.study.session.ports import Act, Confirm, Feel, Place, Playback, Tone
+from feel321.study.session.ports import Act, Confirm, Feel, Move, Place, Playback, Scaled, Tone
 from feel321.study.settings.fields import one_of
 from feel321.study.settings.schema import ObserverTable
 
@@ -228,11 +238,12 @@ REAL = Location(1.0, 1.0, UNCHANGED)  # the original and the real surface
 
 @dataclass(frozen=True, slots=True)
 class Experience:
-    """A trial and what was felt in it: where each part lies, or how strongly each interval vibrated."""
+    """A trial and what was felt in it: where each part lies, or which tone it was, or its first sensation level."""
 
     trial: Trial
     points: Mapping[str, Location]
     tones: Mapping[str, Tone] = field(default_factory=dict)
+    levels_db: Mapping[str, float] = field(default_factory=dict)
 
     def find(self, part: str) -> Location:
         """Find where a part lies."""
@@ -332,7 +343,6 @@ def measure_distances(
 
 # What they answer and remember, alone or as a presenter.
 
-MIDDLE = sum(RATING_RANGE) / 2  # percept of a trial that does not shift the next answer
 FATIGUE_TRIALS = 100  # trials for which the size of fatigue is given
 
 
@@ -383,6 +393,9 @@ class Participant:
         rng = self._draw_from(trial.number, place.attempt)
         if trial.protocol == THRESHOLD:
             return {ASKED: self._detect(experience.tones, rng)}, self.rater.draw_time(rng)
+        if trial.protocol == MATCHING:
+            points = self._match(experience.levels_db, rng)
+            return {SECOND: points}, self.rater.draw_time(rng)
         tired = place.done / FATIGUE_TRIALS
         growth = 1 + model.fatigue_noise * tired
         values: dict[str, float | str] = {}
@@ -427,6 +440,17 @@ class Participant:
             )
         return self.rater.detect(chance, right, rng=rng)
 
+    def _match(self, levels_db: Mapping[str, float], rng: np.random.Generator) -> float:
+        """Move the marker until the second is as strong as the first, but for an error of one's own."""
+        guess, error_db = rng.uniform(*RATING_RANGE), rng.normal(0, self.touch.model.matching_sd)
+        points = MIDDLE + (levels_db[FIRST] - levels_db[SECOND] + error_db) / DB_PER_POINT
+        points = RATING_RANGE[1] if math.isnan(points) else points  # silence, which no marker helps
+        if self.rater.kind == RANDOM_CLICKER or rng.random() < self.rater.lapse_rate:
+            points = guess
+        elif self.rater.kind == STRAIGHT_LINER:
+            points = MIDDLE
+        return round(min(max(points, RATING_RANGE[0]), RATING_RANGE[1]))
+
     def _find_contrast(self, trial: Trial) -> float:
         """Compute what the trial before takes away, in points; points on another scale take nothing."""
         before, order = self.before, self.touch.model.order
@@ -465,11 +489,16 @@ class SimulatedObserver(Participant):
         self.before, self._confirmed = self._confirmed or self.before, None
         self._points: dict[str, Location] = {}
         self._tones: dict[str, Tone] = {}
-        felt = Experience(trial, self._points, self._tones)
+        self._levels_db: dict[str, float] = {}
+        self._shown_s = self._time_s
+        felt = Experience(trial, self._points, self._tones, self._levels_db)
         self._acts = self._list_acts(felt, scale, place)
 
-    def play(self, part: Part, stimulus: Stimulus | Tone, *, gap_s: float) -> Playback:
+    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
         """Feel a stimulus."""
+        if isinstance(stimulus, Scaled):
+            self._levels_db.setdefault(part.name, feel_level(stimulus))
+            return self._pass_playback(gap_s, stimulus.duration_s)
         if isinstance(stimulus, Tone):
             self._tones[part.name] = stimulus
             return self._pass_playback(gap_s, stimulus.duration_s)
@@ -498,6 +527,10 @@ class SimulatedObserver(Participant):
         values, response_s = self.answer(experience, scale, place)
         asked_s = self._time_s
         self._pass_time(response_s)
+        if trial.protocol == MATCHING:
+            # As early as the trial: an attempt that is broken off takes none of a simulated participant's time.
+            yield Move(self._shown_s, SECOND, float(values[SECOND]))
+            yield Feel(self._time_s)
         while True:
             if trial.phase == "main":
                 self._confirmed = experience
@@ -515,9 +548,18 @@ class SimulatedObserver(Participant):
         self._time_s = round(self._time_s + duration_s, 3)  # read in whole ms
 
 
+def feel_level(scaled: Scaled) -> float:
+    """Find how far a stimulus lies over the detection threshold at another level than the study's, in dB."""
+    return scaled.stimulus.sensation_level_db + scaled.gain_db
+
+
 def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:
     """List what the answers of simulated participants depend on, for the header of their journals."""
     values, usual = model.model_dump(), ObserverModel().model_dump()
-    # Journals were begun before there were detection thresholds.
-    kept = {k: v for k, v in values.items() if not k.startswith("detection") or v != usual[k]}
+    # Journals were begun before there were these.
+    kept = {
+        k: v
+        for k, v in values.items()
+        if not k.startswith(("detection", "matching")) or v != usual[k]
+    }
     return {"simulated": True, "seed": seed, "observer": kept}

@@ -10,7 +10,7 @@ from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import USUAL, KeysTable, label_key, label_keys, label_prompts
 from feel321.study.screen.drawing import GROUND, INK, Box, Photo, Sheet, Target, Text, measure
-from feel321.study.session.ports import Place, Tone
+from feel321.study.session.ports import Place, Scaled, Tone
 
 # The three hues are Okabe and Ito's, which every kind of colour vision can distinguish; none of them is the only sign
 # of anything.
@@ -81,7 +81,7 @@ class Hand:
     def watch(self, view: View) -> None:
         """Look at what is on the screen."""
 
-    def feel(self, part: Part, stimulus: Stimulus | Tone) -> None:
+    def feel(self, part: Part, stimulus: Stimulus | Tone | Scaled) -> None:
         """Feel what is played."""
 
 

@@ -23,6 +23,7 @@ from feel321.study.session.ports import (
     Pause,
     Place,
     Playback,
+    Scaled,
     Surface,
     Tone,
 )
@@ -194,7 +195,7 @@ class ScreenPresenter:
         self._screen.bring_up(view, answer)
         self._possible_s = self._clock()
 
-    def play(self, part: Part, stimulus: Stimulus | Tone, *, gap_s: float) -> Playback:
+    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
         """Play a stimulus to its end, or until the participant stops it."""
         frames = self._screen.window.frames
         self._announce("feeling", part)

@@ -8,13 +8,13 @@ lost is pressed again, and one too many is taken back.
 from collections.abc import Callable, Mapping
 from math import copysign
 
-from feel321.protocols.trial import Page, Part, Trial
+from feel321.protocols.trial import MATCHING, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import KEY_NAMES, PLAY, USUAL, KeysTable
-from feel321.study.observer.participant import Experience, Participant
+from feel321.study.observer.participant import Experience, Participant, feel_level
 from feel321.study.screen.input import MOVES, ROW_STEPS
 from feel321.study.screen.layout import Hand, View
-from feel321.study.session.ports import Tone
+from feel321.study.session.ports import Scaled, Tone
 
 KEYSYMS = {name: name for name in KEY_NAMES[-10:]} | {
     "enter": "Return",
@@ -88,6 +88,9 @@ class PressingHand(Hand):
         self._since_s = 0.0
         self._values: Mapping[str, float | str] = {}
         self._tones: dict[str, Tone] = {}
+        self._levels_db: dict[str, float] = {}
+        self._seen: Mapping[str, float] = {}
+        self._felt: Mapping[str, float] = {}
         self._experience: Experience | None = None
         self._confirmed: Experience | None = None
         self._held = ""
@@ -96,8 +99,10 @@ class PressingHand(Hand):
 
     def watch(self, view: View) -> None:
         """Look at what is on the screen, and press or release a key."""
+        self._seen = view.markers
         if view.screen != self._task[0]:
-            self._experience, self._values, self._tones = None, {}, {}
+            self._experience, self._values = None, {}
+            self._tones, self._levels_db = {}, {}
             self._mind.before, self._confirmed = self._confirmed or self._mind.before, None
         if (task := (view.screen, view.state)) != self._task:
             self._task, self._since_s = task, self._clock()
@@ -111,10 +116,13 @@ class PressingHand(Hand):
             self._held = self._keys.find_key(act) or act  # digits are typed as they are
             self._keyboard.press(self._held)
 
-    def feel(self, part: Part, stimulus: Stimulus | Tone) -> None:
-        """Feel a tone; what stimuli of a set feel like is known to the participant by their names."""
+    def feel(self, part: Part, stimulus: Stimulus | Tone | Scaled) -> None:
+        """Feel a tone or a level; what stimuli of a set feel like is known to the participant by their names."""
+        self._felt = self._seen
         if isinstance(stimulus, Tone):
             self._tones[part.name] = stimulus
+        elif isinstance(stimulus, Scaled):
+            self._levels_db.setdefault(part.name, feel_level(stimulus))
 
     def _choose_act(self, view: View) -> str:
         """Choose what to do with the next key: an action, or a digit to type; empty to wait."""
@@ -141,8 +149,8 @@ class PressingHand(Hand):
             return self._feel_row(view, unfelt[0]) if view.kind == "rows" else "again"
         if self._experience is None and view.scale is not None:
             self._experience = (
-                Experience(trial, {}, self._tones)
-                if self._tones
+                Experience(trial, {}, self._tones, self._levels_db)
+                if self._tones or self._levels_db
                 else self._mind.imagine(trial, self._stimuli)
             )
             self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
@@ -155,6 +163,8 @@ class PressingHand(Hand):
                 act = self._move_marker(view, judgement.part, round(value))
             if act is not None:
                 return act
+        if trial.protocol == MATCHING and self._felt != view.markers:
+            return "again"  # It is another vibration now.
         if trial.phase == "main":
             self._confirmed = self._experience
         return "next"

@@ -14,8 +14,9 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.detection import INTERVALS, THRESHOLD, Detection
+from feel321.protocols.matching import ATTENUATION_DB, FIRST, MIDDLE, SECOND, Matching
 from feel321.protocols.texts import read_scales
-from feel321.protocols.trial import RATING_RANGE, Flow, Page, Part, Scale, Trial
+from feel321.protocols.trial import MATCHING, RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
 from feel321.study.session import events, ports
 from feel321.study.session.codes import list_by_code
@@ -40,7 +41,7 @@ DEVICE_FLAGS = frozenset({"device_error", "not_delivered"})
 class Setup:
     """The setup of a session: the presenter, the stimuli by blind code, the scales, the journal and the rules.
 
-    detection: the threshold block, where there is one.
+    detection, matching: the blocks of thresholds and of matched strength, where there are any.
     """
 
     presenter: Presenter
@@ -49,6 +50,7 @@ class Setup:
     journal: Journal
     flow: Flow
     detection: Detection | None = None
+    matching: Matching | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -120,7 +122,8 @@ def run_session(
     by_code = list_by_code(stimuli, seed=plan.seed)
     scales = read_scales() if scales is None else scales
     detection = recall_detection(plan, journal.records)
-    setup = Setup(presenter, by_code, scales, journal, plan.flow, detection)
+    matching = Matching(plan.matching, plan.trials) if plan.matching else None
+    setup = Setup(presenter, by_code, scales, journal, plan.flow, detection, matching)
     agenda = replay(plan, journal.records)
     try:
         _Lead(setup, agenda, {trial.number: trial for trial in plan.trials}).run(on_step)
@@ -242,21 +245,23 @@ class _Attempt(events.Attempt):
     def __init__(self, setup: Setup, trial: Trial, number: int) -> None:
         super().__init__(trial, number)
         self._setup = setup
-        self._time_s = 0.0
+        self._time_s, self._marker = 0.0, MIDDLE
 
     def play(self, parts: Iterable[Part]) -> None:
         """Play the parts in order, until one is cut short."""
         presenter = self._setup.presenter
         gap_s = 0.0 if self.trial.timing == "free" else self._setup.flow.gap_s
-        tones: Mapping[str, ports.Tone] = {}
+        own: Mapping[str, ports.Tone | ports.Scaled] = {}
         if self._setup.detection and self.trial.protocol == THRESHOLD:
-            gap_s, tones = self._present(self._setup.detection)
+            gap_s, own = self._present(self._setup.detection)
+        elif self._setup.matching and self.trial.protocol == MATCHING:
+            own = self._scale(self._setup.matching)
         for part in parts:
             kind = events.PartPlayed
             if part.stimulus_id is None:
                 playback, kind = presenter.prompt(part), events.SurfaceStroked
             else:
-                stimulus = tones.get(part.name) or self._setup.stimuli[part.stimulus_id]
+                stimulus = own.get(part.name) or self._setup.stimuli[part.stimulus_id]
                 playback = presenter.play(part, stimulus, gap_s=gap_s)
             played = kind(*self.key, part.name, **_describe_playback(playback))
             self._setup.journal.write(played)
@@ -277,6 +282,18 @@ class _Attempt(events.Attempt):
         return block.gap_s, {
             name: ports.Tone(frequency_hz, block.duration_s, level)
             for name, level in levels.items()
+        }
+
+    def _scale(self, matching: Matching) -> dict[str, ports.Scaled]:
+        """Set the second to the level of the marker."""
+        offset_db = matching.find_offset(self.trial.number, self._marker)
+        offsets_db = {FIRST: 0.0, SECOND: offset_db}
+        return {
+            part.name: ports.Scaled(
+                self._setup.stimuli[part.stimulus_id], offsets_db[part.name] - ATTENUATION_DB
+            )
+            for part in self.trial.parts
+            if part.stimulus_id is not None
         }
 
     def is_spoiled(self) -> bool:
@@ -319,6 +336,8 @@ class _Attempt(events.Attempt):
         if act.part in self.trial.judged and self._find_valid({act.part: act.value}):
             moved = events.MarkerMoved(*self.key, act.part, float(act.value), act.time_s)
             self._setup.journal.write(moved)
+            self.follow(moved)
+            self._marker = moved.value
         else:
             self._refuse(act, "unknown_part", [act.part])
 

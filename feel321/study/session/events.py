@@ -9,8 +9,10 @@ from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
+from feel321.protocols.trial import MATCHING
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from pydantic import TypeAdapter
 
@@ -75,15 +77,6 @@ class RigAccepted(SessionEvent, event="rig_accepted"):
     rig: dict[str, Any] | None
     calibration: dict[str, Any] | str | None
     changes: list[str]
-
-
-def describe_as_left(begun: SessionBegun, accepted: Iterable[RigAccepted]) -> dict[str, Any]:
-    """Describe a session as it was begun, but with the rig that it went on with."""
-    data = begun.to_data()
-    for event in accepted:
-        presenter = data.get("presenter", {}) | {"rig": event.rig}
-        data |= {"presenter": presenter, "calibration": event.calibration}
-    return data
 
 
 class DeviceOpened(SessionEvent, event="device"):
@@ -336,6 +329,16 @@ class Attempt:
         before = self.parts.get(played.part)
         if before is None or not before.completed or played.completed or played.error:
             self.parts[played.part] = played
+
+    def follow(self, event: AttemptEvent) -> None:
+        """Take an event; a marker that changes how strong a part is makes that part unfelt."""
+        match event:
+            case PartPlayed():
+                self.take(event)
+            case MarkerMoved() if self.trial.protocol == MATCHING:
+                self.parts.pop(event.part, None)
+            case TrialPaused():
+                self.parts.clear()  # It is shown again before it goes on.
 
     def list_unfelt(self) -> list[str]:
         """List the parts that were not felt to their end."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import create_text, hold_lock
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import THRESHOLD, Detection, ThresholdBlock, draw_block, make_block
+from feel321.protocols.matching import MatchingBlock, draw_matching
 from feel321.protocols.order import (
     TASK_ORDERS,
     arrange_sections,
@@ -31,6 +32,12 @@ from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_gr
 from feel321.study.session import events
 from feel321.study.session import journal as journals
 from feel321.study.session.codes import list_by_code
+from feel321.study.session.identity import (
+    ACCEPTABLE,
+    compare_headers,
+    describe_refusal,
+    find_differences,
+)
 from feel321.study.session.journal import Chain, Clock, Journal, Record, Records
 
 if TYPE_CHECKING:
@@ -66,6 +73,7 @@ class Design:
     flow: Flow
     threshold: ThresholdBlock | None = None
     task_order: str = TASK_ORDERS[0]
+    matching: MatchingBlock | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -102,6 +110,8 @@ class Plan:
         The threshold block, where the session has one.
     task_order : str
         Whether the order of tasks is `fixed` or `counterbalanced` between participants.
+    matching : MatchingBlock or None
+        The block in which strength is matched, where the session has one.
     sha256 : str
         Digest of the plan as it was stored; empty before that.
     """
@@ -120,6 +130,7 @@ class Plan:
     trials: tuple[Trial, ...]
     threshold: ThresholdBlock | None = None
     task_order: str = TASK_ORDERS[0]
+    matching: MatchingBlock | None = None
     sha256: str = field(default="", compare=False)
 
     def to_frame(self) -> DataFrame:
@@ -161,6 +172,7 @@ def make_plan(
         trials=own.trials,
         threshold=own.threshold,
         task_order=design.task_order,
+        matching=own.matching,
     )
 
 
@@ -172,6 +184,7 @@ class Course:
     tasks: tuple[Task, ...]
     trials: tuple[Trial, ...]
     threshold: ThresholdBlock | None
+    matching: MatchingBlock | None
 
 
 def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Course:
@@ -199,15 +212,18 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
     if block:
         block = draw_block(block, seed=design.seed, number=number)
     trials = (*main, *rehearsal, *(make_block(block, first_number=first) if block else ()))
-    return Course(groups, tasks, trials, block)
+    key = [design.seed, number, len(trials)]
+    matching, own = draw_matching(design.matching, items, first_number=len(trials) + 1, key=key)
+    return Course(groups, tasks, (*trials, *own), block, matching)
 
 
 def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
     del entry["sha256"]
-    if plan.threshold is None:
-        del entry["threshold"]  # so were plans stored before there were any
+    for block in ("threshold", "matching"):
+        if entry[block] is None:
+            del entry[block]  # so were plans stored before there were any
     if plan.task_order == TASK_ORDERS[0]:
         del entry["task_order"]
     create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())
@@ -252,25 +268,6 @@ def compare_plans(plan: Plan, other: Plan) -> list[str]:
     inputs = (replace(entry, trials=()) for entry in (plan, other))
     old, new = (json.loads(json.dumps(asdict(entry))) for entry in inputs)
     return find_differences(old, new, ignore={"sha256"})
-
-
-def find_differences(
-    old: Mapping[str, Any], new: Mapping[str, Any], *, ignore: Collection[str] = ()
-) -> list[str]:
-    """Find the values in which two nested mappings differ, named by their keys."""
-    before, after = (
-        _flatten({k: v for k, v in entry.items() if k not in ignore}) for entry in (old, new)
-    )
-    names = [name for name in before | after if before.get(name) != after.get(name)]
-    return [f"{name} {before.get(name)!r} -> {after.get(name)!r}" for name in names]
-
-
-def _flatten(entry: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in entry.items():
-        key = f"{prefix}{name}"
-        flat |= _flatten(value, f"{key}.") if isinstance(value, dict) else {key: value}
-    return flat
 
 
 def _seal(body: bytes) -> bytes:
@@ -337,6 +334,7 @@ def advance(
                 as_expected=None,
                 time_s=event.time_s,
                 spent="device_error" not in event.flags,
+                lost="not_delivered" in event.flags,
             )
         case events.WarmUpBegun():
             agenda.warm_up()
@@ -347,12 +345,6 @@ TOMBSTONE_FILE = "withdrawn.json"
 
 JOURNAL_FORMAT = 1
 """Format of the journal; its header says which one it has."""
-
-UNCOMPARED = ("format", "session", "versions", "system", "clock")
-"""May differ between a header and a later opening: other versions may go on with a session."""
-
-ACCEPTABLE = ("presenter.rig", "calibration")
-"""May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
 
 PLANNED = ("participant", "plan_sha256", "stimuli_sha256", "seed")
 """May not even differ where nobody has done anything yet."""
@@ -444,8 +436,8 @@ def _open_newest(
         journal.write(_make_header(journal, plan, identity))
         return journal
     header = _make_header(journal, plan, identity).to_data()
-    as_left = _describe_as_left(begun, journal, header)
-    if differences := find_differences(as_left, header, ignore=UNCOMPARED):
+    accepted = journal.records.find(events.RigAccepted)
+    if differences := compare_headers(begun, header, accepted=accepted):
         untouched = {kind.event for kind in events.UNTOUCHED}
         names = {line.partition(" ")[0] for line in differences}
         if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
@@ -453,39 +445,11 @@ def _open_newest(
             return _supersede(journal, plan, identity)
         is_rig = all(name.startswith(ACCEPTABLE) for name in names)
         if not (is_rig and accept_rig):
-            raise ValueError(_describe_refusal(journal.path, begun, differences, is_rig=is_rig))
+            raise ValueError(describe_refusal(journal.path, begun, differences, is_rig=is_rig))
         if not journal.records.has(events.SessionFinished):
             rig = header.get("presenter", {}).get("rig")
             journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
     return _resume(journal, plan, identity, now=now, stale=stale)
-
-
-def _describe_as_left(
-    begun: events.SessionBegun, journal: Journal, header: Mapping[str, Any]
-) -> dict[str, Any]:
-    data = events.describe_as_left(begun, journal.records.find(events.RigAccepted))
-    if data.get("calibration") is None and header.get("calibration") == events.UNCALIBRATED:
-        data["calibration"] = (
-            events.UNCALIBRATED
-        )  # no journal named it before there were certificates
-    return data
-
-
-def _describe_refusal(
-    path: Path, begun: events.SessionBegun, differences: Sequence[str], *, is_rig: bool
-) -> str:
-    """Say why a session cannot be resumed, and what to do."""
-    named = [
-        "other texts for participants" if line.startswith("texts_sha256 ") else line
-        for line in differences
-    ]
-    former, own = begun.versions.get("feel321"), version("feel321")
-    use = "" if former == own else f" or use feel321 {former}, which began it"
-    accept = "go on with the rig as it is now (--accept-rig, which records it), " if is_rig else ""
-    return (
-        f"{path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, {accept}"
-        f"begin with another participant, or move {path.parent.parent.name}/ away"
-    )
 
 
 def _resume(

@@ -79,6 +79,61 @@ class Tone:
 
 
 @dataclass(frozen=True, slots=True)
+class Scaled:
+    """A stimulus at another level than that of the study.
+
+    Parameters
+    ----------
+    stimulus : Stimulus
+        The stimulus.
+    gain_db : float
+        Gain on it, in dB.
+
+    Examples
+    --------
+    >>> from feel321 import study
+    >>> study.Scaled(None, -20.0).scale
+    0.1
+    """
+
+    stimulus: Stimulus
+    gain_db: float
+
+    @property
+    def stimulus_id(self) -> str:
+        """Its name.
+
+        Returns
+        -------
+        str
+            That of the stimulus.
+        """
+        return self.stimulus.stimulus_id
+
+    @property
+    def duration_s(self) -> float:
+        """Its duration.
+
+        Returns
+        -------
+        float
+            In s.
+        """
+        return self.stimulus.duration_s
+
+    @property
+    def scale(self) -> float:
+        """Factor on its samples.
+
+        Returns
+        -------
+        float
+            1 for 0 dB.
+        """
+        return float(10 ** (self.gain_db / 20))
+
+
+@dataclass(frozen=True, slots=True)
 class Playback:
     """The playback of a stimulus, or a stroke over the real surface.
 
@@ -255,15 +310,15 @@ class Presenter(Protocol):
             Progress of the session.
         """
 
-    def play(self, part: Part, stimulus: Stimulus | Tone, *, gap_s: float) -> Playback:
+    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
         """Play a stimulus to its end, or until the participant stops it.
 
         Parameters
         ----------
         part : Part
             The part of the trial.
-        stimulus : Stimulus or Tone
-            The stimulus; a tone, or silence, where a threshold is measured.
+        stimulus : Stimulus or Tone or Scaled
+            The stimulus; a tone, or silence, where a threshold is measured; another level where strength is matched.
         gap_s : float
             Silence before it, in s; none where the participant switches freely.
 

@@ -150,6 +150,7 @@ def make_design(settings: Settings) -> Design:
             **rehearsal, **session.breaks.model_dump(by_alias=True), **session.quality.model_dump()
         ),
         threshold=session.threshold.make_block() if session.threshold else None,
+        matching=session.matching.make_block(settings.stimuli.levels) if session.matching else None,
     )
 
 
@@ -183,7 +184,7 @@ def make_identity(
 def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
     # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
-    checks = (_check_reference, _check_tasks, _check_between)
+    checks = (_check_reference, _check_tasks, _check_between, _check_matching)
     if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
@@ -197,6 +198,18 @@ def _check_reference(settings: Settings) -> Iterator[str]:
             f"stimuli.reference must not be one of stimuli.reducers too, got {reference!r}; "
             "take it out of the reducers"
         )
+
+
+def _check_matching(settings: Settings) -> Iterator[str]:
+    """Check that there is what is to be matched, and something to match it with."""
+    if (matching := settings.session.matching) is None:
+        return
+    if matching.level not in {None, *settings.stimuli.levels}:
+        yield (
+            f"session.matching.level must be one of stimuli.levels, got {matching.level!r}; add it there"
+        )
+    if settings.stimuli.reference == NO_REFERENCE:
+        yield f"session.matching needs a reference, got stimuli.reference = {NO_REFERENCE!r}; set another one"
 
 
 def _check_tasks(settings: Settings) -> Iterator[str]:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Self
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from feel321.protocols.detection import ThresholdBlock, name_tone
+from feel321.protocols.matching import MatchingBlock
 from feel321.protocols.order import ORDERS, TASK_ORDERS
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import list_languages
@@ -30,7 +31,7 @@ from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
-_BLOCK = ThresholdBlock("bayesian", (), USUAL)
+_BLOCK, _MATCHING = ThresholdBlock("bayesian", (), USUAL), MatchingBlock("")
 """What the floors below do where nothing is asked for: their defaults are the study's."""
 
 # Factors in which participants differ.
@@ -49,7 +50,7 @@ def check_factor(name: str) -> str:
         raise ValueError(f"must be {singular!r} or a label of your own")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
         raise ValueError("must be up to 40 letters (A-Z), digits and _, beginning with a letter")
-    if name.casefold() in TAKEN:
+    if name.casefold() in TAKEN or re.fullmatch(r"threshold_\w+hz", name.casefold()):
         raise ValueError("must not be a column of participants.csv or ratings.csv; rename it")
     return name
 
@@ -171,6 +172,17 @@ class ThresholdTable(kinds.TomlTable):
         return ThresholdBlock(plan=ThresholdPlan(**self.model_dump(include=names)), **own)
 
 
+class MatchingTable(kinds.TomlTable):
+    """`[session.matching]`: stimuli matched in strength with the recording itself, before the trials."""
+
+    level: Annotated[str, kinds.one_of(LEVELS)] | None = None
+    repeats: Annotated[int, Field(ge=1, le=20)] = _MATCHING.repeats
+
+    def make_block(self, levels: tuple[str, ...]) -> MatchingBlock:
+        """Make the block of a design; the last of the set's levels is matched where none is named."""
+        return MatchingBlock(self.level or levels[-1], self.repeats)
+
+
 class SessionTable(kinds.TomlTable):
     """`[session]`: what participants do."""
 
@@ -188,6 +200,7 @@ class SessionTable(kinds.TomlTable):
     quality: QualityTable = QualityTable()
     stale: StaleTable = StaleTable()
     threshold: ThresholdTable | None = None
+    matching: MatchingTable | None = None
 
 
 class TaskTable(kinds.TomlTable):
@@ -340,6 +353,7 @@ class ObserverTable(kinds.TomlTable):
     lapse_rate: kinds.Share = 0.0
     detection_sd: kinds.NotNegative = 4.0
     detection_slope: kinds.Positive = 3.0
+    matching_sd: kinds.NotNegative = 1.0
     order: kinds.Finite = 0.0
     fatigue: kinds.Finite = 0.0
     fatigue_noise: kinds.NotNegative = 0.0

@@ -5,22 +5,34 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from time import monotonic, sleep
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from feel321.study.actuator import calibrate as module
-from feel321.study.actuator.calibrate import SweepStopped, calibrate_rig, find_failures
-from feel321.study.actuator.certificate import Certificate, find_certificate, list_certificates
+from feel321.study.actuator import doctor, drift
+from feel321.study.actuator.calibrate import calibrate_rig, find_failures
+from feel321.study.actuator.calibration import make_sweep
+from feel321.study.actuator.certificate import (
+    Certificate,
+    find_certificate,
+    list_certificates,
+    write_certificate,
+)
+from feel321.study.actuator.duplex import SweepStopped
+from feel321.study.actuator.output import StreamOutput
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig
 from feel321.study.actuator.simulated import BLOCK_FRAMES, SimulatedStream
 from feel321.study.cli import main
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RATE_HZ = 8000.0
 MADE = datetime(2026, 3, 1, 12, tzinfo=UTC)
@@ -203,33 +215,65 @@ def test_limits_that_are_not_kept_are_named(rig: Rig, certificate: Certificate) 
 
 def test_a_stop_is_silent_within_a_block(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[tuple[bool, float]] = []
-    before = SimulatedStream._serve
-    pressed: list[bool] = []
+    stopped: list[bool] = []
+    serve, stop = SimulatedStream._serve, StreamOutput.stop
 
     def watch(stream: Any) -> None:
-        is_pressed = bool(pressed)
-        fill = stream._fill
+        is_stopped, fill = bool(stopped), stream._fill
 
         def keep(out: Any, *given: Any) -> None:
             fill(out, *given)
-            sent.append((is_pressed, float(np.abs(out).max())))
+            sent.append((is_stopped, float(np.abs(out).max())))
 
-        stream._fill = keep
-        before(stream)
-        stream._fill = fill
+        monkeypatch.setattr(stream, "_fill", keep)
+        serve(stream)
+        monkeypatch.setattr(stream, "_fill", fill)
 
-    def press() -> bool:
-        if len([level for _, level in sent if level]) > 20:
-            pressed.append(True)
-        return bool(pressed)
+    def note(output: Any) -> None:
+        stop(output)
+        stopped.append(True)
+        wait_for_blocks(sent, n=4)
 
     monkeypatch.setattr(SimulatedStream, "_serve", watch)
-    slow = alter(rig, "simulation", speed=2.0)
+    monkeypatch.setattr(StreamOutput, "stop", note)
     with pytest.raises(SweepStopped):
-        calibrate_rig(slow, rate_hz=RATE_HZ, made=MADE, is_stopping=press)
-    after = [level for is_pressed, level in sent if is_pressed]
-    assert sum(level > 0 for level in after) <= 2  # the one under way, and the one that fades
-    assert sent[-1][1] == 0 or not after
+        calibrate_rig(
+            alter(rig, "simulation", speed=4.0), rate_hz=RATE_HZ, made=MADE,
+            is_stopping=lambda: sum(level > 0 for _, level in sent) > 20,
+        )  # fmt: skip
+    after = [level for is_stopped, level in sent if is_stopped]
+    assert len(after) >= 3
+    assert not any(after[1:])  # the first one holds the fade
+
+
+def wait_for_blocks(sent: list[tuple[bool, float]], *, n: int) -> None:
+    end_s = monotonic() + 60
+    while sum(is_stopped for is_stopped, _ in sent) < n and monotonic() < end_s:
+        sleep(0.001)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are of POSIX")
+def test_any_key_ends_it_where_stdin_is_a_terminal(tmp_path: Path) -> None:
+    import pty
+
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(RIG.replace("speed = 100", "speed = 1"), encoding="utf-8")
+    own, theirs = pty.openpty()
+    command = [Path(sys.executable).with_name("feel321"), "calibrate", str(tmp_path)]
+    process = subprocess.Popen(command, stdin=theirs, stderr=subprocess.PIPE, text=True)
+    try:
+        while process.poll() is None:
+            os.write(own, b"x")
+            sleep(0.05)
+        assert process.stderr is not None
+        assert "feel321: interrupted" in process.stderr.read()
+        assert process.returncode == 130
+    finally:
+        process.kill()
+        process.communicate()
+        os.close(own)
+        os.close(theirs)
+    assert list_certificates(tmp_path) == []
 
 
 def call(study: Path, *arguments: str) -> int:
@@ -296,3 +340,86 @@ def test_rest_is_what_the_sensor_measures_while_nothing_plays(rig: Rig) -> None:
     rest = module.measure_rest(rig, rate_hz=RATE_HZ)
     assert rest.shape == (3,)
     assert 0 < np.abs(rest).max() < 0.001
+
+
+def test_tones_are_of_whole_periods() -> None:
+    tones = drift.find_tones((20.0, 1000.0))
+    assert np.allclose(tones % 4, 0)
+    assert 15 <= len(tones) <= 18
+    assert (tones[0], tones[-1] > 800) == (20.0, True)
+
+
+def test_no_drift_is_found_where_there_is_none(rig: Rig, certificate: Certificate) -> None:
+    for one in drift.measure_drift(rig, certificate):
+        assert abs(one.median_db) < 0.2  # a coil that saturates is not the same at another level
+        assert abs(one.largest_db) < 0.5
+        assert one.n_tones > 10
+        assert one.find_fault(allowed_db=1.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "median_db", "reason"),
+    [
+        ({"full_scale_m_s2": 60.0 * 10 ** (-2 / 20)}, -2.0, "'right coil' drifted by -"),
+        ({"full_scale_m_s2": 30.0}, -6.0, "'right coil' drifted by -"),  # amplifier half
+        ({"direction": (1.0, 0.0, 0.0)}, -10.8, "'right coil' drifted by -1"),  # channels swapped
+        ({"resonance_hz": 220.0}, None, "'right coil' drifted by"),  # the mounting changed
+        ({"full_scale_m_s2": 1e-6}, None, " tones above the noise, expected 3"),  # coil dead
+    ],
+)
+def test_drift_is_measured_and_named(
+    rig: Rig, certificate: Certificate, changes: Any, median_db: float | None, reason: str
+) -> None:
+    left, right = drift.measure_drift(plant(rig, 1, **changes), certificate)
+    assert left.find_fault(allowed_db=1.0) == ""
+    assert reason in right.find_fault(allowed_db=1.0)
+    if median_db is not None:
+        assert right.median_db == pytest.approx(median_db, abs=0.25)
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "line"),
+    [({}, 0, ""), ({"full_scale_m_s2": 31.8}, 1, "coil 'left coil' drifted by -2.")],
+)
+def test_doctor_compares_with_the_certificate(
+    certificate: Certificate,
+    tmp_path: Path,
+    capsys: Any,
+    monkeypatch: Any,
+    change: Any,
+    code: int,
+    line: str,
+) -> None:
+    monkeypatch.setattr(doctor, "try_stops", lambda *_, **__: [])  # in real time
+    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
+    fresh = replace(certificate, expires_utc="2999-01-01T00:00:00+00:00")
+    write_certificate(fresh, tmp_path)
+    text = RIG if not change else RIG.replace("full_scale_m_s2 = 40.0", "full_scale_m_s2 = 31.8")
+    (tmp_path / "rig.toml").write_text(text.replace("speed = 100", "speed = 10"), encoding="utf-8")
+    assert main(["doctor", str(tmp_path), "--seconds", "0.01", "--json"]) == code
+    printed = capsys.readouterr()
+    assert line in printed.err
+    assert json.loads(printed.out)["calibration"]["certificate"] == certificate.id
+    expired = replace(certificate, id="29990101", expires_utc="2026-03-02T00:00:00+00:00")
+    for path in (tmp_path / "calibration").iterdir():
+        path.unlink()
+    write_certificate(expired, tmp_path)
+    assert main(["doctor", str(tmp_path), "--seconds", "0.01"]) == 1
+    assert "certificate 29990101 expired on 2026-03-02" in capsys.readouterr().err
+
+
+def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:
+    sweep = module.make_main(rig, rate_hz=RATE_HZ, peak=0.5)
+    sent = make_sweep(sweep)
+    noise = np.random.default_rng(1).standard_normal((3, len(sent)))
+    whole = np.outer([1.0, 0.5, 0.0], sent) + 0.01 * noise
+    assert module.find_slip(whole, sweep) == 0
+    for place in (6000, sweep.period, sweep.period + 9000):  # in each sweep, and between them
+        cut = np.concatenate([whole[:, :place], whole[:, place + 37 :], np.zeros((3, 37))], axis=1)
+        assert module.find_slip(cut, sweep) == pytest.approx(37, rel=0.3)
+    assert module.find_slip(0.01 * noise, sweep) == 0
+    played = iter([cut, cut, whole, *[cut] * module.N_TRIES])
+    session = SimpleNamespace(play=lambda *_: next(played))
+    assert module._play_sweep(session, sent, sweep, channel=1) is whole  # type: ignore[arg-type]  # plays only
+    with pytest.raises(OSError, match=r"are \d+ samples out of step, 4 times in a row"):
+        module._play_sweep(session, sent, sweep, channel=1)  # type: ignore[arg-type]  # plays only

@@ -96,7 +96,7 @@ def test_minimum_phase_undoes_the_phase_too() -> None:
 def test_corrected_phase_gives_the_shape_that_was_asked_for_only_later() -> None:
     inverse = make_inverse(measure(QUIET), max_gain_db=50, n_taps=8000, phase="corrected")
     found = play_through(inverse.fir, QUIET)
-    assert inverse.delay == 3 / 20 * RATE_HZ
+    assert inverse.delay == 4 / 20 * RATE_HZ
     assert found.latency == QUIET.latency + inverse.delay
     inside = (found.frequency_hz > 25) & (found.frequency_hz < 800)
     assert np.abs(np.angle(found.response[inside])).max() < 0.15

@@ -145,3 +145,10 @@ def test_a_filter_is_cut_where_it_has_faded() -> None:
 def test_typed_gains_must_be_of_the_rigs_coils(gains: Any, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         make_manual(RIG, gains, directions={}, made=MADE, rate_hz=RATE_HZ)
+
+
+def test_the_filters_gain_counts_against_the_limits_of_tones() -> None:
+    certificate = make()
+    assert certificate.coils["left coil"].find_gain([100.0, 200.0], rate_hz=RATE_HZ) == 1
+    halved = replace(certificate.coils["left coil"], fir=np.array([1.5, 0.5]))
+    assert halved.find_gain([10.0, 4000.0], rate_hz=RATE_HZ) == pytest.approx(2, abs=1e-3)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 from time import perf_counter, sleep
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +15,8 @@ from feel321.stimuli.synthesis import make_scene
 from feel321.study.actuator.delivered import (
     Baseline,
     DeliveryCheck,
-    ask_motion,
     compare,
+    find_moves,
     reduce_stimuli,
 )
 from feel321.study.actuator.output import open_stream
@@ -41,6 +42,22 @@ RIG = Rig(
     ),
 )
 LAG = 2345
+
+
+class Stub:
+    """A certificate that found a rig's coils to move as they should, or turned."""
+
+    method = "measured"
+
+    def __init__(self, rig: Rig, predict: Any = None, turn: Samples | None = None) -> None:
+        turn = np.eye(3) if turn is None else turn
+        self.coils = {
+            one.name: SimpleNamespace(direction=turn @ np.array(one.direction))
+            for one in rig.actuators
+        }
+        self.predict = predict
+
+
 ALONG = np.array([1, 1, 0]) / np.sqrt(2)  # the way in which both coils move the hand together
 TILTED = np.array([0.48, 0.6, 0.64])  # a sensor that looks along no axis
 
@@ -65,7 +82,8 @@ def make_check(built: tuple[StimulusSet, dict[str, Baseline]], **choices: Any) -
 
 def read_motion(stimuli: StimulusSet, one: Stimulus) -> Samples:
     samples, _ = stimuli.read(one.stimulus_id)
-    return ask_motion(np.atleast_2d(samples) * FULL_SCALE, RIG)
+    tracks = np.atleast_2d(samples) * FULL_SCALE
+    return find_moves(RIG, len(tracks)) @ tracks
 
 
 def delay(motion: Samples, lag: int = LAG, *, tail: int = 3000) -> Samples:
@@ -97,6 +115,18 @@ def test_noise_lowers_coherence_by_its_share_and_leaves_the_level() -> None:
         assert found.coherence == pytest.approx(1 / (1 + rms**2), abs=0.03)
         assert found.level_error_db == pytest.approx(0, abs=0.3)
         assert found.lag == LAG
+
+
+def test_what_was_cut_off_at_the_end_is_no_loss_unless_it_is_most() -> None:
+    asked = make_noise(7)
+    whole = 0.5 * delay(asked)
+    cut = compare(asked, whole[:, : LAG + 30000], rate_hz=RATE)
+    assert cut.lag == LAG
+    assert cut.level_error_db == pytest.approx(-6.02, abs=0.01)
+    assert cut.coherence == pytest.approx(1, abs=1e-3)
+    assert cut.error.shape == asked.shape
+    most = compare(asked, whole[:, : LAG + 9000], rate_hz=RATE)
+    assert most.level_error_db < -8
 
 
 def test_silence_and_noise_alone_have_nothing_of_what_was_asked() -> None:
@@ -140,15 +170,58 @@ def test_a_stronger_playback_has_the_spectral_match_of_the_stronger_reduction(
     assert found["level_error_db"] == pytest.approx(6.02, abs=0.01)
 
 
+def test_a_sensor_that_was_mounted_otherwise_sees_the_same(
+    built: tuple[StimulusSet, dict[str, Baseline]],
+) -> None:
+    stimuli = built[0]
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    check = make_check(built, certificate=Stub(RIG, turn=turn))
+    for name in ("bumps__mag321__as_is", "isotropic_rumble__reference__as_is"):
+        one = stimuli[name]
+        found = check.measure(name, turn @ delay(read_motion(stimuli, one)))
+        assert found["polarity"] == 1
+        assert {key: found[key] for key in MATCHES} == pytest.approx(
+            {key: getattr(one, key) for key in MATCHES}, abs=1e-5
+        )
+
+
+def test_a_sensor_with_one_axis_saw_each_coil_by_itself(
+    built: tuple[StimulusSet, dict[str, Baseline]],
+) -> None:
+    """Two coils at right angles, each found as strong as asked by the one axis, add up there; one is inverted."""
+    stimuli = built[0]
+    one = stimuli["bumps__sax321__as_is"]
+    tracks = FULL_SCALE * np.atleast_2d(stimuli.read(one.stimulus_id)[0])
+    for turn, strength in ((np.eye(3), np.sqrt(2)), (-np.eye(3), -np.sqrt(2))):
+        check = make_check(built, certificate=Stub(RIG, turn=turn))
+        found = check.measure(one.stimulus_id, delay(strength * tracks))
+        assert found["level_error_db"] == pytest.approx(0, abs=1e-6)
+        assert found["polarity"] == 1
+        assert found["spectral_match"] == pytest.approx(one.spectral_match, abs=1e-5)
+
+
+def test_unknown_directions_are_found_by_three_axes(
+    built: tuple[StimulusSet, dict[str, Baseline]],
+) -> None:
+    stimuli = built[0]
+    one = stimuli["bumps__sax321__as_is"]
+    rig = RIG.model_copy(
+        update={"actuators": (ActuatorTable(name="a", channel=1, plays=("reduced", "x", "y")),)}
+    )
+    check = DeliveryCheck(stimuli, rig, full_scale_m_s2=FULL_SCALE, reduced=built[1])
+    tracks = FULL_SCALE * np.atleast_2d(stimuli.read(one.stimulus_id)[0])
+    found = check.measure(one.stimulus_id, delay(TILTED[:, None] @ tracks))
+    assert found["level_error_db"] == pytest.approx(0, abs=1e-6)
+    assert found["temporal_match"] == pytest.approx(one.temporal_match, abs=1e-5)
+
+
 def test_a_rig_that_moves_no_known_way_is_asked_for_the_stimulus_itself() -> None:
     unknown = RIG.model_copy(
         update={"actuators": (ActuatorTable(name="a", channel=1, plays=("reduced", "x", "y")),)}
     )
-    tracks = make_noise(6, 100)
-    np.testing.assert_array_equal(ask_motion(tracks, unknown), tracks)
-    moved = ask_motion(tracks, RIG)
-    assert np.linalg.norm(moved, axis=0) == pytest.approx(np.abs(tracks[0]))
-    np.testing.assert_allclose(moved[2], 0)
+    np.testing.assert_array_equal(find_moves(unknown, 1), [[1]])
+    np.testing.assert_array_equal(find_moves(unknown, 3), np.eye(3))
+    np.testing.assert_allclose(find_moves(RIG, 1), ALONG[:, None])
 
 
 def test_swapped_axes_are_no_longer_coherent(
@@ -186,7 +259,7 @@ def test_a_certificate_stands_in_for_a_sensor_and_is_asked_once(
         calls.append(frames)
         return 0.5 * read_motion(stimuli, one)
 
-    check = make_check(built, predict=predict)
+    check = make_check(built, certificate=Stub(RIG, predict))
     predicted = [check.describe(one.stimulus_id, sent, None) for _ in range(2)]
     assert predicted[0] == predicted[1]
     assert len(calls) == 1
@@ -272,7 +345,7 @@ def test_the_sensor_shows_each_fault(
         read_rig(tmp_path / "right.toml"),
         full_scale_m_s2=FULL_SCALE,
         reduced=built[1],
-        predict=lambda _: np.zeros((3, 1)),
+        certificate=Stub(read_rig(tmp_path / "right.toml")),
     )
     played = play(tmp_path, stimuli, check=check, text=text)
     found = find_loss(played.delivered, Flow())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from feel321.protocols.detection import ThresholdBlock
 from feel321.protocols.threshold import USUAL
 from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.certificate import make_manual
 from feel321.study.actuator.output import FileOutput
 from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig, SyncTable
 from feel321.study.actuator.tone import RAMP_S, find_tone_problems, make_tone, render_tones
@@ -80,6 +82,25 @@ def test_a_silent_interval_is_one_that_vibrates_times_zero(tmp_path: Path) -> No
     assert np.array_equal(silent[2], loud[2])  # the sync pulse
 
 
+def test_a_certificate_decides_what_is_sent() -> None:
+    """The samples, times what was measured of each coil, are what the rig was asked for."""
+    gains = {"left": 12.5, "right": 40.0, "axis": 30.0}
+    directions = {coil.name: np.array(coil.direction) for coil in COILS}
+    made = datetime(2026, 3, 1, tzinfo=UTC)
+    certificate = make_manual(RIG, gains, made=made, rate_hz=RATE, directions=directions)
+    believed, measured = (
+        render_tones(BLOCK, RIG, rate_hz=RATE, certificate=one)["40 Hz"]
+        for one in (None, certificate)
+    )
+    for coil in COILS:
+        column = coil.channel - 1
+        np.testing.assert_allclose(
+            measured[:4000, column] * gains[coil.name],
+            believed[:, column] * coil.full_scale_m_s2,
+            atol=1e-6,
+        )
+
+
 def test_ramps_keep_other_frequencies_away() -> None:
     """More than an octave away, a tenth of what a tone that begins and ends at once would hold."""
 
@@ -99,12 +120,15 @@ def test_a_rig_that_cannot_play_the_strongest_tone_is_refused() -> None:
     def find(highest_db: float, **limits: float) -> list[str]:
         block = replace(BLOCK, plan=replace(USUAL, highest_db=highest_db))
         own = RIG.limits.model_copy(update=limits)
-        return list(find_tone_problems(block, RIG.model_copy(update={"limits": own})))
+        rig = RIG.model_copy(update={"limits": own})
+        return list(find_tone_problems(block, rig, rate_hz=RATE))
 
     weight = 1 / np.linalg.norm([1.6, 0.8])
-    most_db = 20 * np.log10(5.0 / weight)
-    assert find(most_db - 0.1) == []
-    (left, right) = find(most_db + 0.1)
+    # Of any second half is silent, but for the ramps: RMS times the root of 0.485 on the plateau's scale.
+    energy = np.mean(make_tone(250.0, duration_s=0.5, rate_hz=RATE) ** 2) / 2
+    most_db = 20 * np.log10(5.0 / weight / np.sqrt(energy))
+    assert find(most_db - 0.1, peak_m_s2=50.0) == []
+    left, right = find(most_db + 0.1, peak_m_s2=50.0)
     assert "'left'" in left
     assert "limits.rms_m_s2 of 5" in right
     assert "limits.peak_m_s2" in find(0.0, peak_m_s2=0.1)[0]

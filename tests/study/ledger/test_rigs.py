@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 
 from feel321.study.actuator.rig import LimitsTable, Rig, digest, identify
+from feel321.study.ledger.progress import Progress, note_estimates
 from feel321.study.ledger.rigs import RigUse, describe_rigs, digest_settings
 
 RIG = Rig(limits=LimitsTable(peak_m_s2=10, rms_m_s2=5, duration_s=3))
@@ -36,3 +37,14 @@ def test_who_is_alone_with_a_rig_or_a_certificate_is_named() -> None:
 def test_nobody_is_named_where_all_are_alike() -> None:
     assert list(describe_rigs([RigUse("p01", "aa"), RigUse("p02", "aa"), RigUse("sim001")])) == []
     assert list(describe_rigs([])) == []
+
+
+def test_the_report_says_whose_onsets_are_estimates() -> None:
+    some = [
+        Progress(name, simulated=False, number=1, groups={}, total=2, estimated=n)
+        for name, n in (("p01", 0), ("p02", 7), ("p03", 1))
+    ]
+    assert list(note_estimates(some)) == [
+        "Onset times of participants p02 (7), p03 (1) are estimated from the latency: their device gave none."
+    ]
+    assert list(note_estimates(some[:1])) == []

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_texts
-from feel321.protocols.trial import PAGES, Judgement, Page, Part, Trial
+from feel321.protocols.trial import MATCHING, PAGES, Judgement, Page, Part, Trial
 from feel321.study.screen.drawing import LEADING, Text, measure
 from feel321.study.screen.layout import View, compose, make_screen_texts
 from feel321.study.screen.window import open_screen
@@ -33,17 +33,20 @@ PARTS = {
     "abx": (Part("a", "s0"), Part("b", "s1"), Part("x", "s0")),
     "mushra": (Part("reference", "s0"), *(Part(str(n), f"s{n}") for n in range(1, 13))),
     THRESHOLD: tuple(Part(name, "40 Hz") for name in INTERVALS),
+    MATCHING: (Part("first", "s0"), Part("second", "s1")),
 }
 JUDGED = {
     "abx": ("x",),
     "dissimilarity": ("second",),
+    MATCHING: ("second",),
     "mushra": tuple(str(n) for n in range(1, 13)),
 }
 
 
 def make_trial(name: str, *, timing: str = "", rows: int = 12) -> Trial:
     protocol = "realism" if name == "touched" else name
-    usual = "strict" if name == THRESHOLD else PROTOCOLS[protocol].timings[0]
+    own = {THRESHOLD: "strict", MATCHING: "replay"}
+    usual = own[name] if name in own else PROTOCOLS[protocol].timings[0]
     parts = PARTS[name][: rows + 1]
     judged = JUDGED.get(name, ("test",))[:rows]
     return Trial(
@@ -67,11 +70,11 @@ def make_views(
     views = {}
     keys = [
         *(key for key in PAGES if key != "instructions"),
-        *(f"instructions.{name}" for name in (*PROTOCOLS, THRESHOLD)),
+        *(f"instructions.{name}" for name in (*PROTOCOLS, THRESHOLD, MATCHING)),
     ]
     for number, key in enumerate(keys):
         by = "experimenter" if key in {"training_failed", "call_us"} else "participant"
-        left_s = 27 if key in {"break", "rest", "threshold_next", "threshold_done"} else 0
+        left_s = 27 if key in {"break", "rest", "threshold_next", "matching_done"} else 0
         notice = texts["prompts"]["end_next"] if key == "pause" else ""
         notice = texts["refusals"]["too_early"] if left_s else notice
         views[f"page {key}"] = View(

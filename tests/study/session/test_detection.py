@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import THRESHOLD, ThresholdBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL
-from feel321.protocols.trial import Flow
+from feel321.protocols.trial import Flow, Page
 from feel321.study.audit import audit_steps
 from feel321.study.observer.participant import ObserverModel, SimulatedObserver
 from feel321.study.session.engine import run_session
@@ -134,6 +135,28 @@ def test_a_participant_begins_with_another_frequency_and_other_intervals(
     assert len({seed for block in blocks if block for seed in block.seeds}) == 6
 
 
+def test_practice_comes_again_after_a_long_break(stimuli: StimulusSet) -> None:
+    plan = make_plan(DESIGN, stimuli, "p01", number=1, simulated=True)
+    agenda = Agenda(plan.trials, plan.flow)
+    practice, first = (
+        next(t for t in plan.trials if (t.protocol, t.phase) == (THRESHOLD, phase))
+        for phase in ("practice", THRESHOLD)
+    )
+    while agenda.ask() != first:
+        step = agenda.ask()
+        if isinstance(step, Page):
+            agenda.tell_page(step.key, time_s=0.0)
+        elif step is not None:
+            agenda.tell_trial(step.number, accepted=True, as_expected=None, time_s=0.0)
+    agenda.warm_up()
+    assert agenda.ask() == Page("warm_up")
+    agenda.tell_page("warm_up", time_s=0.0)
+    assert agenda.ask() == practice
+    agenda.tell_trial(practice.number, accepted=True, as_expected=None, time_s=0.0)
+    assert agenda.ask() == first
+    assert agenda.done == 0
+
+
 def test_plans_without_a_threshold_are_as_they_were(tmp_path: Path, stimuli: StimulusSet) -> None:
     without = replace(DESIGN, threshold=None)
     plans = [make_plan(d, stimuli, "p01", number=1, simulated=True) for d in (without, DESIGN)]
@@ -150,9 +173,12 @@ def test_audit_finds_another_level(tmp_path: Path, stimuli: StimulusSet, now: An
     plan = make_plan(DESIGN, stimuli, "p01", number=1, simulated=True)
     records = lead(tmp_path / "p01", plan, stimuli, now)
     assert list(audit_steps(records, plan)) == []
-    place = [n for n, record in enumerate(records) if record.event == "tone"][4]
+    tones = [n for n, record in enumerate(records) if record.event == "tone"]
+    place = next(n for n in tones[2:] if records[n].data["level_db"] is not None)
     for name, value in (("level_db", -3.5), ("interval", 3 - records[place].data["interval"])):
         changed = replace(records[place], data={**records[place].data, name: value})
         found = list(audit_steps([*records[:place], changed, *records[place + 1 :]], plan))
         assert len(found) == 1
         assert "by the answers before it" in found[0]
+    (missing,) = audit_steps([*records[:place], *records[place + 1 :]], plan)
+    assert "no level was presented" in missing

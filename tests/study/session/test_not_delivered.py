@@ -87,6 +87,16 @@ def test_a_stimulus_that_is_never_delivered_is_given_up(present: Present, script
     assert records[-1].data == {"trials": 20, "given_up": 1}
 
 
+def test_a_dead_coil_uses_up_no_trials(present: Present, scripted: type) -> None:
+    lost = {
+        (trial, attempt): [Playback(1.0, 1.5, delivered=fail(coherence=0.01))]
+        for trial in range(1, 11)
+        for attempt in range(1, 5)
+    }
+    records = present(scripted(playbacks=lost))
+    assert records[-1].data == {"trials": 20, "given_up": 0}
+
+
 def test_twice_in_a_row_calls_the_experimenter_and_says_why(
     present: Present, scripted: type
 ) -> None:

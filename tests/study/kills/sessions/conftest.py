@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from feel321.protocols.detection import ThresholdBlock
+from feel321.protocols.matching import MatchingBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import read_scales
 from feel321.protocols.threshold import USUAL
@@ -63,10 +64,10 @@ TASKS: Mapping[str, tuple[Task, ...]] = {
         "dissimilarity": make_task("dissimilarity"),
         "mushra": make_task("mushra"),
         "abx": make_task("abx"),
-        "threshold": make_task("realism"),
+        "blocks": make_task("realism"),
     }.items()
 }
-"""What each session consists of: every protocol, every timing, surfaces to stroke."""
+"""What each session consists of: every protocol, every timing, surfaces to stroke; thresholds and matches first."""
 
 BLOCK = ThresholdBlock(
     "bayesian", (40.0, 250.0), replace(USUAL, trials=4, catch_every=2), practice=1
@@ -174,7 +175,8 @@ class Session:
             tasks=TASKS[self.task],
             between={},
             flow=FLOW,
-            threshold=BLOCK if self.task == "threshold" else None,
+            threshold=BLOCK if self.task == "blocks" else None,
+            matching=MatchingBlock("as_is") if self.task == "blocks" else None,
         )
 
     def make_study(self, path: Path) -> StudyFolder:

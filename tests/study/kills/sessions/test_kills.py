@@ -109,12 +109,12 @@ def test_again_the_next_day(
     product(PRESENTERS, [n / 24 for n in range(24)], (None, 0.5)),
     every=lambda presenter, instant, torn: (presenter, instant, torn) == ("scripted", 0.25, 0.5),
 )
-def test_in_the_threshold_block(
+def test_in_the_blocks_before_the_trials(
     lab: Any, presenter: str, instant: float, torn: float | None, tmp_path: Path
 ) -> None:
-    """Levels follow from the answers alone: after two kills as of a session that never died."""
-    first = lab.place(instant, task="threshold", presenter=presenter, j=torn)
-    lab.endure("threshold", presenter, [first, lab.at(OPENING)], tmp_path / "killed")
+    """Thresholds, then matched strength: after two kills, the levels are those of a session that never died."""
+    first = lab.place(instant, task="blocks", presenter=presenter, j=torn)
+    lab.endure("blocks", presenter, [first, lab.at(OPENING)], tmp_path / "killed")
 
 
 def assert_one_day(study: Any, policy: str) -> None:

@@ -1,0 +1,75 @@
+"""What must not change within a session: its header compared with what a session opened today would have."""
+
+from __future__ import annotations
+
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+from feel321.study.session import events
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from pathlib import Path
+
+UNCOMPARED = ("format", "session", "versions", "system", "clock")
+"""May differ between a header and a later opening: other versions may go on with a session."""
+
+ACCEPTABLE = ("presenter.rig", "calibration")
+"""May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
+
+
+def compare_headers(
+    begun: events.SessionBegun, header: Mapping[str, Any], *, accepted: Iterable[events.RigAccepted]
+) -> list[str]:
+    """List in what a session as it was left differs from the header that it would have today."""
+    known = _describe_as_left(begun, accepted)
+    if known.get("calibration") is None and header.get("calibration") == events.UNCALIBRATED:
+        known["calibration"] = events.UNCALIBRATED  # before there were certificates, none was named
+    return find_differences(known, header, ignore=UNCOMPARED)
+
+
+def _describe_as_left(
+    begun: events.SessionBegun, accepted: Iterable[events.RigAccepted]
+) -> dict[str, Any]:
+    """Describe a session as it was begun, but with the rig that it went on with."""
+    data = begun.to_data()
+    for event in accepted:
+        presenter = data.get("presenter", {}) | {"rig": event.rig}
+        data |= {"presenter": presenter, "calibration": event.calibration}
+    return data
+
+
+def describe_refusal(
+    path: Path, begun: events.SessionBegun, differences: Sequence[str], *, is_rig: bool
+) -> str:
+    """Say why a session cannot be resumed, and what to do."""
+    named = [
+        "other texts for participants" if line.startswith("texts_sha256 ") else line
+        for line in differences
+    ]
+    former, own = begun.versions.get("feel321"), version("feel321")
+    use = "" if former == own else f" or use feel321 {former}, which began it"
+    accept = "go on with the rig as it is now (--accept-rig, which records it), " if is_rig else ""
+    return (
+        f"{path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, {accept}"
+        f"begin with another participant, or move {path.parent.parent.name}/ away"
+    )
+
+
+def find_differences(
+    old: Mapping[str, Any], new: Mapping[str, Any], *, ignore: Collection[str] = ()
+) -> list[str]:
+    """Find the values in which two nested mappings differ, named by their keys."""
+    before, after = (
+        _flatten({k: v for k, v in entry.items() if k not in ignore}) for entry in (old, new)
+    )
+    names = [name for name in before | after if before.get(name) != after.get(name)]
+    return [f"{name} {before.get(name)!r} -> {after.get(name)!r}" for name in names]
+
+
+def _flatten(entry: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in entry.items():
+        key = f"{prefix}{name}"
+        flat |= _flatten(value, f"{key}.") if isinstance(value, dict) else {key: value}
+    return flat
