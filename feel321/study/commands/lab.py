@@ -78,6 +78,7 @@ def run(  # noqa: PLR0913 - one parameter per option
         if outcome.stopped:
             log.say_how_to_resume(outcome.stopped)
             context.exit(1)
+    log.end_line()
     click.echo(f"{participant}: all {outcome.total} done")
 
 
@@ -101,7 +102,7 @@ class _Log:
         elif shared.is_terminal():
             minutes = "" if place.left_s is None else f", about {place.left_s / 60:.0f} min left"
             line = f"{self.participant}: {place.done} of {place.total} done{minutes}"
-            click.echo(f"\r{line:<{LINE}}", nl=place.done == place.total, err=True)
+            click.echo(f"\r{line:<{LINE}}", nl=False, err=True)
         self.place = place
 
     def _call(self, fault: str) -> None:
@@ -126,10 +127,14 @@ class _Log:
                 self.say_how_to_resume(type(error).__name__)
             raise
 
+    def end_line(self) -> None:
+        """Leave what was left as it stands, and begin a new line."""
+        if self.place is not None and shared.is_terminal():
+            click.echo(err=True)
+
     def say_how_to_resume(self, reason: str) -> None:
         if self.place is not None:
-            if shared.is_terminal():
-                click.echo(err=True)  # what is left stays where it is
+            self.end_line()
             done = f"{self.place.done} of {self.place.total} done"
             click.echo(
                 f"{self.participant}: {done} (aborted: {reason}); resume with: {self.command}",
