@@ -129,6 +129,7 @@ def open_lab(
     surfaces = list_surfaces(lab.settings, lab.study.path)
     with ExitStack() as stack:
         output = stack.enter_context(_open_output(plan, lab=lab, clock=clock))
+        output.lead_s = lab.certificate.lead_s if lab.certificate else 0.0
         screen = open_screen(clock=clock, windowed=lab.windowed, screen=lab.screen)
         window = stack.enter_context(screen)
         hand = stack.enter_context(_open_hand(plan, journal, stimuli, lab=lab))

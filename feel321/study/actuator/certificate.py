@@ -156,6 +156,11 @@ class Certificate:
         waits = max(one.latency for one in self.coils.values()) - coil.latency
         return np.concatenate([np.zeros(waits), coil.equalise(asked_m_s2 / coil.target)])
 
+    @property
+    def lead_s(self) -> float:
+        """Time by which the filters let samples go out before the vibration that they make."""
+        return max(coil.delay for coil in self.coils.values()) / self.rate_hz
+
     def apply(self, rig: Rig) -> Rig:
         """Give a rig the full scales that were measured, in which the mixer keeps the limits."""
         actuators = tuple(

@@ -41,7 +41,13 @@ class Check(Protocol):
 
 
 class Output(Protocol):
-    """Plays stimuli, one at a time."""
+    """Plays stimuli, one at a time.
+
+    lead_s: by how much the filters of a certificate let samples go out before the vibration that they make. So much of
+    the gap is taken up by it, and an onset is that of the vibration.
+    """
+
+    lead_s: float
 
     @property
     def identity(self) -> Mapping[str, Any]:
@@ -101,7 +107,7 @@ class FileOutput:
         self._block = np.zeros((BLOCK_FRAMES, rig.n_channels), dtype=np.float32)
         self._blocks: list[Frames] = []
         self._cue: Cue | None = None
-        self._begin_s = self._requested_s = 0.0
+        self._begin_s = self._requested_s = self.lead_s = 0.0
         self._first_frame = 0
 
     @property
@@ -120,7 +126,8 @@ class FileOutput:
         """Begin a playback."""
         scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         self._name = stimulus.stimulus_id
-        self._cue = self._mixer.start(self._name, gap_s=gap_s, scale=scale, goes_on=goes_on)
+        silence_s = max(gap_s - self.lead_s, 0.0)
+        self._cue = self._mixer.start(self._name, gap_s=silence_s, scale=scale, goes_on=goes_on)
         self._blocks = []
         self._begin_s, self._first_frame = self._clock(), self._mixer.frame
         self._requested_s = self._begin_s + gap_s
@@ -146,7 +153,7 @@ class FileOutput:
         cue = self._cue
         if cue is None or not cue.is_over:
             raise ValueError("no playback is over; start one and wait until is_playing is False")
-        onset_s = self._begin_s + (cue.onset_frame - self._first_frame) / self._rate_hz
+        sent_s = self._begin_s + (cue.onset_frame - self._first_frame) / self._rate_hz
         error, sha256, measured = "", "", _measure_place(cue)
         try:
             samples = np.concatenate(self._blocks).T
@@ -156,7 +163,7 @@ class FileOutput:
             error = str(problem)
         return Playback(
             requested_s=self._requested_s,
-            onset_s=onset_s if cue.n_played else None,
+            onset_s=sent_s + _find_lead(cue, self.lead_s) if cue.n_played else None,
             clipped=cue.clipped,
             completed=cue.is_complete,
             error=error,
@@ -294,7 +301,7 @@ class StreamOutput:
             n_room, n_axes = longest + round(BEYOND_S * rate_hz), len(rig.sensor.inputs)
             self._room = np.zeros((n_room, n_axes), dtype=np.float32)
         self._take: Take | None = None
-        self._requested_s = 0.0
+        self._requested_s = self.lead_s = 0.0
         self._clock_ahead_s = 0.0
         self._stopped_s: float | None = None
         self._latency_s = rig.device.latency_s
@@ -336,7 +343,8 @@ class StreamOutput:
         take = Take(self._rate_hz, stream.there_and_back_s, sensor=self._room)
         self._take = take  # before the mixer knows, so that no block is missed
         scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
-        take.cue = self._mixer.start(name, gap_s=gap_s, scale=scale, goes_on=goes_on)
+        silence_s = max(gap_s - self.lead_s, 0.0)
+        take.cue = self._mixer.start(name, gap_s=silence_s, scale=scale, goes_on=goes_on)
         ahead_s = stream.compare_clocks(self._clock)
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
 
@@ -390,7 +398,9 @@ class StreamOutput:
         is_whole = take.is_out and not take.n_underruns and not take.n_sensor_gaps
         return Playback(
             requested_s=self._requested_s,
-            onset_s=None if take.onset_s is None else take.onset_s + ahead_s,
+            onset_s=None
+            if take.onset_s is None
+            else take.onset_s + ahead_s + _find_lead(cue, self.lead_s),
             underruns=take.n_underruns,
             clipped=cue.clipped,
             completed=cue.is_complete and take.is_out,
@@ -435,6 +445,11 @@ def _measure_place(cue: Cue) -> dict[str, float]:
     """Count the samples that were played, and, where they are not from its first on, those left out before."""
     before = {"first_sample": float(cue.first_frame)} if cue.first_frame else {}
     return {"n_samples": float(cue.n_played), **before}
+
+
+def _find_lead(cue: Cue, lead_s: float) -> float:
+    """Find how long after its first sample a vibration begins: at once where it goes on from where it was stopped."""
+    return 0.0 if cue.first_frame else lead_s
 
 
 def _describe(

@@ -159,3 +159,19 @@ def test_the_identity_tells_rig_and_rate(tmp_path: Path) -> None:
     identity = make_output(tmp_path, Hand()).identity
     assert (identity["device"], identity["rate_hz"], identity["channels"]) == ("file", RATE, 2)
     assert identity["rig"]["actuators"][0]["name"] == "left"
+
+
+@pytest.mark.parametrize(("gap_s", "onset_s"), [(0.3, 10.3), (0.05, 10.2)])
+def test_a_filter_begins_within_the_gap_and_the_onset_is_that_of_the_vibration(
+    gap_s: float, onset_s: float, tmp_path: Path
+) -> None:
+    clock = Hand()
+    output = make_output(tmp_path, clock)
+    output.lead_s = 0.2
+    play(output, clock, gap_s=gap_s)
+    delivery = output.collect()
+    assert delivery.requested_s == pytest.approx(10 + gap_s)
+    assert delivery.onset_s == pytest.approx(onset_s)
+    samples, _ = read_wav(tmp_path / "delivered/0001.wav")
+    first = int(np.flatnonzero(samples.any(axis=0))[0])
+    assert first / RATE == pytest.approx(onset_s - 10 - 0.2, abs=1 / RATE)
