@@ -377,7 +377,7 @@ class StreamOutput:
             return Playback(
                 self._requested_s, None, completed=False, error=self._error or "nothing was started"
             )
-        cue = take.cue
+        cue, onset_s = take.cue, None
         measured = {
             **_measure_place(cue),
             "blocks": float(take.n_blocks),
@@ -385,6 +385,7 @@ class StreamOutput:
         }
         if take.onset_s is not None:
             measured["dac_time_s"] = take.onset_s
+            onset_s = take.onset_s + ahead_s + _find_lead(cue, self.lead_s)
         was_cut = 0 < cue.n_played < len(cue.sound)
         if self._stopped_s is not None and take.end_s is not None and was_cut:
             measured["stop_s"] = take.end_s + ahead_s - self._stopped_s
@@ -398,9 +399,7 @@ class StreamOutput:
         is_whole = take.is_out and not take.n_underruns and not take.n_sensor_gaps
         return Playback(
             requested_s=self._requested_s,
-            onset_s=None
-            if take.onset_s is None
-            else take.onset_s + ahead_s + _find_lead(cue, self.lead_s),
+            onset_s=onset_s,
             underruns=take.n_underruns,
             clipped=cue.clipped,
             completed=cue.is_complete and take.is_out,
