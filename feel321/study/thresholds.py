@@ -78,6 +78,6 @@ def find_warnings(thresholds: Thresholds) -> Iterator[str]:
     silent = sum(found.catch_trials for found in thresholds.values())
     if find_tail(caught, silent) < UNLIKELY:
         yield (
-            f"threshold: {caught} of {silent} silent catch trials correct: the vibration may be known by something "
-            "else than feeling it"
+            f"threshold: {caught} of {silent} silent catch trials correct: the participant may be using another cue "
+            "than the vibration, such as sound"
         )

@@ -484,24 +484,24 @@ def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
     settings, name = rig.calibration, f"coil {coil.name!r}"
     if coil.largest_db > settings.max_deviation_db:
         yield (
-            f"{name} is {coil.largest_db:.1f} dB off at {coil.worst_hz:.0f} Hz with its filter, allowed are "
+            f"{name} is {coil.largest_db:.1f} dB off at {coil.worst_hz:.0f} Hz with its filter, the limit is "
             f"{settings.max_deviation_db:g}; narrow band_hz or raise max_gain_db under [calibration]"
         )
     if coil.uncertainty_db > settings.max_uncertainty_db:
         worst = max(coil.budget, key=lambda term: term.db)
         yield (
-            f"{name} is known to {coil.uncertainty_db:.2f} dB, allowed are {settings.max_uncertainty_db:g}; its "
+            f"{name} is known to {coil.uncertainty_db:.2f} dB, the limit is {settings.max_uncertainty_db:g}; its "
             f"largest term is {worst.name} ({worst.db:.2f} dB)"
         )
     if coil.total_distortion > settings.max_distortion:
         yield (
-            f"{name} distorts by {coil.total_distortion:.0%}, allowed are {settings.max_distortion:.0%}; lower level "
+            f"{name} distorts by {coil.total_distortion:.0%}, the limit is {settings.max_distortion:.0%}; lower level "
             "under [calibration], and the stimuli with it"
         )
     if coil.least_coherence < settings.min_coherence:
         yield (
-            f"{name} has a coherence of {coil.least_coherence:.2f} at worst, needed is {settings.min_coherence:g}; "
-            "raise level, or narrow band_hz under [calibration]"
+            f"{name} has a coherence of {coil.least_coherence:.2f} at worst, the minimum is "
+            f"{settings.min_coherence:g}; raise level, or narrow band_hz under [calibration]"
         )
     typed = next(one.direction for one in rig.actuators if one.name == coil.name)
     cosine = float(coil.direction @ np.array(typed) / np.linalg.norm(typed)) if typed else 1.0

@@ -42,7 +42,7 @@ class Drift:
             return ""
         return (
             f"coil {self.coil!r} drifted by {self.median_db:+.1f} dB since its certificate ({self.largest_db:+.1f} dB "
-            f"at most), allowed are {allowed_db:g} dB; put gains and mounting back, or run feel321 calibrate"
+            f"at most), the limit is {allowed_db:g} dB; put gains and mounting back, or run feel321 calibrate"
         )
 
 

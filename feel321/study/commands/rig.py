@@ -54,8 +54,8 @@ def calibrate(
     Plays sweeps and noise on one coil after another, through the same stream as in a session, recorded by the sensor of
     rig.toml: response, distortion, noise, latency, direction and uncertainty of each coil, and a filter that makes its
     response flat, verified by playing through it. The certificate is stored in the study's folder calibration; run
-    uses the newest that is valid. Any key silences the coils at once. The exit code is 1 if the limits of
-    [calibration] in rig.toml are not kept; then run does not use the certificate.
+    uses the newest that is valid. Press any key to stop. The exit code is 1 if the limits of [calibration] in rig.toml
+    are not met; run then does not use the certificate.
     """
     from feel321.study.actuator.certificate import write_certificate
     from feel321.study.actuator.figure import draw_certificate
