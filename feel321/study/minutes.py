@@ -164,9 +164,9 @@ def observe_pace(dossiers: Iterable[Dossier], durations: Mapping[str, float]) ->
         pages += _list_readings(dossier.plan, dossier.records)
         for trial, took_s in _list_answers(dossier.plan, dossier.records, durations):
             spent[trial.protocol] += [took_s / len(trial.judgements)] * len(trial.judgements)
-    if not participants:
-        return Pace()
     every = [took_s for own in spent.values() for took_s in own]
+    if not every:  # nobody has come to the trials that count yet
+        return Pace()
     return Pace(
         {protocol: sum(own) / len(own) for protocol, own in spent.items()},
         other_s=sum(every) / len(every),

@@ -107,6 +107,9 @@ def test_the_pace_of_real_people_is_learnt_from_their_journals(
     length = measure_length([Sitting.plan(plan, plan.flow, DURATIONS)], with_pages)
     # The rest is one page whose shortest time counts too.
     assert length.low_min * 60 == pytest.approx(dossier.records.find_elapsed() + 1.0)
+    # Somebody who has come no further than practice says nothing.
+    rehearsing = replace(plan, trials=tuple(replace(one, phase="practice") for one in plan.trials))
+    assert observe_pace([replace(dossier, plan=rehearsing)], DURATIONS) == Pace()
     simulated = replace(dossier, plan=replace(plan, simulated=True))
     assert observe_pace([simulated], DURATIONS) == Pace()
 

@@ -24,6 +24,7 @@ from feel321.study.actuator.certificate import (
     begin_certificate,
 )
 from feel321.study.actuator.duplex import N_TRIES, OnStep, Session, open_session, require_sensor
+from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.rig import STANDARD_GRAVITY, ActuatorTable, Rig
 from feel321.types import Samples
 
@@ -38,6 +39,7 @@ CLEAR = 10.0  # least height of a correlation's peak over its standard deviation
 CREST = 4.0  # peak of the noise over its RMS
 MOST_TURNED_DEG = 30.0  # from the direction in rig.toml
 SILENCE_S = 0.5
+TILTED = 0.1  # of the change along a sensor's axis: so much may come across it
 SLIGHT = 0.001  # of the sensor's full scale: less is no gravity
 TAPS_PERIODS = 12.0  # of the band's lowest frequency: the length of a filter
 STEP_HZ = 0.5  # of the frequencies in a certificate
@@ -131,11 +133,17 @@ def scale_by_flip(up: Samples, down: Samples, *, full_scale_m_s2: float) -> floa
 
     Gravity is once with the axis and once against it: half of the difference is 1 g, whatever the offset.
     """
-    half = float(np.abs(up - down).max()) / 2
+    halves = np.sort(np.abs(up - down)) / 2
+    half = float(halves[-1])
     if half < SLIGHT * full_scale_m_s2:
         raise ValueError(
             f"got a difference of {2 * half:.3g} m/s², expected about {2 * STANDARD_GRAVITY:.3g}; the sensor or its "
             "input does not pass gravity (AC-coupled): take the scale from its data sheet"
+        )
+    if (across := float(np.linalg.norm(halves[:-1]))) > TILTED * half:
+        raise ValueError(
+            f"got a difference of {2 * across:.3g} m/s² across the axis, expected at most {TILTED:.0%} of "
+            f"the {2 * half:.3g} along it; turn the sensor by exactly half a turn, with one axis upright"
         )
     return full_scale_m_s2 * STANDARD_GRAVITY / half
 
@@ -212,7 +220,11 @@ def _play_sweep(session: Session, sent: Samples, sweep: Sweep, *, channel: int) 
         recorded = session.play(sent, channel)
         if not (slip := find_slip(recorded, sweep)):
             return recorded
-    raise OSError(
+    raise OSError(_describe_slip(slip))
+
+
+def _describe_slip(slip: int) -> str:
+    return (
         f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are lost "
         "between output and sensor, or the sensor's device has a clock of its own; put both on one sound card, named "
         "itself, raise latency_s in rig.toml, or lower sweep_s and repeats under [calibration]"
@@ -247,8 +259,9 @@ def find_slip(recorded: Samples, sweep: Sweep) -> int:
 
 def find_safe(rig: Rig, probe: Response) -> float:
     """Find the peak of a sweep, as a part of full scale, whose motion is within the limits and the sensor's scale."""
-    inside = calibration.find_inside(probe.frequency_hz, band_hz=probe.band_hz)
-    strongest = float(np.abs(probe.response[inside]).max())
+    # Ramps are part of a sweep, and a resonance may lie in one.
+    ramp = calibration.find_ramp(probe.frequency_hz, band_hz=probe.band_hz)
+    strongest = float((np.abs(probe.response) * ramp).max())
     limits = [rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2]
     if rig.sensor is not None:
         limits.append(rig.sensor.full_scale_m_s2)
@@ -364,7 +377,7 @@ def _make_coil(rig: Rig, run: CoilRun, *, noise_m_s2: float) -> CoilCertificate:
         crossed_db=main.cross_talk_db,
         noise_m_s2=noise_m_s2,
         total_distortion=_sum_distortion(main),
-        direction=_find_direction(actuator, main),
+        direction=_find_direction(rig, actuator, main),
         frequency_hz=grid_hz,
         response=_interpolate(grid_hz, main),
         coherence=np.interp(grid_hz, main.frequency_hz, main.coherence),
@@ -400,8 +413,10 @@ def _measure_latencies(session: Session, coils: Mapping[str, CoilCertificate]) -
             name: np.concatenate([recorded[:, k : k + turn] for k in places[name]], axis=1)
             for name in coils
         }
-        if not any(find_slip(one, quiet) for one in own.values()):
+        if not (slip := max(find_slip(one, quiet) for one in own.values())):
             break
+    else:
+        raise OSError(_describe_slip(slip))
     return {
         name: calibration.measure_sweep(
             replace(quiet, peak=float(coils[name].levels[1])), one
@@ -410,12 +425,12 @@ def _measure_latencies(session: Session, coils: Mapping[str, CoilCertificate]) -
     }
 
 
-def _find_direction(actuator: ActuatorTable, main: Response) -> Samples:
+def _find_direction(rig: Rig, actuator: ActuatorTable, main: Response) -> Samples:
     """Find the direction of a coil, shape (3,): as measured; of a sensor with one axis, rig.toml's with its sign."""
     if len(main.direction) == len(np.eye(3)):
         return main.direction
-    typed = np.array(actuator.direction or (1.0, 0.0, 0.0))
-    direction: Samples = np.sign(main.direction[0]) * typed / np.linalg.norm(typed)
+    typed = find_directions(rig)[0].get(actuator.name, np.eye(3)[0])
+    direction: Samples = np.sign(main.direction[0]) * typed
     return direction
 
 

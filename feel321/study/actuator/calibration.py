@@ -164,6 +164,15 @@ def make_sweep(sweep: Sweep) -> Samples:
     return np.tile(sweep.peak * ramps * np.sin(phase), sweep.n_repeats)
 
 
+def find_ramp(frequency_hz: Samples, *, band_hz: Band) -> Samples:
+    """Find the amplitude of a sweep over its peak at each frequency: 1 in the band, and 0 at the sweep's ends."""
+    log_hz = np.log(np.maximum(frequency_hz, TINY))
+    rise = np.clip((log_hz - math.log(band_hz[0] / BELOW)) / math.log(BELOW), 0, 1)
+    fall = np.clip((math.log(band_hz[1] * ABOVE) - log_hz) / math.log(ABOVE), 0, 1)
+    ramp: Samples = np.sin(math.pi / 2 * rise) ** 2 * np.sin(math.pi / 2 * fall) ** 2
+    return ramp
+
+
 def measure_sweep(sweep: Sweep, recorded: Samples, *, sent: Samples | None = None) -> Response:
     """Measure a response from recorded sweeps, with its distortion; recorded: shape (n,) or (axes, n).
 

@@ -271,6 +271,7 @@ class DeliveryCheck:
             "coherence": found.coherence,
             "rms_m_s2": found.rms_m_s2,
             "is_calibrated": float(self._certificate is not None),
+            "is_measured": float(bool(self._certificate and self._certificate.method == MEASURED)),
         }
 
     def _find_seen(self, n_axes: int) -> dict[str, Samples] | None:

@@ -241,13 +241,15 @@ NOT_SCHEDULED = -1
 class Cue:
     """One playback, from its request to its end; the callback writes it, everybody may read it.
 
-    sound: (n_samples, channels), times `scale`; gap_frames: silence before it, at least; first_frame: 0 for the whole.
+    sound: (n_samples, channels), times `scale`; gap_frames: silence before it, at least; first_frame: 0 for the whole;
+    lead_frames: by how much its first sample is sent before the vibration begins.
     """
 
     sound: Frames
     gap_frames: int
     scale: float = 1.0
     first_frame: int = 0
+    lead_frames: int = 0
     onset_frame: int = NOT_SCHEDULED
     n_played: int = 0
     clipped: int = 0
@@ -298,11 +300,18 @@ class Mixer:
         self._cue: Cue | None = None
 
     def start(
-        self, stimulus_id: str, *, gap_s: float, scale: float = 1.0, goes_on: bool = False
+        self,
+        stimulus_id: str,
+        *,
+        gap_s: float,
+        scale: float = 1.0,
+        goes_on: bool = False,
+        lead_s: float = 0.0,
     ) -> Cue:
         """Ask for a stimulus, times `scale`; the one that is playing is stopped.
 
-        goes_on: begin where the last one was stopped, which is faded in there as that one was faded out.
+        goes_on: begin where the last one was stopped, which is faded in there as that one was faded out. lead_s: from
+        its first sample to the vibration; it is taken from the gap, down to a pause that the limiter counts as one.
         """
         if stimulus_id not in self._sounds:
             raise ValueError(
@@ -316,9 +325,9 @@ class Mixer:
             sound = sound[first:].copy()
             n = min(len(sound), len(self._fade_steps))
             sound[:n] *= (self._fade_steps[:n] / np.float32(n))[:, None]
-        self._latest = Cue(
-            sound, gap_frames=round(gap_s * self._rate_hz), scale=scale, first_frame=first
-        )
+        silence_s = max(gap_s - lead_s, min(gap_s, PAUSE_S))
+        lead = 0 if first else round(lead_s * self._rate_hz)
+        self._latest = Cue(sound, round(silence_s * self._rate_hz), scale, first, lead)
         self._waiting.append(self._latest)
         return self._latest
 
@@ -398,7 +407,8 @@ class Mixer:
         piece = piece[: len(cue.sound) - cue.n_played]
         np.copyto(piece, cue.sound[cue.n_played : cue.n_played + len(piece)])
         if self._sync:
-            pulse = block[first : max(cue.onset_frame + self._sync_frames - self.frame, 0)]
+            onset = cue.onset_frame + cue.lead_frames - self.frame
+            pulse = block[max(onset, 0) : max(onset + self._sync_frames, 0)]
             pulse[:, self._sync.channel - 1] = self._sync.level
         cue.n_played += self._fade(piece) if is_stopping else len(piece)
         is_over = is_stopping or cue.is_at_end

@@ -126,8 +126,9 @@ class FileOutput:
         """Begin a playback."""
         scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         self._name = stimulus.stimulus_id
-        silence_s = max(gap_s - self.lead_s, 0.0)
-        self._cue = self._mixer.start(self._name, gap_s=silence_s, scale=scale, goes_on=goes_on)
+        self._cue = self._mixer.start(
+            self._name, gap_s=gap_s, scale=scale, goes_on=goes_on, lead_s=self.lead_s
+        )
         self._blocks = []
         self._begin_s, self._first_frame = self._clock(), self._mixer.frame
         self._requested_s = self._begin_s + gap_s
@@ -163,7 +164,7 @@ class FileOutput:
             error = str(problem)
         return Playback(
             requested_s=self._requested_s,
-            onset_s=sent_s + _find_lead(cue, self.lead_s) if cue.n_played else None,
+            onset_s=sent_s + cue.lead_frames / self._rate_hz if cue.n_played else None,
             clipped=cue.clipped,
             completed=cue.is_complete,
             error=error,
@@ -343,8 +344,9 @@ class StreamOutput:
         take = Take(self._rate_hz, stream.there_and_back_s, sensor=self._room)
         self._take = take  # before the mixer knows, so that no block is missed
         scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
-        silence_s = max(gap_s - self.lead_s, 0.0)
-        take.cue = self._mixer.start(name, gap_s=silence_s, scale=scale, goes_on=goes_on)
+        take.cue = self._mixer.start(
+            name, gap_s=gap_s, scale=scale, goes_on=goes_on, lead_s=self.lead_s
+        )
         ahead_s = stream.compare_clocks(self._clock)
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
 
@@ -385,7 +387,7 @@ class StreamOutput:
         }
         if take.onset_s is not None:
             measured["dac_time_s"] = take.onset_s
-            onset_s = take.onset_s + ahead_s + _find_lead(cue, self.lead_s)
+            onset_s = take.onset_s + ahead_s + cue.lead_frames / self._rate_hz
         was_cut = 0 < cue.n_played < len(cue.sound)
         if self._stopped_s is not None and take.end_s is not None and was_cut:
             measured["stop_s"] = take.end_s + ahead_s - self._stopped_s
@@ -444,11 +446,6 @@ def _measure_place(cue: Cue) -> dict[str, float]:
     """Count the samples that were played, and, where they are not from its first on, those left out before."""
     before = {"first_sample": float(cue.first_frame)} if cue.first_frame else {}
     return {"n_samples": float(cue.n_played), **before}
-
-
-def _find_lead(cue: Cue, lead_s: float) -> float:
-    """Find how long after its first sample a vibration begins: at once where it goes on from where it was stopped."""
-    return 0.0 if cue.first_frame else lead_s
 
 
 def _describe(

@@ -13,6 +13,9 @@ from feel321.study.session.journal import Records
 LETTERS = 12
 """Of a rig's digest, where it is shown."""
 
+DATA_SHEET = ("sensitivity_mv_per_g", "input_peak_v")
+"""What gives the full scale of a sensor."""
+
 ESTIMATED = "latency"
 """How an onset was got (`dac_source`) where the device gave no time of it: `actuator.stream.FROM_LATENCY`."""
 
@@ -56,8 +59,15 @@ def digest_settings(text: str) -> str:
     from feel321.study.actuator.rig import Rig, digest
     from feel321.study.session.journal import digest as digest_text
 
+    entry = json.loads(text)
+    sensor = entry.get("sensor") or {}
+    # A sensor is given by its data sheet or by its full scale; a header holds both.
+    sheet = {name: sensor.pop(name) for name in DATA_SHEET if name in sensor}
     try:
-        return digest(Rig.model_validate_json(text))
+        rig = Rig.model_validate_json(json.dumps(entry))
+        if rig.sensor and sheet:
+            rig = rig.model_copy(update={"sensor": rig.sensor.model_copy(update=sheet)})
+        return digest(rig)
     except ValueError:  # of another version
         return digest_text(text)
 

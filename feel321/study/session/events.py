@@ -385,7 +385,9 @@ def find_loss(delivered: Mapping[str, float], flow: Flow) -> str:
             limit_db is not None and abs(error_db) > limit_db
         ),
         "the motion is inverted: the wires of a coil or of the sensor were swapped since the calibration": (
-            bool(delivered["is_calibrated"]) and delivered["polarity"] < 0
+            # gains that were typed say nothing of it
+            bool(delivered.get("is_measured", delivered["is_calibrated"]))
+            and delivered["polarity"] < 0
         ),
     }
     return next((fault for fault, is_so in faults.items() if is_so), "")

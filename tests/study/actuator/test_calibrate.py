@@ -21,13 +21,14 @@ import pytest
 from feel321.study.actuator import calibrate as module
 from feel321.study.actuator import doctor, drift
 from feel321.study.actuator.calibrate import calibrate_rig, find_failures
-from feel321.study.actuator.calibration import make_sweep
+from feel321.study.actuator.calibration import Sweep, make_sweep, measure_sweep
 from feel321.study.actuator.certificate import (
     Certificate,
     find_certificate,
     list_certificates,
     write_certificate,
 )
+from feel321.study.actuator.coil import Coil, SimulatedCoil
 from feel321.study.actuator.duplex import SweepStopped
 from feel321.study.actuator.figure import make_figure
 from feel321.study.actuator.output import StreamOutput
@@ -328,13 +329,37 @@ def test_a_sensor_that_is_turned_over_gets_its_scale(
     assert rig.sensor is not None
     (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
     # Full scale is said to be 200 m/s² and is 250: 1 g shows as 7.845, beside an offset.
-    rests = iter([[0.3, 0.5 + 7.84532, 0.1], [0.3, 0.5 - 7.84532, 0.1], [0.3] * 3, [0.4] * 3])
+    rests = iter([
+        [0.3, 0.5 + 7.84532, 0.1],
+        [0.3, 0.5 - 7.84532, 0.1],
+        [0.3] * 3,
+        [0.4] * 3,
+        [0, 0, 9.8],
+        [9.8, 0, 0],
+    ])
     monkeypatch.setattr(module, "measure_rest", lambda *_, **__: np.array(next(rests)))
     monkeypatch.setattr("sys.stdin", io.StringIO())
     assert call(tmp_path, "--flip") == 0
     assert capsys.readouterr().out.startswith("full_scale_m_s2 = 250 ")
     assert call(tmp_path, "--flip") == 1
     assert "got a difference of 0.1 m/s², expected about 19.6" in capsys.readouterr().err
+    assert call(tmp_path, "--flip") == 1
+    assert "exactly half a turn" in capsys.readouterr().err
+
+
+def test_a_resonance_in_the_ramp_of_a_sweep_counts_against_the_limits(rig: Rig) -> None:
+    coil = Coil(resonance_hz=80.0, q=8.0, full_scale_m_s2=50.0)
+    limits = rig.limits.model_copy(update={"peak_m_s2": 20.0})
+    own = rig.model_copy(update={"limits": limits})
+    sweep = Sweep(rate_hz=RATE_HZ, band_hz=(100.0, 800.0), n_repeats=2, peak=0.01)
+
+    def move(peak: float) -> np.ndarray:
+        device = SimulatedCoil(coil, rate_hz=RATE_HZ, rng=np.random.default_rng(1))
+        return device.process(make_sweep(replace(sweep, peak=peak)))
+
+    probe = measure_sweep(sweep, move(sweep.peak))
+    safe = module.find_safe(own, probe)
+    assert 10.0 < np.abs(move(safe)).max() < 20.0
 
 
 def test_rest_is_what_the_sensor_measures_while_nothing_plays(rig: Rig) -> None:

@@ -327,6 +327,27 @@ def test_the_sync_pulse_begins_with_the_stimulus(size: int, gap: int) -> None:
     assert_array_equal(out[:, 4], expected)
 
 
+@pytest.mark.parametrize(("lead", "sample"), [(0, 0), (400, 400), (1999, 1999)])
+def test_the_sync_pulse_waits_for_the_vibration(lead: int, sample: int) -> None:
+    mixer, _ = make_mixer(sync=SYNC)
+    cue = mixer.start("a", gap_s=0, lead_s=lead / RATE)
+    out = fill(mixer, 5000, [70], 5)
+    assert np.flatnonzero(out[:, 4])[0] == cue.onset_frame + sample
+
+
+def test_a_lead_leaves_a_pause_that_the_limiter_counts_as_one() -> None:
+    """Stimuli of 0.25 s with pauses of 0.1 s, again and again, are each shorter than the longest allowed."""
+    limits = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=0.4)
+    mixer, _ = make_mixer(limits=limits)
+    clipped = []
+    for _ in range(4):
+        cue = mixer.start("a", gap_s=0.1, lead_s=0.2)
+        while not cue.is_over:
+            fill(mixer, 100, [100], 2)
+        clipped.append(cue.clipped)
+    assert clipped == [0] * 4
+
+
 def test_the_limiter_is_told_in_the_cue() -> None:
     limits = LimitsTable(peak_m_s2=20.0, rms_m_s2=100.0, duration_s=60.0)
     strong = COILS[0].model_copy(update={"full_scale_m_s2": 50.0})

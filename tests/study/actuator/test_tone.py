@@ -12,7 +12,7 @@ import pytest
 from feel321.protocols.detection import ThresholdBlock
 from feel321.protocols.threshold import USUAL
 from feel321.stimuli.wav import read_wav
-from feel321.study.actuator.certificate import make_manual
+from feel321.study.actuator.certificate import Certificate, make_manual
 from feel321.study.actuator.output import FileOutput
 from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig, SyncTable
 from feel321.study.actuator.tone import RAMP_S, find_tone_problems, make_tone, render_tones
@@ -133,3 +133,22 @@ def test_a_rig_that_cannot_play_the_strongest_tone_is_refused() -> None:
     assert "limits.rms_m_s2 of 5" in right
     assert "limits.peak_m_s2" in find(0.0, peak_m_s2=0.1)[0]
     assert "session.threshold.duration_s" in find(0.0, duration_s=0.4)[0]
+
+
+def test_the_motion_at_a_resonance_counts_against_the_limits() -> None:
+    """A coil that moves five times as much as it is driven at passes its full scale, but not the rig's limits."""
+    made = datetime(2026, 3, 1, tzinfo=UTC)
+    directions = {coil.name: np.eye(3)[k] for k, coil in enumerate(COILS)}
+    flat = make_manual(
+        RIG, {coil.name: 50.0 for coil in COILS}, made=made, rate_hz=RATE, directions=directions
+    )
+    coils = {name: replace(coil, response=5 * coil.response) for name, coil in flat.coils.items()}
+    resonant = replace(flat, coils=coils)
+    block = replace(BLOCK, plan=replace(USUAL, highest_db=12.0))
+
+    def find(certificate: Certificate) -> list[str]:
+        return list(find_tone_problems(block, RIG, rate_hz=RATE, certificate=certificate))
+
+    assert find(flat) == []
+    assert "limits.peak_m_s2 of 10" in find(resonant)[0]
+    assert not any("full_scale" in line for line in find(resonant))

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import json
 
-from feel321.study.actuator.rig import LimitsTable, Rig, digest, identify
+from feel321.study.actuator.rig import LimitsTable, Rig, SensorTable, digest, identify
 from feel321.study.ledger.progress import Progress, note_estimates
 from feel321.study.ledger.rigs import RigUse, describe_rigs, digest_settings
 
@@ -11,6 +11,12 @@ RIG = Rig(limits=LimitsTable(peak_m_s2=10, rms_m_s2=5, duration_s=3))
 
 def test_the_digest_of_a_header_is_that_of_its_rig() -> None:
     assert digest_settings(json.dumps(identify(RIG))) == digest(RIG)
+
+
+def test_the_digest_of_a_sensor_by_its_data_sheet_is_that_of_the_rig() -> None:
+    sensor = SensorTable(channel=1, sensitivity_mv_per_g=100.0, input_peak_v=1.63)
+    own = RIG.model_copy(update={"sensor": sensor})
+    assert digest_settings(json.dumps(identify(own))) == digest(own) != digest(RIG)
 
 
 def test_settings_of_another_version_have_a_digest_too() -> None:

@@ -46,6 +46,8 @@ def fail(**changes: float) -> dict[str, float]:
         (fail(polarity=-1.0), "inverted"),
         (fail(level_error_db=-6.0, polarity=-1.0, is_calibrated=0.0), ""),
         (fail(coherence=0.05, is_calibrated=0.0), "no trace"),
+        (fail(polarity=-1.0, is_measured=1.0), "inverted"),
+        (fail(polarity=-1.0, is_measured=0.0), ""),  # typed gains know no polarity
     ],
 )
 def test_a_loss_is_named(delivered: dict[str, float], fault: str) -> None:
