@@ -347,6 +347,18 @@ def test_a_sensor_that_is_turned_over_gets_its_scale(
     assert "exactly half a turn" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_coil_of_one_axis_needs_no_direction_of_its_own(rig: Rig, sign: float) -> None:
+    lone = rig.actuators[0].model_copy(update={"direction": None, "plays": ("reduced", "z")})
+    own = rig.model_copy(update={"actuators": (lone,)})
+    sweep = Sweep(rate_hz=RATE_HZ, n_repeats=2)
+    coil = SimulatedCoil(
+        Coil(resonance_hz=160.0, q=3.0), rate_hz=RATE_HZ, rng=np.random.default_rng(1)
+    )
+    seen = measure_sweep(sweep, sign * coil.process(make_sweep(sweep))[2])
+    np.testing.assert_array_equal(module._find_direction(own, lone, seen), [0, 0, sign])
+
+
 def test_a_resonance_in_the_ramp_of_a_sweep_counts_against_the_limits(rig: Rig) -> None:
     coil = Coil(resonance_hz=80.0, q=8.0, full_scale_m_s2=50.0)
     limits = rig.limits.model_copy(update={"peak_m_s2": 20.0})

@@ -290,7 +290,10 @@ def test_a_certificate_stands_in_for_a_sensor_and_is_asked_once(
     typed.method = "manual"  # predicts what it was told
     assert not make_check(built, certificate=typed).describe(one.stimulus_id, sent, None)
     measured = check.describe(one.stimulus_id, sent, delay(read_motion(stimuli, one)))
-    assert measured["is_calibrated"] == 1
+    assert (measured["is_calibrated"], measured["is_measured"]) == (1, 1)
+    told = make_check(built, certificate=typed)
+    measured = told.describe(one.stimulus_id, sent, delay(read_motion(stimuli, one)))
+    assert (measured["is_calibrated"], measured["is_measured"]) == (1, 0)
     assert not make_check(built).describe(one.stimulus_id, sent, None)
 
 
