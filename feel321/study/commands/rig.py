@@ -203,8 +203,8 @@ def _describe_coil(coil: CoilCertificate, certificate: Certificate) -> str:
         f"{coil.target:.4g} m/s² at full scale, ± {coil.uncertainty_db:.2f} dB; within {coil.largest_db:.2f} dB with "
         f"its filter ({coil.before_db:.1f} dB without; gain up to {coil.gain_db:.0f} dB), coherence "
         f"{coil.least_coherence_after:.3f}\n"
-        f"  latency {1e3 * coil.latency / certificate.rate_hz:.2f} ms, direction ({direction}), across it "
-        f"{coil.crossed_db:.0f} dB; distortion {coil.total_distortion:.1%}, {bent_db:+z.2f} dB from linear; noise "
+        f"  latency {1e3 * coil.latency / certificate.rate_hz:.2f} ms, direction ({direction}), cross-axis "
+        f"{coil.crossed_db:.0f} dB; distortion {coil.total_distortion:.1%}, nonlinearity {bent_db:+z.2f} dB; noise "
         f"{coil.noise_m_s2:.2g} m/s² RMS"
     )
 
