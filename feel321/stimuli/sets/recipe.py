@@ -28,7 +28,8 @@ from feel321.stimuli.condition import Conditioning, condition, fade, make_plain,
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.recording import Recording, check_rate, digest_samples, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS, CONTACTOR, THRESHOLDS, loudest_levels, to_db
+from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
 from feel321.stimuli.wav import write_wav
 from feel321.types import Samples
 

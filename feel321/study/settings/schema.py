@@ -23,9 +23,9 @@ from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import UNITS
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.anchors import THRESHOLDS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
+from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
