@@ -75,7 +75,7 @@ def test_a_file_a_package_an_entry_point_and_a_function_are_one_reducer(study: P
 
 def test_a_method_survives_the_way_to_another_process(study: Path) -> None:
     method = find_method("metric", "methods/my321.py:crest", folder=study)
-    again = pickle.loads(pickle.dumps(method))  # noqa: S301 - our own
+    again = pickle.loads(pickle.dumps(method))  # noqa: S301 - what the line itself pickles
     assert again == method
     info = OwnMetric(again).info
     assert (info.label, info.higher, info.low, info.unit) == ("crest", "worse", 1.0, "of RMS")

@@ -261,6 +261,6 @@ def _compare_recipes(
     for key in sorted({*built, *wanted}):
         old, new = built.get(key), wanted.get(key)
         if isinstance(old, dict) and isinstance(new, dict):
-            yield from _compare_recipes(old, new, table=f"{key}.")
+            yield from _compare_recipes(old, new, table=f"{table}{key}.")
         elif old != new:
             yield f"{table}{key}: built with {json.dumps(old)}; the settings say {json.dumps(new)}"
