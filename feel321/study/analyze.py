@@ -100,7 +100,7 @@ DIGITS = 9
 def measure_rotations(study: StudyFolder, settings: Settings, stimuli: StimulusSet) -> Further:
     """Compute mean and spread of the metrics over sensor orientations for every test stimulus."""
     recordings, mistakes = try_recordings(settings, study.path)
-    recipe = make_recipe(settings)
+    recipe = make_recipe(settings, study.path)
     try:
         digests = {recording.name: recording.sha256 for recording in recordings}
         problems = mistakes or find_changes(study.stimuli, recipe, digests)
@@ -170,7 +170,7 @@ def gather_recordings(
     if study.settings.is_file():
         settings = read_settings(study.settings)
         own, mistakes = try_recordings(settings, folder)
-        steps = make_recipe(settings).conditioning
+        steps = make_recipe(settings, folder).conditioning
     others = [make_scene(name) for name in SCENES] if scenes else []
     for path in _list_files(extra):
         try:

@@ -127,7 +127,7 @@ def describe_built(
     settings: Settings, recordings: Sequence[Recording], stimuli: StimulusSet
 ) -> list[str]:
     """Describe after a build by which gains stimuli are played, and how many of them cannot be felt."""
-    recipe = make_recipe(settings)
+    recipe = make_recipe(settings, stimuli.folder.parent)
     foreseen = foresee_stimuli(recordings, stimuli.folder, recipe=recipe)
     unfelt = filter(None, [find_unfelt(settings, stimuli)])
     return [*describe_gains(foreseen, recipe), *unfelt, *stimuli.warnings]

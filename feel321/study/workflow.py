@@ -45,7 +45,7 @@ def build_study(
     """Build the stimulus set of a study."""
     settings = read_settings(study.settings)
     recordings = open_recordings(settings, study.path)
-    recipe = make_recipe(settings)
+    recipe = make_recipe(settings, study.path)
     _protect_used_set(study, recipe, recordings)
     stimuli = build_stimuli(
         recordings, study.stimuli, recipe=recipe, workers=workers, progress=progress
@@ -122,7 +122,7 @@ def _try_recipe(
     study: StudyFolder, settings: Settings, recordings: Sequence[Recording]
 ) -> tuple[Recipe | None, list[str]]:
     try:
-        recipe = make_recipe(settings)
+        recipe = make_recipe(settings, study.path)
     except ValueError as error:
         return None, [f"{study.settings.name}: {error}"]
     return recipe, list(_check_recordings(recordings, recipe))
@@ -137,7 +137,7 @@ def _find_strength(
     rig: Rig | None,
 ) -> Problems:
     """Find out how strong stimuli are, how long a session takes, and, with a rig, how it brings them to the hand."""
-    recipe = make_recipe(settings)
+    recipe = make_recipe(settings, study.path)
     found = strength.find_strength(settings, foreseen, recipe)
     found = _add_minutes(found, settings, recordings, foreseen=foreseen)
     is_built = study.manifest.exists()  # then its files are examined themselves

@@ -11,15 +11,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from feel321.doors import describe
+from feel321.doors import describe, name_of
+from feel321.extensions import Method, find_method
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.recipe import NO_REFERENCE, Recipe
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.session.journal import digest
 from feel321.study.session.plan import Design
@@ -106,11 +109,36 @@ def turn_recording(recording: Recording, rotation: int) -> Recording:
     )
 
 
-def make_recipe(settings: Settings) -> Recipe:
-    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
+def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
+    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name.
+
+    folder: of the study, where files of its own reducers and metrics are; the current one if left out.
+    """
     stimuli = settings.stimuli.model_dump(exclude={"conditioning", "below_threshold"})
+    own = {
+        "reducers": [find_reducer(settings, name, folder) for name in settings.stimuli.reducers],
+        "metrics": [find_metric(settings, name, folder) for name in settings.stimuli.metrics],
+        "reference": find_reducer(settings, settings.stimuli.reference, folder),
+    }
     steps = Conditioning(**settings.stimuli.conditioning.model_dump())
-    return Recipe(conditioning=steps, **stimuli, **settings.rig.of_stimuli())
+    return Recipe(conditioning=steps, **(stimuli | own), **settings.rig.of_stimuli())
+
+
+def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
+    """Find one of the lab's own reducers; a name of feel321's stays a name."""
+    taken = (ORIGINAL, NO_REFERENCE, *REDUCERS)
+    declared = {key: table.to_facts() for key, table in settings.reducers.items()}
+    if name in taken:
+        return name
+    return find_method("reducer", name, taken=taken, folder=folder, declared=declared)
+
+
+def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Method:
+    """Find one of the lab's own metrics; a name of feel321's stays a name."""
+    declared = {key: table.to_facts() for key, table in settings.metrics.items()}
+    if name in METRICS:
+        return name
+    return find_method("metric", name, taken=METRICS, folder=folder, declared=declared)
 
 
 # From settings to sessions: texts, design, and what a journal's header says of them.
@@ -285,8 +313,8 @@ def _list_items(settings: Settings) -> list[Item]:
     from feel321.stimuli.sets.anchors import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title
-    made = [(name, "test") for name in stimuli.reducers]
-    made += [(stimuli.reference, "reference")] * (stimuli.reference != NO_REFERENCE)
+    made = [(name_of(name), "test") for name in stimuli.reducers]
+    made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
     made += [(name, "anchor") for name in ANCHORS] * stimuli.anchors
     return [
         Item(f"{recording}-{role}-{reducer}-{level}", recording, reducer, level, role)

@@ -72,6 +72,8 @@ def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
         entry = value[0] if name == "recordings" else value
         if name == "tasks":
             entry = value["similarity"]
+        if not place and name in {"reducers", "metrics"}:
+            (entry,) = value.values()  # one of the lab's own
         if isinstance(entry, dict) and name != "between":
             yield from list_written(entry, f"{place}{name}.")
         else:
