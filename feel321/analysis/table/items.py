@@ -16,17 +16,18 @@ share, and the count of sources is reported.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
-from feel321.analysis.table.schema import APART, NAMING, NO, REDUCERS, YES
+from feel321.analysis.table.schema import APART, NAMING, NO, YES
 from feel321.doors import as_names, check_name
 from feel321.records import Result
+from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -59,6 +60,11 @@ class Table(Result):
         What was left out and what was assumed, one sentence each.
     further : tuple of str
         Columns of metrics that are explored only.
+    rivals : tuple of str
+        Columns of metrics that are compared with each other, those of the primary analysis among them; empty where
+        no comparison was asked for.
+    info : Mapping of str to MetricInfo
+        What each metric declares of itself: which way it points, its bounds, label and unit.
 
     Examples
     --------
@@ -80,6 +86,8 @@ class Table(Result):
     metrics: tuple[str, ...]
     notes: tuple[str, ...]
     further: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()
+    info: Mapping[str, MetricInfo] = field(default_factory=dict)
 
     def select(self, scale: str | None = None, *, level: str | None = None) -> Table:
         """Select the ratings of one scale or level.
@@ -400,12 +408,6 @@ def split_tests(ratings: Table | DataFrame) -> Iterator[Tests]:
         rated &= rows["matched"]
     for (scale, level), part in rows[rated].groupby(list(ARMS), observed=True):
         yield Tests(str(scale), str(level), part)
-
-
-def order_reducers(names: Iterable[str]) -> list[str]:
-    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
-    found = set(names)
-    return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
 
 
 def find_sources(rows: Table | DataFrame) -> Series:

@@ -7,7 +7,7 @@ from feel321.stimuli.recording import Signal
 from feel321.stimuli.rivals.pairs import MOST_DB, Pair, level_db, make_pair
 from feel321.types import MetricInfo, Samples
 
-LEVEL = MetricInfo("Level difference", "worse", 0.0, MOST_DB, "dB")
+LEVEL = MetricInfo("level difference", "worse", 0.0, MOST_DB, "dB")
 
 
 def level_difference(

@@ -30,7 +30,7 @@ from feel321.stimuli.recording import Signal
 from feel321.stimuli.rivals.pairs import MOST_DB, Pair, level_db, make_pair
 from feel321.types import MetricInfo, Samples
 
-LOG_SPECTRAL = MetricInfo("Log-spectral distance", "worse", 0.0, MOST_DB, "dB")
+LOG_SPECTRAL = MetricInfo("log-spectral distance", "worse", 0.0, MOST_DB, "dB")
 ITAKURA_SAITO = MetricInfo("Itakura-Saito distance", "worse", 0.0)
 
 

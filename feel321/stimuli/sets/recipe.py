@@ -30,14 +30,14 @@ from feel321.extensions import Method, find_method, is_given
 from feel321.stimuli.condition import Conditioning, condition, fade, make_plain, resample
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
-from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.metrics import METRIC_INFO, METRICS
 from feel321.stimuli.recording import Recording, check_rate, digest_samples, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db
 from feel321.stimuli.sets.manifest import COLUMNS
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
 from feel321.stimuli.wav import write_wav
-from feel321.types import Metric, MetricInfo, Reducer, Samples
+from feel321.types import Metric, Reducer, Samples
 
 LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
@@ -231,7 +231,7 @@ def list_methods(recipe: Recipe) -> dict[str, dict[str, dict[str, Any]]]:
 
 def describe_metric(metric: Metric, name: str) -> dict[str, Any]:
     """Return what a metric declares, as JSON: an end that is open is null."""
-    info = metric.info if isinstance(metric, OwnMetric) else MetricInfo(name.replace("_", " "))
+    info = metric.info if isinstance(metric, OwnMetric) else METRIC_INFO[name]
     return {
         key: None if value in {-math.inf, math.inf} else value
         for key, value in asdict(info).items()
