@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
 
+OTHER = "other_id"
+"""Column of the second stimulus of a choice."""
+
 SPOKEN = ("stimulus", "item")
 """Other names of the column ``stimulus_id``."""
 
@@ -48,9 +51,9 @@ class Table(Result):
     Parameters
     ----------
     rows : DataFrame
-        One row per judgement: participant, stimulus_id, reference_id and reference_reducer (may be empty), source,
-        recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and response_time_s if
-        there are any, one column per metric and further metric, rms_m_s2 if there is one, and one per label of the
+        One row per judgement: participant, stimulus_id, reference_id, reference_reducer and other_id (which may be
+        empty), source, recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and
+        response_time_s if there are any, one column per metric and further metric, rms_m_s2 if there is one, and one per label of the
         participants. The role is the one that the stimulus had in that judgement; matched is whether the metrics
         describe that judgement; a dissimilarity is about the stimulus compared with the reference.
     metrics : tuple of str
@@ -59,6 +62,8 @@ class Table(Result):
         What was left out and what was assumed, one sentence each.
     further : tuple of str
         Columns of metrics that are explored only.
+    stimuli : DataFrame, indexed by stimulus_id, optional
+        Every stimulus of the manifest, rated or not: source, recording, reducer, level, role and metrics.
 
     Examples
     --------
@@ -80,6 +85,7 @@ class Table(Result):
     metrics: tuple[str, ...]
     notes: tuple[str, ...]
     further: tuple[str, ...] = ()
+    stimuli: DataFrame | None = None
 
     def select(self, scale: str | None = None, *, level: str | None = None) -> Table:
         """Select the ratings of one scale or level.

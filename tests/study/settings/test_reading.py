@@ -71,7 +71,7 @@ def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
     for name, value in content.items():
         entry = value[0] if name == "recordings" else value
         if name == "tasks":
-            entry = value["similarity"]
+            entry = value["similarity"] | value["triplet"]
         if isinstance(entry, dict) and name != "between":
             yield from list_written(entry, f"{place}{name}.")
         else:
