@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from feel321.files import write_text
-from feel321.protocols.tasks import score_trial
+from feel321.protocols.tasks import find_other, score_trial
 from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.columns import RATING_COLUMNS
@@ -89,7 +89,8 @@ def _decode(
     *,
     levels: Mapping[str, float],
 ) -> dict[str, Any]:
-    stimulus, reference = by_code[row["stimulus_id"]], by_code.get(row["reference_id"])
+    stimulus = by_code[row["stimulus_id"]]
+    others = {name: by_code.get(row[name]) for name in ("reference_id", "other_id")}
     return row | {
         "participant": header.participant,
         "session": header.session,
@@ -97,7 +98,7 @@ def _decode(
         "recording": stimulus.recording,
         "reducer": stimulus.reducer,
         "level": stimulus.level,
-        "reference_id": reference.stimulus_id if reference else row["reference_id"],
+        **{name: other.stimulus_id if other else row[name] for name, other in others.items()},
         "simulated": _write_flag(header.identity["presenter"]["simulated"]),
         "sensation_level_db": levels.get(stimulus.stimulus_id, ""),
     }
@@ -145,6 +146,7 @@ def _judge(
             "underruns": sum(part.underruns for part in played),
             "rejected": _write_flag(rated.rejected or superseded),
             **_describe_delivered(felt[judgement.part].delivered),
+            "other_id": find_other(trial, judgement),
         }
 
 

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
 
+OTHER = "other_id"
+"""Column of the second stimulus of a choice."""
+
 SPOKEN = ("stimulus", "item")
 """Other names of the column ``stimulus_id``."""
 
@@ -49,11 +52,11 @@ class Table(Result):
     Parameters
     ----------
     rows : DataFrame
-        One row per judgement: participant, stimulus_id, reference_id and reference_reducer (may be empty), source,
-        recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and response_time_s if
-        there are any, one column per metric and further metric, rms_m_s2 if there is one, and one per label of the
-        participants. The role is the one that the stimulus had in that judgement; matched is whether the metrics
-        describe that judgement; a dissimilarity is about the stimulus compared with the reference.
+        One row per judgement: participant, stimulus_id, reference_id, reference_reducer and other_id (which may be
+        empty), source, recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and
+        response_time_s if there are any, one column per metric and further metric, rms_m_s2 if there is one, and one
+        per label of the participants. The role is the one that the stimulus had in that judgement; matched is whether
+        the metrics describe that judgement; a dissimilarity is about the stimulus compared with the reference.
     metrics : tuple of str
         The metrics that the primary analysis is about, as they were declared.
     notes : tuple of str
@@ -65,6 +68,8 @@ class Table(Result):
         no comparison was asked for.
     info : Mapping of str to MetricInfo
         What each metric declares of itself: which way it points, its bounds, label and unit.
+    stimuli : DataFrame, indexed by stimulus_id, optional
+        Every stimulus of the manifest, rated or not: source, recording, reducer, level, role and metrics.
 
     Examples
     --------
@@ -88,6 +93,7 @@ class Table(Result):
     further: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
     info: Mapping[str, MetricInfo] = field(default_factory=dict)
+    stimuli: DataFrame | None = None
 
     def select(self, scale: str | None = None, *, level: str | None = None) -> Table:
         """Select the ratings of one scale or level.

@@ -28,7 +28,7 @@ import numpy as np
 from feel321.analysis.table import metrics as metrics_of
 from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import schema
-from feel321.analysis.table.items import ROLE, STIMULUS, TEST, Table, leave_rejected
+from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.doors import as_names, as_path, describe
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import MetricInfo, PathLike
@@ -49,7 +49,16 @@ ROSTER = frozenset({
 })  # fmt: skip
 """Columns on the progress of a participant; all others, but for the participant's name, are labels."""
 
-JUDGEMENT = ("participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id")
+JUDGEMENT = (
+    "participant",
+    "session",
+    "protocol",
+    "scale",
+    "block",
+    STIMULUS,
+    "reference_id",
+    OTHER,
+)
 """What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
 repeats are counted instead, so does what it was judged against."""
 
@@ -152,7 +161,8 @@ def read_table(
     rows, more_notes = _join_labels(rows, judged.given)
     rows, on_rigs = _join_rigs(rows, judged.given)
     notes += [*lacking, *more_notes, *on_rigs]
-    return Table(rows, planned, tuple(notes), explored, compared, known)
+    columns = ["source", *ECHOED, ROLE, *dict.fromkeys([*planned, *explored, *compared])]
+    return Table(rows, planned, tuple(notes), explored, compared, known, stimuli[columns])
 
 
 def _select_columns(
@@ -164,8 +174,8 @@ def _select_columns(
     explored = tuple(name for name in known if tests[name].notna().all())
     compared, lacking = _leave_incomplete(tests, [*planned, *rivals] if rivals else ())
     selected = rows[[
-        "participant", STIMULUS, "reference_id", "reference_reducer", "source", *ECHOED, ROLE, "matched", "scale",
-        "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
+        "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
+        "scale", "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
         *dict.fromkeys([*planned, *explored, *compared]),
     ]]  # fmt: skip
     return selected.reset_index(drop=True), explored, compared, lacking
@@ -229,8 +239,10 @@ def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[
     schema.refuse_lines(
         unclear, what, must=f"be 100 (right) or 0 (wrong) on scale '{schema.ANSWERED}'"
     )
-    if "reference_id" not in sheet:
-        sheet["reference_id"] = ""
+    for name in ("reference_id", OTHER):
+        if name not in sheet:
+            sheet[name] = ""
+    _check_choices(sheet, what)
     notes += [*_check_doubles(sheet, what), *remarks.note_scales(sheet)]
     if "underruns" in sheet and len(broken := sheet.loc[sheet["underruns"] > 0, "participant"]):
         notes.append(
@@ -238,9 +250,25 @@ def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[
             "(underruns): they count; mark them as rejected to leave them out."
         )
     if "repeat" not in sheet:
-        alike = ["participant", STIMULUS, "reference_id", "scale"]
+        alike = ["participant", STIMULUS, "reference_id", OTHER, "scale"]
         sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
     return sheet, notes
+
+
+def _check_choices(sheet: DataFrame, what: str) -> None:
+    """Refuse choices that name no second stimulus, or no winner, and a second stimulus where nothing is chosen."""
+    is_choice = sheet["scale"].isin(schema.CHOSEN)
+    scales = " or ".join(map(repr, schema.CHOSEN))
+    unclear = sheet.loc[
+        is_choice & ~sheet["rating"].isin([schema.LOWEST, schema.HIGHEST]), "rating"
+    ]
+    must = f"be 100 (stimulus_id was chosen) or 0 ({OTHER} was chosen) on scale {scales}"
+    schema.refuse_lines(unclear, what, must=must)
+    same = (sheet[OTHER] == "") | (sheet[OTHER] == sheet[STIMULUS])
+    must = f"name the second of the two stimuli on scale {scales}"
+    schema.refuse_lines(sheet.loc[is_choice & same, OTHER], what, must=must)
+    idle = sheet.loc[~is_choice & (sheet[OTHER] != ""), OTHER]
+    schema.refuse_lines(idle, what, must=f"be empty but on scale {scales}")
 
 
 def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
@@ -418,9 +446,15 @@ def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Se
 
 def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, names: tuple[str, str]) -> None:
     what, listed = names
-    strangers = ratings.loc[~ratings[STIMULUS].isin(manifest.index), STIMULUS]
-    must = f"be a stimulus of {listed}"
-    schema.refuse_lines(strangers, what, must=must, do="is it the manifest of these stimuli?")
+    must, do = f"be a stimulus of {listed}", "is it the manifest of these stimuli?"
+    for name in (STIMULUS, OTHER):
+        strangers = ratings.loc[
+            ~ratings[name].isin([*manifest.index, *[""] * (name == OTHER)]), name
+        ]
+        schema.refuse_lines(strangers, what, must=must, do=do)
+    arms = (ratings[name].map(manifest["recording"]) for name in (STIMULUS, OTHER))
+    foreign = ratings.loc[(ratings[OTHER] != "") & (next(arms) != next(arms)), OTHER]
+    schema.refuse_lines(foreign, what, must="be of the same recording as stimulus_id")
     for name in [name for name in ECHOED if name in ratings]:
         of_stimulus = ratings[STIMULUS].map(manifest[name])
         differing = ratings.loc[ratings[name] != of_stimulus, name]
@@ -445,10 +479,11 @@ def _turn_pairs(ratings: DataFrame, manifest: DataFrame, what: str) -> DataFrame
 def _find_roles(rows: DataFrame, manifest: DataFrame) -> Series:
     """Find the role that each stimulus had in its judgement."""
     is_same = rows[STIMULUS] == rows["reference_id"]
+    is_choice = rows["scale"].isin(schema.CHOSEN)
     roles = rows[ROLE].mask(is_same & (rows[ROLE] == TEST), "reference")
     is_pair = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "") & ~is_same
     return roles.mask(
-        is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), schema.PAIR
+        is_choice | is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), schema.PAIR
     )
 
 

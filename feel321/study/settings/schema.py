@@ -218,6 +218,7 @@ class TaskTable(kinds.TomlTable):
     timing: kinds.Words | None = None
     reference: kinds.Words | None = None
     surface: bool = False
+    pairs: Annotated[kinds.Count, Field(ge=1)] | None = None
 
 
 Tasks = dict[Annotated[str, kinds.one_of(PROTOCOLS)], TaskTable]
