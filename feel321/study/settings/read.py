@@ -14,8 +14,9 @@ from typing import Any
 from feel321.doors import describe, name_of
 from feel321.extensions import Method, find_method
 from feel321.files import write_text
+from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, make_task
-from feel321.protocols.texts import read_texts
+from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
@@ -161,8 +162,11 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     return texts
 
 
-def make_design(settings: Settings) -> Design:
-    """Make the design: all that a study decides about the sessions of its participants."""
+def make_design(settings: Settings, folder: Path | None = None) -> Design:
+    """Make the design: all that a study decides about the sessions of its participants.
+
+    folder: that of the study, where a file of its own may hold the texts of ready questions.
+    """
     session = settings.session
     rehearsal = session.rehearsal.model_dump(by_alias=True)
     trials = {name: rehearsal.pop(name) for name in ("training", "practice")}
@@ -179,7 +183,19 @@ def make_design(settings: Settings) -> Design:
         ),
         threshold=session.threshold.make_block() if session.threshold else None,
         matching=session.matching.make_block(settings.stimuli.levels) if session.matching else None,
+        questions=_make_questions(settings, folder),
     )
+
+
+def _make_questions(settings: Settings, folder: Path | None) -> tuple[Question, ...]:
+    questions: list[Question] = []
+    for table in settings.session.questions:
+        if table.use:
+            language = MODEL if folder is None else find_language(settings, folder)
+            questions += read_ready(table.use, read_texts(language), when=table.when)
+        else:
+            questions.append(table.make_question())
+    return tuple(questions)
 
 
 def make_identity(
@@ -196,6 +212,7 @@ def make_identity(
     texts = read_study_texts(settings, folder)
     # Pages aside from the plan ask nothing: sessions that began before there were any have the same texts.
     pages = {key: page for key, page in texts["pages"].items() if key not in ASIDE}
+    del texts["questions"]  # the plan holds what is asked
     return {
         "locale": settings.session.language,
         "texts_sha256": digest(json.dumps(texts | {"pages": pages}, sort_keys=True)),

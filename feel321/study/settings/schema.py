@@ -38,6 +38,7 @@ from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
+from feel321.study.settings.asking import Questions
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
 _BLOCK, _MATCHING = ThresholdBlock("bayesian", (), USUAL), MatchingBlock("")
@@ -210,6 +211,7 @@ class SessionTable(kinds.TomlTable):
     stale: StaleTable = StaleTable()
     threshold: ThresholdTable | None = None
     matching: MatchingTable | None = None
+    questions: Questions = ()
 
 
 class TaskTable(kinds.TomlTable):
