@@ -34,9 +34,9 @@ MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
 METRIC_INFO: Mapping[str, MetricInfo] = Registry(
     "metric",
     {
-        "spectral_match": MetricInfo("Spectral match", high=1.0),
-        "temporal_match": MetricInfo("Temporal match", low=0.0, high=1.0),
-        "spectral_match_bounded": MetricInfo("Bounded spectral match", low=0.0, high=1.0),
+        "spectral_match": MetricInfo("spectral match", high=1.0),
+        "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
+        "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
         **{name: rival.info for name, rival in RIVALS.items()},
     },
 )
