@@ -53,7 +53,8 @@ from feel321.protocols.trial import (
     Scale,
     Trial,
 )
-from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS, acceleration_threshold, to_db
+from feel321.stimuli.sets.anchors import to_db
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold
 from feel321.study.observer.percepts import Percept, compare_percepts
 from feel321.study.session.events import TrialRated
 from feel321.study.session.ports import Act, Confirm, Feel, Move, Place, Playback, Scaled, Tone
