@@ -128,11 +128,10 @@ def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
 
 def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
     """Find one of the lab's own reducers; a name of feel321's stays a name."""
-    taken = (ORIGINAL, NO_REFERENCE, *REDUCERS)
     declared = {key: table.to_facts() for key, table in settings.reducers.items()}
-    if name in taken:
+    if name in {*REDUCERS, ORIGINAL, NO_REFERENCE}:
         return name
-    return find_method("reducer", name, taken=taken, folder=folder, declared=declared)
+    return find_method("reducer", name, taken=REDUCERS, folder=folder, declared=declared)
 
 
 def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Method:
