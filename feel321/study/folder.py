@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
@@ -190,18 +190,21 @@ def read_bundled(name: str) -> str:
 
 
 MANIFEST_JSON = "manifest.json"
+METHODS = ("reducers", "metrics")
+"""Entries of it on the lab's own methods, and on further metrics; there where there are any."""
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
     """What `manifest.json` says.
 
-    recordings: name of each recording -> digest of its source.
+    recordings: name of each recording -> digest of its source; methods: the lab's own, and further metrics, by kind.
     """
 
     recipe: dict[str, Any]
     rows: list[dict[str, Any]]
     recordings: dict[str, str]
+    methods: dict[str, Any]
 
 
 def read_origin(folder: Path) -> Origin:
@@ -214,6 +217,7 @@ def read_origin(folder: Path) -> Origin:
             dict(details["recipe"]),
             rows,
             {row["recording"]: row["recording_sha256"] for row in rows},
+            {kind: details[kind] for kind in METHODS if kind in details},
         )
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise ValueError(
@@ -227,9 +231,12 @@ def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | No
 
     recordings: name of each recording in the settings -> digest of its source.
     """
+    from feel321.stimuli.sets.recipe import describe_recipe, list_methods  # takes numpy
+
     origin = read_origin(folder)
-    wanted = json.loads(json.dumps(asdict(recipe)))
+    wanted = json.loads(json.dumps(describe_recipe(recipe)))
     changes = list(_compare_recipes(origin.recipe, wanted))
+    changes += _compare_recipes(origin.methods, json.loads(json.dumps(list_methods(recipe))))
     if set(origin.recordings) != set(recordings):
         built, named = (", ".join(sorted(names)) for names in (origin.recordings, recordings))
         changes.append(f"recordings: built from {built}; the settings name {named}")
@@ -254,6 +261,6 @@ def _compare_recipes(
     for key in sorted({*built, *wanted}):
         old, new = built.get(key), wanted.get(key)
         if isinstance(old, dict) and isinstance(new, dict):
-            yield from _compare_recipes(old, new, table=f"{key}.")
+            yield from _compare_recipes(old, new, table=f"{table}{key}.")
         elif old != new:
             yield f"{table}{key}: built with {json.dumps(old)}; the settings say {json.dumps(new)}"

@@ -3,13 +3,11 @@
 It may be deleted at any time: it is written anew, byte for byte the same, from what the journals hold.
 """
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from feel321.files import write_text
+from feel321.files import write_table
 from feel321.protocols.tasks import find_other, score_trial
 from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
@@ -37,11 +35,7 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     was begun anew, is there and marked as rejected.
     """
     rows = [row for folder in study.participants for row in read_judgements(folder, stimuli)]
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, RATING_COLUMNS)
-    table.writeheader()
-    table.writerows(rows)
-    write_text(study.ratings, text.getvalue())
+    write_table(study.ratings, RATING_COLUMNS, rows)
     return len(rows)
 
 

@@ -133,7 +133,7 @@ class _Keeper:
 def require_current_set(study: StudyFolder, settings: Settings) -> None:
     """Check that the stimulus set is the one of the settings; no recording is read for it."""
     named = dict.fromkeys(entry.title for entry in settings.recordings)
-    if changes := find_changes(study.stimuli, make_recipe(settings), named):
+    if changes := find_changes(study.stimuli, make_recipe(settings, study.path), named):
         raise ValueError(
             "\n".join(f"{change}; run feel321 build {quote(str(study.path))}" for change in changes)
         )
@@ -186,7 +186,7 @@ def plan_sessions(
 ) -> list[Plan]:
     """Give participants their numbers in the design, and plan their sessions."""
     numbers = claim_slots(room.ledger, participants, simulated=simulated, now=room.now)
-    design = make_design(settings)
+    design = make_design(settings, room.study.path)
     return [
         make_plan(design, room.stimuli, name, number=numbers[name], simulated=simulated)
         for name in participants

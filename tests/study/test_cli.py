@@ -18,7 +18,8 @@ from feel321.analysis.table.reading import Further
 from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition, list_steps
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.match import METRICS, spectral_match
+from feel321.stimuli.match import spectral_match
+from feel321.stimuli.metrics import MATCHES, METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import read_wav, write_wav
@@ -140,7 +141,7 @@ def test_reduce_writes_what_the_reducer_gives_and_match_reads_it(
     matches = json.loads(capsys.readouterr().out)
     assert matches["spectral_match"] == pytest.approx(facts["spectral_match"], abs=1e-4)
     assert matches["temporal_match"] == pytest.approx(facts["temporal_match"], abs=1e-4)
-    for metric in METRICS:
+    for metric in MATCHES:
         direct = METRICS[metric](
             bumps.acceleration, REDUCERS[name](bumps.acceleration, 10000.0), 10000.0
         )
@@ -269,8 +270,8 @@ def test_what_is_undefined_is_null_in_json(tmp_path: Path, capsys: Capture) -> N
     assert main(["match", *arguments[:1], str(output), *arguments[1:]]) == 1
     shown, blamed = capsys.readouterr()
     facts = json.loads(shown, parse_constant=pytest.fail)
-    assert [facts[name] for name in METRICS] == [None, None, None]
-    assert set(facts["reasons"]) == set(METRICS)
+    assert [facts[name] for name in MATCHES] == [None, None, None]
+    assert set(facts["reasons"]) == set(MATCHES)
     assert blamed.splitlines()[-1].startswith(
         "feel321: silent: spectral_match: the recording has no energy from 20 to"
     )

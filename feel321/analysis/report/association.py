@@ -42,9 +42,10 @@ from feel321.analysis.report.section import (
     stack,
 )
 from feel321.analysis.table.items import make_items
+from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart
-from feel321.analysis.table.reading import Table, order_reducers
-from feel321.analysis.table.schema import APART, PAIRED, describe_explored
+from feel321.analysis.table.reading import Table
+from feel321.analysis.table.schema import APART, PAIRED
 from feel321.analysis.words import COUNT, ONE_WAY, TWO_WAY, Claim, Line
 
 Row = dict[str, Any]

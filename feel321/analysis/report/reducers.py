@@ -55,12 +55,14 @@ from feel321.analysis.report.section import (
     read_methods,
 )
 from feel321.analysis.table.items import find_sources
-from feel321.analysis.table.reading import Table, order_reducers
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
 from feel321.analysis.words import COUNT, Number
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from feel321.analysis.table.reading import Table
 
 Row = dict[Any, Any]
 

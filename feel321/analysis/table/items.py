@@ -16,17 +16,18 @@ share, and the count of sources is reported.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
-from feel321.analysis.table.schema import APART, NAMING, NO, REDUCERS, YES
+from feel321.analysis.table.schema import APART, NAMING, NO, YES
 from feel321.doors import as_names, check_name
 from feel321.records import Result
+from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -62,6 +63,11 @@ class Table(Result):
         What was left out and what was assumed, one sentence each.
     further : tuple of str
         Columns of metrics that are explored only.
+    rivals : tuple of str
+        Columns of metrics that are compared with each other, those of the primary analysis among them; empty where
+        no comparison was asked for.
+    info : Mapping of str to MetricInfo
+        What each metric declares of itself: which way it points, its bounds, label and unit.
     stimuli : DataFrame, indexed by stimulus_id, optional
         Every stimulus of the manifest, rated or not: source, recording, reducer, level, role and metrics.
 
@@ -85,6 +91,8 @@ class Table(Result):
     metrics: tuple[str, ...]
     notes: tuple[str, ...]
     further: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()
+    info: Mapping[str, MetricInfo] = field(default_factory=dict)
     stimuli: DataFrame | None = None
 
     def select(self, scale: str | None = None, *, level: str | None = None) -> Table:
@@ -406,12 +414,6 @@ def split_tests(ratings: Table | DataFrame) -> Iterator[Tests]:
         rated &= rows["matched"]
     for (scale, level), part in rows[rated].groupby(list(ARMS), observed=True):
         yield Tests(str(scale), str(level), part)
-
-
-def order_reducers(names: Iterable[str]) -> list[str]:
-    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
-    found = set(names)
-    return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
 
 
 def find_sources(rows: Table | DataFrame) -> Series:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 from feel321.analysis.table import schema
 from feel321.analysis.table.items import ROLE, STIMULUS, TEST
+from feel321.analysis.table.metrics import describe_explored
 from feel321.analysis.table.schema import shorten
+from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -72,12 +74,8 @@ def note_stimuli(sheet: DataFrame) -> Iterator[str]:
         yield f"Stimuli as is were played with {scope}: {values} m/s² per m/s² recorded."
     if schema.SENSATION in sheet and (weak := int((sheet[schema.SENSATION] < 0).sum())):
         yield f"{weak} of {len(sheet)} stimuli were played below the detection threshold."
-    for name in (name for name in schema.MATCHES if name in sheet):
-        if len(above := sheet.loc[sheet[name] > 1, STIMULUS]):
-            first = list_names([above.iloc[0]])
-            yield f"'{name}' is above 1, which no match can be, for {len(above)} stimuli, first {first}."
     tests = sheet.loc[sheet[ROLE] == TEST, "reducer"]
-    if strangers := sorted(set(tests) - set(schema.REDUCERS)):
+    if strangers := sorted(set(tests) - set(REDUCERS)):
         yield f"Reducers unknown to feel321, analysed as named: {list_names(strangers)}."
 
 
@@ -128,7 +126,7 @@ def note_lookalikes(rows: DataFrame) -> Iterator[str]:
 def note_lacking(rows: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
     """Say which further metrics some rated test stimuli lack."""
     tests = rows[rows[ROLE] == TEST]
-    for name in (name for name in schema.describe_explored(metrics) if name in rows):
+    for name in (name for name in describe_explored(metrics) if name in rows):
         lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
         if len(lacking):
             first = list_names([str(lacking[0])])

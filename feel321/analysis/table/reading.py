@@ -8,8 +8,9 @@ dropped silently: what is left out, or assumed because a column is missing, is i
 A study whose participants differ, in how they hold the tool for example, writes `participants.csv` with a column for
 each such factor. Its columns become columns of the judgements; no test compares groups of people.
 
-Further metrics are the rotation statistics of the metrics, the metrics of signals as they were delivered, and
-counterparts that no orientation of the sensor changes (`feel321.analysis.table.schema.FURTHER`). A stimulus has them
+Any numeric column of the manifest is a metric (`feel321.analysis.table.metrics`). Further metrics are the rotation
+statistics of the metrics, the metrics of signals as they were delivered, and counterparts that no orientation of the
+sensor changes. A stimulus has them
 from the manifest, from the ratings (the mean over its judgements), or from the caller. They are explored: no primary
 analysis and no correction for several tests holds them.
 """
@@ -24,24 +25,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from feel321.analysis.table import metrics as metrics_of
 from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import schema
-from feel321.analysis.table.items import (
-    OTHER,
-    ROLE,
-    STIMULUS,
-    TEST,
-    Table,
-    leave_rejected,
-    order_reducers,
-)
+from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.doors import as_names, as_path, describe
-from feel321.types import PathLike
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.types import MetricInfo, PathLike
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-__all__ = ["Further", "Table", "order_reducers", "read_table"]
+__all__ = ["Further", "Table", "read_table"]
 
 RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
@@ -75,19 +70,20 @@ OPTIONAL = (
 )  # fmt: skip
 """Columns that judgements keep where there are any."""
 
-MOSTLY = 0.5
-"""Share of a column's cells that are numbers where the column is meant to hold numbers."""
-
 SURFACED, UNLISTED = "the real surface", "what the manifest does not list"
 FOREIGN = "a stimulus of another recording"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Further:
-    """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed."""
+    """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed.
+
+    rivals: metrics, columns of these or of the manifest, that are to be compared with those of the primary analysis.
+    """
 
     metrics: DataFrame
     notes: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()
 
 
 def read_table(
@@ -97,6 +93,7 @@ def read_table(
     metrics: Sequence[str] | None = None,
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
+    info: Mapping[str, MetricInfo] | None = None,
 ) -> Table:
     """Read ratings and manifest into one tidy table.
 
@@ -115,6 +112,9 @@ def read_table(
         ``source`` that says so.
     further : Further, optional
         Metrics to explore that neither file holds.
+    info : Mapping of str to MetricInfo, optional
+        What metrics declare: which way each points, its bounds, label and unit. ``manifest.json`` beside the manifest
+        may say it too; nothing said: higher is better, no bounds. A value beyond a declared bound is refused.
 
     Returns
     -------
@@ -135,7 +135,10 @@ def read_table(
     if manifest is None:
         ratings, manifest = find_tables(ratings)
     judged, listed = _open(ratings, "ratings"), _open(manifest, "manifest")
-    stimuli, planned, notes = _read_manifest(listed, sources or {}, metrics)
+    rivals = further.rivals if further else ()
+    stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources or {}, rivals=rivals)
+    known, beyond = _read_info(stimuli, info, listed, names=(*planned, *rivals))
+    stimuli = stimuli.set_index(STIMULUS)
     rows, more_notes = _read_ratings(*judged)
     _check_stimuli(rows, stimuli, names=(judged.what, listed.what))
     stimuli, joined = _join_further(stimuli, rows, further, names=(judged.what, listed.what))
@@ -145,6 +148,7 @@ def read_table(
     rows["matched"] = _find_references(rows, stimuli).isin(["", SURFACED, UNLISTED])
     rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
     notes += [
+        *beyond,
         *joined,
         *more_notes,
         *remarks.note_gaps(rows, stimuli),
@@ -153,17 +157,38 @@ def read_table(
         *remarks.note_lookalikes(rows),
         *remarks.note_lacking(rows, planned),
     ]
-    tests, known = rows[rows[ROLE] == TEST], schema.describe_explored(planned)
-    explored = [name for name in known if name in rows and tests[name].notna().all()]
-    rows = rows[[
-        "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
-        "scale", "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
-        *planned, *explored,
-    ]].reset_index(drop=True)  # fmt: skip
+    rows, explored, compared, lacking = _select_columns(rows, planned, rivals)
     rows, more_notes = _join_labels(rows, judged.given)
     rows, on_rigs = _join_rigs(rows, judged.given)
-    listed_metrics = stimuli[["source", *ECHOED, ROLE, *planned, *explored]]
-    return Table(rows, planned, (*notes, *more_notes, *on_rigs), tuple(explored), listed_metrics)
+    notes += [*lacking, *more_notes, *on_rigs]
+    columns = ["source", *ECHOED, ROLE, *dict.fromkeys([*planned, *explored, *compared])]
+    return Table(rows, planned, tuple(notes), explored, compared, known, stimuli[columns])
+
+
+def _select_columns(
+    rows: DataFrame, planned: Sequence[str], rivals: Sequence[str]
+) -> tuple[DataFrame, tuple[str, ...], tuple[str, ...], list[str]]:
+    """Select the columns of a table; also the metrics that are explored and compared, and notes."""
+    tests = rows[rows[ROLE] == TEST]
+    known = [name for name in metrics_of.describe_explored(planned) if name in tests]
+    explored = tuple(name for name in known if tests[name].notna().all())
+    compared, lacking = _leave_incomplete(tests, [*planned, *rivals] if rivals else ())
+    selected = rows[[
+        "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
+        "scale", "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
+        *dict.fromkeys([*planned, *explored, *compared]),
+    ]]  # fmt: skip
+    return selected.reset_index(drop=True), explored, compared, lacking
+
+
+def _leave_incomplete(tests: DataFrame, rivals: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Leave out rivals that some rated test stimulus has no value of: on other stimuli they are not comparable."""
+    rivals = tuple(dict.fromkeys(rivals))
+    bare = [name for name in rivals if tests[name].isna().any()]
+    if not bare:
+        return rivals, []
+    note = f"Not compared, because some rated test stimuli have no value: {', '.join(bare)}."
+    return tuple(name for name in rivals if name not in bare), [note]
 
 
 def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
@@ -198,7 +223,7 @@ def _open(given: PathLike | DataFrame, what: str) -> _Source:
 
 def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[str]]:
     """Read every judgement that counts."""
-    columns = {**schema.RATINGS, **schema.describe_further()}
+    columns = {**schema.RATINGS, **metrics_of.describe_further()}
     sheet, notes = schema.read_sheet(source, what, columns)
     sheet, more_notes = _leave_rejected(sheet, what)  # which needs no rating
     notes += more_notes
@@ -292,11 +317,15 @@ def _check_doubles(sheet: DataFrame, what: str) -> list[str]:
 
 
 def _read_manifest(
-    source: _Source, sources: Mapping[str, str], metrics: Sequence[str] | None
+    source: _Source,
+    metrics: Sequence[str] | None,
+    *,
+    sources: Mapping[str, str],
+    rivals: Sequence[str],
 ) -> tuple[DataFrame, tuple[str, ...], list[str]]:
-    """Read the manifest's columns that an analysis needs, indexed by stimulus; also the planned metrics, and notes."""
+    """Read the manifest's columns that an analysis needs; also the planned metrics, and notes."""
     metrics, what = None if metrics is None else as_names(metrics, "metrics"), source.what
-    columns = schema.describe_manifest(metrics or schema.PLANNED)
+    columns = metrics_of.describe_manifest([*(metrics or schema.PLANNED), *rivals])
     sheet, notes = schema.read_sheet(*source, columns)
     planned, more_notes = _choose_metrics(sheet, metrics, source)
     notes += more_notes
@@ -314,19 +343,36 @@ def _read_manifest(
         must=f"be one of {', '.join(schema.ROLES)}",
     )
     _refuse_doubled(sheet, STIMULUS, what)
-    _read_metrics(sheet, planned, what)
+    _read_metrics(sheet, planned, what, rivals=rivals)
     for name in (schema.AMPLITUDE, schema.GAIN, schema.SENSATION):
-        if name not in planned:
+        if name not in {*planned, *rivals}:
             schema.read_column(sheet, name, what, kind=columns[name].kind)
     sheet["source"] = _read_sources(sheet, sources, what)
     notes += remarks.note_stimuli(sheet)
-    return sheet.set_index(STIMULUS), planned, notes
+    return sheet, planned, notes
 
 
-def _read_metrics(sheet: DataFrame, planned: Sequence[str], what: str) -> None:
-    for name in (*planned, *(name for name in schema.describe_explored(planned) if name in sheet)):
+def _read_info(
+    sheet: DataFrame,
+    declared: Mapping[str, MetricInfo] | None,
+    source: _Source,
+    *,
+    names: Sequence[str],
+) -> tuple[dict[str, MetricInfo], list[str]]:
+    """Find what the metrics declare, and hold the manifest to their bounds; also note where ours are passed."""
+    wanted = dict.fromkeys([*names, *metrics_of.describe_explored(())])
+    given = [name for name in wanted if name in sheet or name in names]
+    known, stated = metrics_of.gather_info(given, declared, source.given)
+    return known, list(metrics_of.refuse_unbounded(sheet, source.what, info=known, stated=stated))
+
+
+def _read_metrics(
+    sheet: DataFrame, planned: Sequence[str], what: str, *, rivals: Sequence[str]
+) -> None:
+    known = dict.fromkeys([*planned, *rivals, *metrics_of.describe_explored(planned)])
+    for name in (name for name in known if name in sheet):
         # The reference need not have a metric: it is what the others are matched against.
-        if name in planned or name not in schema.MATCHES:
+        if name in planned or name in metrics_of.describe_further():
             lacking = sheet.loc[(sheet[name] == "") & (sheet[ROLE] == TEST), name]
             do = "correct it or leave the row out"
             schema.refuse_lines(lacking, what, must="be a finite number", do=do)
@@ -360,7 +406,7 @@ def _refuse_missing(sheet: DataFrame, metrics: Sequence[str], source: _Source) -
             f"metrics must be one name or more, each once, got {', '.join(metrics) or 'none'}"
         )
     for name in metrics:
-        if name in sheet and name not in schema.NOT_METRICS and _is_numeric(sheet[name]):
+        if name in sheet and name in metrics_of.list_numeric(sheet):
             continue
         instead, why = schema.STAND_INS.get(name), ""
         if instead in sheet:
@@ -373,19 +419,8 @@ def _refuse_missing(sheet: DataFrame, metrics: Sequence[str], source: _Source) -
 
 def _list_numeric(source: Path | DataFrame) -> str:
     """List what may be used as a metric, of all columns of the table."""
-    cells = schema.read_cells(source)
-    names = [
-        str(name) for name in cells if name not in schema.NOT_METRICS and _is_numeric(cells[name])
-    ]
+    names = metrics_of.list_numeric(schema.read_cells(source))
     return f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
-
-
-def _is_numeric(cells: Series) -> bool:
-    import pandas as pd
-
-    filled = cells[cells != ""]
-    share = pd.to_numeric(filled, errors="coerce").notna().mean() if len(filled) else 0
-    return bool(share > MOSTLY)
 
 
 def _refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
@@ -462,7 +497,7 @@ def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
         known[name] = UNLISTED
         if name in manifest.index:
             reducer, role = manifest.loc[name, ["reducer", ROLE]]
-            whole = role == "reference" and reducer not in schema.REDUCERS
+            whole = role == "reference" and reducer not in REDUCERS
             known[name] = "" if whole else f"what '{reducer}' made of the recording"
     of_reference = rows["reference_id"].map(manifest["recording"])
     is_foreign = of_reference.notna() & (of_reference != rows["recording"])
@@ -544,12 +579,12 @@ def _join_further(
     manifest: DataFrame, ratings: DataFrame, given: Further | None, *, names: tuple[str, str]
 ) -> tuple[DataFrame, list[str]]:
     """Give every stimulus the further metrics that there are."""
-    judged = [name for name in schema.describe_further() if name in ratings]
+    judged = [name for name in metrics_of.describe_further() if name in ratings]
     parts = (
         [(ratings.groupby(STIMULUS)[judged].mean(), " and ".join(names[::-1]))] if judged else []
     )
     if given is not None:
-        _check_given(given.metrics)
+        _check_given(given)
         parts.append((given.metrics, "the files and the further metrics given"))
     for more, where in parts:
         if doubled := [str(name) for name in more if name in manifest]:
@@ -561,8 +596,8 @@ def _join_further(
     return manifest, [*(given.notes if given else ()), *(f"'{name}': {mean}." for name in judged)]
 
 
-def _check_given(metrics: DataFrame) -> None:
-    allowed = schema.describe_further()
+def _check_given(given: Further) -> None:
+    metrics, allowed = given.metrics, [*metrics_of.describe_further(), *given.rivals]
     for name in metrics:
         if name not in allowed:
             raise ValueError(

@@ -15,22 +15,29 @@ the differences between recordings, but then the highest peak of any recording d
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from feel321 import __version__
 from feel321.doors import as_names, check_name, describe
+from feel321.extensions import Method, find_method, is_given
 from feel321.stimuli.condition import Conditioning, condition, fade, make_plain, resample
+from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
+from feel321.stimuli.metrics import METRIC_INFO, METRICS
 from feel321.stimuli.recording import Recording, check_rate, digest_samples, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS, CONTACTOR, THRESHOLDS, loudest_levels, to_db
+from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db
+from feel321.stimuli.sets.manifest import COLUMNS
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
 from feel321.stimuli.wav import write_wav
-from feel321.types import Samples
+from feel321.types import Metric, Reducer, Samples
 
 LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
@@ -44,6 +51,9 @@ NO_REFERENCE = "none"
 ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
 """Automatic gains: one for the whole set, so that recordings differ in strength as they did when recorded; or one for
 each recording with its reference and anchors, so that no spike of one recording weakens the others."""
+
+FIXED = tuple(name for name in METRICS if name in COLUMNS)
+"""The matches, which every set has."""
 
 RIG_RATES_HZ = (2000, 384_000)
 """Rates at which 1000 Hz can be played and sound devices run."""
@@ -61,8 +71,9 @@ class Recipe:
         Acceleration that the rig gives for a file's full scale, m/s².
     conditioning : Conditioning
         Steps before reduction.
-    reducers : sequence of str
-        Names of `REDUCERS`.
+    reducers : sequence of str or callable
+        Names of `REDUCERS`, or a lab's own, as "mylab.haptics:my321", "methods/my321.py:my321" or functions;
+        their short names are kept.
     levels : sequence of str
         Names of `LEVELS`.
     anchors : bool
@@ -80,6 +91,10 @@ class Recipe:
         Raised-cosine fade at both ends in s.
     threshold : str
         Detection threshold curve for sensation levels, a name of `THRESHOLDS`.
+    metrics : sequence of str or callable
+        Further columns of the manifest: names of `METRICS`, or a lab's own; the three matches are always there.
+    methods : sequence of Method
+        The lab's own reducers and metrics, once they are found.
 
     Examples
     --------
@@ -90,7 +105,7 @@ class Recipe:
 
     full_scale_m_s2: float = 100.0
     conditioning: Conditioning = field(default_factory=Conditioning)
-    reducers: Sequence[str] = DEFAULT_REDUCERS
+    reducers: Sequence[Any] = DEFAULT_REDUCERS
     levels: Sequence[str] = ("as_is",)
     anchors: bool = True
     reference: str = ORIGINAL
@@ -99,24 +114,63 @@ class Recipe:
     gain: float | str = ONE_GAIN
     fade_s: float = 0.01
     threshold: str = CONTACTOR
+    metrics: Sequence[Any] = ()
+    methods: Sequence[Method] = ()
 
     def __post_init__(self) -> None:
-        """Refuse unknown names and numbers out of range."""
+        """Find the lab's own methods; refuse unknown names and numbers out of range."""
         make_plain(self)
-        for what, known in (("reducers", REDUCERS), ("levels", LEVELS)):
-            names = as_names(getattr(self, what), what)
-            object.__setattr__(self, what, names)
-            for name in names:
-                check_name(name, known, what.removesuffix("s"))
-            if not names or len(set(names)) < len(names):
+        self._find_methods()
+        object.__setattr__(self, "levels", as_names(self.levels, "levels"))
+        for name in self.levels:
+            check_name(name, LEVELS, "level")
+        for what in ("reducers", "levels", "metrics"):
+            names = getattr(self, what)
+            if (not names and what != "metrics") or len(set(names)) < len(names):
                 raise ValueError(f"{what} must be one or more names, each once; got {names}")
+        if always := [name for name in self.metrics if name in FIXED]:
+            raise ValueError(
+                f"metrics must name further ones, got {always[0]!r}, which every set has; leave it out"
+            )
         if not isinstance(self.conditioning, Conditioning):
             raise TypeError(
                 f"conditioning must be a Conditioning, got {describe(self.conditioning)}"
             )
         self._check_numbers()
-        check_name(self.reference, (ORIGINAL, NO_REFERENCE, *REDUCERS), "reference")
         check_name(self.threshold, THRESHOLDS, "threshold")
+
+    def _find_methods(self) -> None:
+        """Put short names in the place of the lab's own methods, and keep the methods that are used."""
+        known = {(one.kind, one.name): one for one in self.methods}
+        used = {}
+
+        def find(
+            given: object, what: str, allowed: Collection[str], *, taken: Collection[str]
+        ) -> str:
+            kind = "metric" if what == "metric" else "reducer"
+            if isinstance(given, str) and not (is_given(kind, given) or (kind, given) in known):
+                return check_name(given, allowed, what)
+            if isinstance(given, str) and given in allowed:
+                return given
+            own = known.get((kind, given)) if isinstance(given, str) else None
+            method = own or find_method(kind, given, taken=taken)
+            used[kind, method.name] = method
+            return method.name
+
+        references = (ORIGINAL, NO_REFERENCE, *REDUCERS)
+        taken = (*references, *ANCHORS)
+        reducers = [
+            find(one, "reducer", REDUCERS, taken=taken)
+            for one in as_names(self.reducers, "reducers")
+        ]
+        metrics = [
+            find(one, "metric", METRICS, taken=(*METRICS, *COLUMNS))
+            for one in as_names(self.metrics, "metrics")
+        ]
+        reference = find(self.reference, "reference", references, taken=taken)
+        own = {"reducers": tuple(reducers), "reference": reference, "metrics": tuple(metrics)}
+        for name, value in (own | {"methods": tuple(used.values())}).items():
+            object.__setattr__(self, name, value)
 
     def _check_numbers(self) -> None:
         low, high = RIG_RATES_HZ
@@ -137,6 +191,51 @@ class Recipe:
             )
         if not 0 <= self.fade_s < float("inf"):
             raise ValueError(f"fade_s must be 0 s or more, got {self.fade_s}")
+
+
+def find_reducer(recipe: Recipe, name: str) -> Reducer:
+    """Find a reducer of a recipe, feel321's or the lab's own."""
+    method = _find_method(recipe, "reducer", name)
+    return OwnReducer(method) if method else REDUCERS[name]
+
+
+def find_metric(recipe: Recipe, name: str) -> Metric:
+    """Find a metric of a recipe, feel321's or the lab's own."""
+    method = _find_method(recipe, "metric", name)
+    return OwnMetric(method) if method else METRICS[name]
+
+
+def _find_method(recipe: Recipe, kind: str, name: str) -> Method | None:
+    return next((one for one in recipe.methods if (one.kind, one.name) == (kind, name)), None)
+
+
+def describe_recipe(recipe: Recipe) -> dict[str, Any]:
+    """Return what `manifest.json` records of a recipe, but for the lab's own methods."""
+    own = {one.name: getattr(recipe, one.name) for one in fields(recipe) if one.name != "methods"}
+    if not recipe.metrics:  # as it was before there were any
+        del own["metrics"]
+    return own | {"conditioning": asdict(recipe.conditioning)}
+
+
+def list_methods(recipe: Recipe) -> dict[str, dict[str, dict[str, Any]]]:
+    """List what `manifest.json` records of the lab's own methods, and of all further metrics; empty if none."""
+    reducers = {one.name: one.to_json() for one in recipe.methods if one.kind == "reducer"}
+    metrics: dict[str, dict[str, Any]] = {}
+    for name in recipe.metrics:
+        method = _find_method(recipe, "metric", name)
+        source = method.to_json() if method else {"method": "feel321", "sha256": __version__}
+        metrics[name] = {**describe_metric(find_metric(recipe, name), name), **source}
+    found = {"reducers": reducers, "metrics": metrics}
+    return {kind: entries for kind, entries in found.items() if entries}
+
+
+def describe_metric(metric: Metric, name: str) -> dict[str, Any]:
+    """Return what a metric declares, as JSON: an end that is open is null."""
+    info = metric.info if isinstance(metric, OwnMetric) else METRIC_INFO[name]
+    return {
+        key: None if value in {-math.inf, math.inf} else value
+        for key, value in asdict(info).items()
+    }
 
 
 def check_names(names: Sequence[str]) -> None:
@@ -177,7 +276,7 @@ class Measured:
     """Measurements of a rendered stimulus at unit gain.
 
     peak: largest magnitude in m/s²; levels: name of a threshold curve -> largest root mean square
-    in any 200 ms, in multiples of the threshold.
+    in any 200 ms, in multiples of the threshold; metrics: further ones, None where nothing can be compared.
     """
 
     peak: float
@@ -185,6 +284,7 @@ class Measured:
     spectral_match: float
     temporal_match: float
     spectral_match_bounded: float
+    metrics: dict[str, float | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +310,19 @@ def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
     settings = ("rate_hz", "fade_s", "full_scale_m_s2", "threshold")
     basis |= versions() | asdict(recipe.conditioning)
     basis |= {name: getattr(recipe, name) for name in settings}
-    keys = [json.dumps({**basis, "reducer": reducer}, sort_keys=True) for reducer, _ in wanted]
+    # Sets without a lab's own methods and without further metrics have the keys that they always had.
+    methods = list_methods(recipe)
+    own = {name: entry["sha256"] for name, entry in methods.get("reducers", {}).items()}
+    metrics = {name: one["sha256"] for name, one in methods.get("metrics", {}).items()}
+    further: dict[str, Any] = {"metrics": metrics} if metrics else {}
+    keys = [
+        json.dumps(
+            {**basis, **further, "reducer": reducer}
+            | ({"method": own[reducer]} if reducer in own else {}),
+            sort_keys=True,
+        )
+        for reducer, _ in wanted
+    ]
     return tuple(
         Draft(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())
         for (reducer, role), key in zip(wanted, keys, strict=True)
@@ -302,7 +414,7 @@ def _render(
         scale = _make_scale(condition(recording, recipe.conditioning), recipe)
         for draft in wanted:
             samples, played = _play(draft.reducer, scale, recipe)
-            yield draft, played, _measure(samples, played, scale=scale, rate_hz=recipe.rate_hz)
+            yield draft, played, _measure(samples, played, scale=scale, recipe=recipe)
     except ValueError as error:
         raise ValueError(f"recording {recording.name!r}: {error}") from None
 
@@ -321,7 +433,7 @@ def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples
     if reducer == ORIGINAL:
         return recording.acceleration, scale.played
     if reducer not in ANCHORS:
-        samples = REDUCERS[reducer](recording.acceleration, recording.rate_hz)
+        samples = find_reducer(recipe, reducer)(recording.acceleration, recording.rate_hz)
         return samples, _for_the_rig(samples, recording.rate_hz, recipe)
     seed = [int(recording.sha256[:16], 16), *reducer.encode()]
     samples = ANCHORS[reducer](recording, np.random.default_rng(seed))
@@ -337,17 +449,35 @@ def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
     return fade(played, recipe.rate_hz, fade_s=recipe.fade_s)
 
 
-def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, rate_hz: float) -> Measured:
+def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, recipe: Recipe) -> Measured:
     # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
     levels = {
         name: level if level > ROUNDING * scale.levels[name] else 0.0
-        for name, level in loudest_levels(rendered, rate_hz, THRESHOLDS).items()
+        for name, level in loudest_levels(rendered, recipe.rate_hz, THRESHOLDS).items()
     }
+    further = _compute_metrics(samples, scale.recording, recipe)
     if samples.ndim > 1:  # the original itself, matched channel by channel
-        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0)
+        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0, further)
     spectral, bounded = scale.spectrum.match_both(samples)
     temporal = mean_over_axes(axis_correlations(scale.recording.acceleration, samples))
-    return Measured(largest(rendered), levels, float(spectral), float(temporal), float(bounded))
+    matches = float(spectral), float(temporal), float(bounded)
+    return Measured(largest(rendered), levels, *matches, further)
+
+
+def _compute_metrics(
+    samples: Samples, recording: Recording, recipe: Recipe
+) -> dict[str, float | None]:
+    """Compute the further metrics; of the original itself, the mean over its channels, each compared with itself."""
+    acceleration, rate_hz = recording.acceleration, recording.rate_hz
+    pairs = [(acceleration, samples)]
+    if samples.ndim > 1:
+        pairs = [(np.array([axis] * 3), axis) for axis in acceleration if axis.any()]
+    found: dict[str, float | None] = {}
+    for name in recipe.metrics:
+        metric = find_metric(recipe, name)
+        value = float(np.mean([metric(*pair, rate_hz) for pair in pairs]))
+        found[name] = None if math.isnan(value) else value
+    return found
 
 
 def choose_gains(

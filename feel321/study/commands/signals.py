@@ -286,7 +286,7 @@ def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
 
 
 def _print_matches(facts: dict[str, Any]) -> None:
-    from feel321.stimuli.match import METRICS
+    from feel321.stimuli.metrics import MATCHES
 
     steps = ", ".join(facts["steps"]) or "none, as it was measured"
     source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
@@ -297,7 +297,7 @@ def _print_matches(facts: dict[str, Any]) -> None:
     )
     silent = ", ".join("xyz"[axis] for axis in facts["silent_axes"]) or "none"
     details = {"spectral_match": compared, "temporal_match": f"silent axes: {silent}"}
-    for name in METRICS:
+    for name in MATCHES:
         detail = f" ({details[name]})" if name in details else ""
         value = (
             f"none: {facts['reasons'][name]}"
