@@ -82,6 +82,8 @@ def gather_votes(
 ) -> Votes:
     """Gather the votes of one scale; with metrics, those that the metrics are asked about."""
     rows, listed, planned = _open(ratings, stimuli)
+    if isinstance(ratings, Table):
+        higher = {name: info.higher for name, info in ratings.info.items()} | dict(higher or {})
     rows = _select(rows, listed, scale=scale, level=level)
     names = planned if metrics is None else as_names(metrics, "metrics")
     notes: list[str] = []
@@ -221,4 +223,5 @@ def cluster_products(votes: Votes, scores: Values) -> tuple[Values, Values, Valu
         codes = np.unique(groups, return_inverse=True)[1]
         sums = np.stack([np.bincount(codes, column) for column in scores.T], axis=1)
         found.append(sums.T @ sums * (len(sums) / max(len(sums) - 1, 1)))
-    return found[0], found[1], found[2]
+    one, other, both = (np.asarray(product, dtype=np.float64) for product in found)
+    return one, other, both
