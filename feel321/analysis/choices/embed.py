@@ -180,7 +180,7 @@ def fit_positions(
     found = [
         minimize(
             _weigh, rng.normal(0, 1, n_items * dimensions), args=(codes, (n_items, dimensions)), jac=True,
-            method="L-BFGS-B", options={"maxiter": 2000},
+            method="L-BFGS-B", options={"maxiter": 500},
         )
         for _ in range(starts)
     ]  # fmt: skip

@@ -188,11 +188,8 @@ def _list_pairs(
     tests = listed[listed[ROLE] == TEST] if ROLE in listed else listed
     tests = tests[tests[list(metrics)].notna().all(axis=1)].reset_index(drop=True)
     arms = ["recording", *(["level"] if "level" in tests else [])]
-    both = [
-        pair
-        for part in tests.groupby(arms, sort=True).groups.values()
-        for pair in combinations(part, 2)
-    ]
+    groups = (part.index.tolist() for _, part in tests.groupby(arms, sort=True))
+    both = [pair for members in groups for pair in combinations(members, 2)]
     if not both:
         raise ValueError(
             "stimuli must hold two test stimuli of a recording or more, got none; build more reducers"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +45,7 @@ from feel321.analysis.words import (
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-Row = dict[str, Any]
+Row = dict[Any, Any]
 
 KEY, TITLE = "choices", "Choices between two stimuli"
 ASKED = {
@@ -139,7 +139,9 @@ def compute_choices(table: Table, choices: Choices) -> Section:
     arms = list(_split(table))
     if not arms:
         return Section(KEY, TITLE)
-    answers, lines, notes = [], [], []
+    answers: list[str] = []
+    lines: list[Line] = []
+    notes: list[str] = []
     grids: list[PageTable] = []
     unseen: list[Number] = []
     pictures: list[Picture] = []
@@ -167,11 +169,10 @@ def compute_choices(table: Table, choices: Choices) -> Section:
 
 
 def _split(table: Table) -> Iterator[_Arm]:
-    from dataclasses import replace
 
     rows = table.rows[table.rows["scale"].isin(CHOSEN)]
     metrics = tuple(dict.fromkeys([*table.metrics, *table.rivals]))
-    several = rows["level"].nunique() > 1
+    several = len(rows["level"].unique()) > 1
     for (scale, level), part in rows.groupby(["scale", "level"], observed=True):
         own = replace(table, rows=part.reset_index(drop=True))
         yield _Arm(str(scale), str(level), own, metrics, several)
@@ -180,7 +181,7 @@ def _split(table: Table) -> Iterator[_Arm]:
 def _find_roles(arm: _Arm) -> tuple[Any, Any]:
     """Find the roles of both stimuli of each choice."""
     rows, stimuli = arm.table.rows, arm.table.stimuli
-    roles = {} if stimuli is None else stimuli[ROLE]
+    roles: Any = {} if stimuli is None else stimuli[ROLE]
     return rows[STIMULUS].map(roles).to_numpy(), rows[OTHER].map(roles).to_numpy()
 
 
@@ -208,13 +209,13 @@ def _predict(arm: _Arm, choices: Choices) -> Section:  # noqa: ARG001 - every st
     found = predict(votes)
     more = {**arm.keys, "n_votes": found.n_votes}
     rows: list[Row] = [more | row for row in found.to_frame().to_dict("records")]
-    ceiling = [
+    ceiling: list[Row] = [
         {"metric": "majority_of_others", "share": found.others, "low": found.others_low, "high": found.others_high},
         {"metric": "majority_of_all", "share": found.majority, "low": np.nan, "high": np.nan},
     ]  # fmt: skip
     rows += [
         more | row | {"p": np.nan, "p_holm": np.nan} for row in ceiling if np.isfinite(row["share"])
-    ]  # type: ignore[call-overload]
+    ]
     differences = [more | row for row in found.differences.to_dict("records")]
     answer = _describe(arm, found)
     drawing = partial(
@@ -260,7 +261,10 @@ def _describe(arm: _Arm, found: VotePrediction) -> str:
         verb = "predicts" if len(listed) == 1 else "predict"
         names = join_words(listed)
         told.append(f"{capitalise(names)} {verb} {asked} (chance 50 %){_describe_ceiling(found)}.")
-        told += [*_describe_turns(arm, str(right.index[0])), _describe_better(found)]
+        told += [
+            *_describe_turns(arm, str(right.index[0])),
+            _describe_better(found, str(right.index[0])),
+        ]
     if len(wrong):
         names = join_words([
             f"{format_name(str(name))} {_format_share(row)}" for name, row in wrong.iterrows()
@@ -270,11 +274,12 @@ def _describe(arm: _Arm, found: VotePrediction) -> str:
 
 
 def _describe_null(shares: DataFrame, asked: str) -> str:
-    best = shares["share"].idxmax()
-    name = f"{format_name(str(best))} {_format_share(shares.loc[best])}"
+    best = shares.sort_values("share", ascending=False, kind="stable").iloc[0]
+    name, share = format_name(str(best.name)), _format_share(best)
     if len(shares) == 1:
-        return f"It is not shown that {name} predicts {asked} (chance 50 %)."
-    return f"None of {len(shares)} metrics is shown to predict {asked} (chance 50 %; the highest share: {name})."
+        return f"It is not shown that {name} {share} predicts {asked} (chance 50 %)."
+    none = "Neither metric" if len(shares) == 2 else f"None of {len(shares)} metrics"  # noqa: PLR2004 - both
+    return f"{none} is shown to predict {asked} (chance 50 %); the highest share is that of {name} {share}."
 
 
 def _describe_ceiling(found: VotePrediction) -> str:
@@ -283,19 +288,19 @@ def _describe_ceiling(found: VotePrediction) -> str:
     return f"; the majority of the other participants predicts {_format_percent(found.others)}"
 
 
-def _describe_better(found: VotePrediction) -> str:
-    """Say which metric predicts more than which, of those that were compared."""
-    clear = found.differences[found.differences["p_holm"] < SIGNIFICANCE]
+def _describe_better(found: VotePrediction, best: str) -> str:
+    """Say than which other metrics the leading one predicts more choices."""
     if found.differences.empty:
         return ""
-    if clear.empty:
-        return "The data do not show that any metric predicts more choices than another."
-    told = []
-    for row in clear.to_dict("records"):
-        names = [row["first"], row["second"]][:: 1 if row["difference"] > 0 else -1]
-        one, other = map(format_name, names)
-        told.append(f"{one} predicts more choices than {other}")
-    return f"{capitalise(join_words(told))}."
+    rows = found.differences
+    clear = rows[rows["p_holm"] < SIGNIFICANCE].to_dict("records")
+    worse = [row["second"] for row in clear if row["first"] == best and row["difference"] > 0]
+    worse += [row["first"] for row in clear if row["second"] == best and row["difference"] < 0]
+    name = capitalise(format_name(best))
+    if not worse:
+        others = "the other metric" if len(found.shares) == 2 else "any other metric"  # noqa: PLR2004 - both
+        return f"It is not shown that {format_name(best)} predicts more choices than {others}."
+    return f"{name} predicts more choices than {join_words([format_name(one) for one in worse])}."
 
 
 def _describe_turns(arm: _Arm, metric: str) -> Iterator[str]:
@@ -303,7 +308,6 @@ def _describe_turns(arm: _Arm, metric: str) -> Iterator[str]:
     rows, stimuli = arm.table.rows, arm.table.stimuli
     if stimuli is None:
         return
-    from dataclasses import replace
 
     both = [rows[name].map(stimuli["reducer"]) for name in (STIMULUS, OTHER)]
     turns = []
@@ -366,7 +370,7 @@ def _scale(arm: _Arm, choices: Choices) -> Section:
     winner = first.where(rows["rating"] == HIGHEST, second)
     pairs = rows[["participant"]].assign(first=first, second=second, winner=winner)
     fitted = bradley_terry(
-        pairs, by_rater=pairs["participant"].nunique() > 1, order_effect=True, draws=choices.draws,
+        pairs, by_rater=len(pairs["participant"].unique()) > 1, order_effect=True, draws=choices.draws,
         rng=choices.make_rng(KEY, arm.scale, arm.level),
     )  # fmt: skip
     listed: list[Row] = []
