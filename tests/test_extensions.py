@@ -122,7 +122,8 @@ def test_a_set_holds_the_labs_own_reducers_and_metrics_and_is_built_alike_by_two
 
 
 def test_sets_without_methods_of_the_lab_keep_their_keys() -> None:
-    from feel321.stimuli.sets.recipe import Recipe, describe_recipe, list_drafts, list_methods
+    from feel321.stimuli.sets.recipe import Recipe, describe_recipe
+    from feel321.stimuli.sets.render import list_drafts, list_methods
 
     plain = Recipe(reducers=["dft321"])
     assert list_methods(plain) == {}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from numpy.typing import ArrayLike
 
 from feel321.doors import Registry, name_of
+from feel321.stimuli.guard import find_metric
 from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
 from feel321.stimuli.recording import Reduced, Signal, as_pair, check_acceleration, coerce_real
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -25,6 +26,7 @@ METRICS: Registry[Metric] = Registry(
         "spectral_match_bounded": spectral_match_bounded,
         **{name: rival.metric for name, rival in RIVALS.items()},
     },
+    find=find_metric,
 )
 """Name -> metric, called as `METRICS[name](acceleration, reduced, rate_hz)`. The only list of names."""
 

@@ -21,9 +21,10 @@ from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.answers import write_answers
-from feel321.study.folder import StudyFolder, find_changes, require_study
+from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import describe_matches, write_matches
+from feel321.study.provenance import find_changes
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings

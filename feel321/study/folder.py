@@ -1,22 +1,17 @@
-"""The folder of a study: its places, how it is begun and found, and whether its stimuli are up to date."""
+"""The folder of a study: its places, how it is begun and found, and what its stimuli were made of."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.files import create_text
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PARTICIPANT_ID
-
-if TYPE_CHECKING:
-    from feel321.stimuli.sets.recipe import Recipe
-
 
 SETTINGS_FILE = "study.toml"
 RIG_FILE = "rig.toml"
@@ -226,41 +221,8 @@ def read_origin(folder: Path) -> Origin:
         ) from None
 
 
-def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | None]) -> list[str]:
-    """Compare a built set with what the settings ask for; no recording is read for it.
-
-    recordings: name of each recording in the settings -> digest of its source.
-    """
-    from feel321.stimuli.sets.recipe import describe_recipe, list_methods  # takes numpy
-
-    origin = read_origin(folder)
-    wanted = json.loads(json.dumps(describe_recipe(recipe)))
-    changes = list(_compare_recipes(origin.recipe, wanted))
-    changes += _compare_recipes(origin.methods, json.loads(json.dumps(list_methods(recipe))))
-    if set(origin.recordings) != set(recordings):
-        built, named = (", ".join(sorted(names)) for names in (origin.recordings, recordings))
-        changes.append(f"recordings: built from {built}; the settings name {named}")
-    changes += [
-        f"recording {name!r}: is not the one that the set was built from"
-        for name, sha256 in recordings.items()
-        if sha256 is not None and origin.recordings.get(name, sha256) != sha256
-    ]
-    return [f"{folder}: {change}" for change in changes]
-
-
 def is_in_use(study: StudyFolder, stimuli_sha256: str) -> bool:
     """Check whether any plan or journal names a stimulus set."""
     # By the bare text, so that damaged files count too.
     files = study.sessions.glob("*/*.json*")
     return any(stimuli_sha256.encode() in path.read_bytes() for path in files if path.is_file())
-
-
-def _compare_recipes(
-    built: Mapping[str, Any], wanted: Mapping[str, Any], *, table: str = ""
-) -> Iterator[str]:
-    for key in sorted({*built, *wanted}):
-        old, new = built.get(key), wanted.get(key)
-        if isinstance(old, dict) and isinstance(new, dict):
-            yield from _compare_recipes(old, new, table=f"{table}{key}.")
-        elif old != new:
-            yield f"{table}{key}: built with {json.dumps(old)}; the settings say {json.dumps(new)}"

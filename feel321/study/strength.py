@@ -16,13 +16,8 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.anchors import to_db
 from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
 from feel321.stimuli.sets.manifest import StimulusSet
-from feel321.stimuli.sets.recipe import (
-    GAIN_PER_RECORDING,
-    ONE_GAIN,
-    ORIGINAL,
-    Recipe,
-    find_headroom_cost,
-)
+from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, Recipe
+from feel321.stimuli.sets.render import find_headroom_cost
 from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold
 from feel321.study.actuator import render
 from feel321.study.actuator.mixer import ROUNDING

@@ -19,8 +19,9 @@ from feel321.study.actuator.certificate import Certificate, judge_certificates, 
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.findings import Problems
-from feel321.study.folder import StudyFolder, find_changes, is_in_use
+from feel321.study.folder import StudyFolder, is_in_use
 from feel321.study.minutes import measure_design
+from feel321.study.provenance import find_changes
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
 from feel321.study.sessions import list_rig_problems

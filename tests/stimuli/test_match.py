@@ -78,7 +78,7 @@ def test_three_equal_axes_triple_in_their_sum() -> None:
 def test_scaling_a_recording_changes_neither_metric(exponent: int, seed: int, name: str) -> None:
     acceleration = noise(3, 500, seed=seed)
     scaled = np.ldexp(acceleration, exponent)
-    for metric in METRICS.values():
+    for metric in map(METRICS.get, MATCHES):
         once = metric(acceleration, REDUCERS[name](acceleration, RATE), RATE)
         assert metric(scaled, REDUCERS[name](scaled, RATE), RATE) == pytest.approx(once, abs=1e-9)
 

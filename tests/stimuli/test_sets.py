@@ -29,7 +29,8 @@ from feel321.stimuli.sets.manifest import (
     read_stimuli,
     write_manifest,
 )
-from feel321.stimuli.sets.recipe import GAINS, Recipe, find_headroom_cost, list_drafts
+from feel321.stimuli.sets.recipe import GAINS, Recipe
+from feel321.stimuli.sets.render import find_headroom_cost, list_drafts
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import read_wav, write_wav
@@ -467,7 +468,7 @@ def test_other_arithmetic_makes_every_stimulus_again(
     scenes: list[Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = {draft.key for draft in list_drafts(scenes[0], Recipe())}
-    monkeypatch.setattr("feel321.stimuli.sets.recipe.versions", lambda: {"soxr": "another"})
+    monkeypatch.setattr("feel321.stimuli.sets.render.versions", lambda: {"soxr": "another"})
     assert before.isdisjoint(draft.key for draft in list_drafts(scenes[0], Recipe()))
 
 

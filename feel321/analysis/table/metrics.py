@@ -18,7 +18,6 @@ import numpy as np
 
 from feel321.analysis.table import schema
 from feel321.stimuli.metrics import MATCHES, METRIC_INFO
-from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -173,12 +172,6 @@ def format_bounds(info: MetricInfo) -> str:
     if math.isfinite(info.high):
         return f"{info.high:g} or less"
     return f"{info.low:g} or more" if math.isfinite(info.low) else "any number"
-
-
-def order_reducers(names: Iterable[str]) -> list[str]:
-    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
-    found = set(names)
-    return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
 
 
 def find_steps(

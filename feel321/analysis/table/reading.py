@@ -27,7 +27,7 @@ import numpy as np
 
 from feel321.analysis.table import metrics as metrics_of
 from feel321.analysis.table import notes as remarks
-from feel321.analysis.table import schema
+from feel321.analysis.table import roster, schema
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.doors import as_names, as_path, describe
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -40,14 +40,6 @@ __all__ = ["Further", "Table", "read_table"]
 
 RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
-
-ROSTER_FILE = "participants.csv"
-RIG = {"rig": "rig", "calibration": "certificate of calibration"}
-"""Columns on what the participants felt the stimuli on, and what they are in words."""
-ROSTER = frozenset({
-    "number", "simulated", "state", "sessions", "done", "total", "first_utc", "last_utc", "training_passed", *RIG,
-})  # fmt: skip
-"""Columns on the progress of a participant; all others, but for the participant's name, are labels."""
 
 JUDGEMENT = (
     "participant",
@@ -158,8 +150,8 @@ def read_table(
         *remarks.note_lacking(rows, planned),
     ]
     rows, explored, compared, lacking = _select_columns(rows, planned, rivals)
-    rows, more_notes = _join_labels(rows, judged.given)
-    rows, on_rigs = _join_rigs(rows, judged.given)
+    rows, more_notes = roster.join_labels(rows, judged.given)
+    rows, on_rigs = roster.join_rigs(rows, judged.given)
     notes += [*lacking, *more_notes, *on_rigs]
     columns = ["source", *ECHOED, ROLE, *dict.fromkeys([*planned, *explored, *compared])]
     return Table(rows, planned, tuple(notes), explored, compared, known, stimuli[columns])
@@ -342,7 +334,7 @@ def _read_manifest(
         what,
         must=f"be one of {', '.join(schema.ROLES)}",
     )
-    _refuse_doubled(sheet, STIMULUS, what)
+    schema.refuse_doubled(sheet, STIMULUS, what)
     _read_metrics(sheet, planned, what, rivals=rivals)
     for name in (schema.AMPLITUDE, schema.GAIN, schema.SENSATION):
         if name not in {*planned, *rivals}:
@@ -421,11 +413,6 @@ def _list_numeric(source: Path | DataFrame) -> str:
     """List what may be used as a metric, of all columns of the table."""
     names = metrics_of.list_numeric(schema.read_cells(source))
     return f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
-
-
-def _refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
-    doubled = sheet.loc[sheet[name].duplicated(), name]
-    schema.refuse_lines(doubled, what, must="be listed once", do="keep one of the lines")
 
 
 def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Series:
@@ -519,60 +506,7 @@ def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
         yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
 
 
-# Labels of participants and further metrics.
-
-
-def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
-    """Add a column for each label of the participants, from the table beside the ratings."""
-    path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
-    if path is None or not path.is_file():
-        return rows, []
-    known = ROSTER | {*rows, "participant"}
-    names = [name for name in schema.read_header(path) if name and name not in known]
-    if not names:
-        return rows, []
-    columns = {"participant": schema.ColumnInfo("who", needed=True)} | dict.fromkeys(
-        names, schema.ColumnInfo("a label")
-    )
-    sheet, _ = schema.read_sheet(path, path.name, columns)
-    _refuse_doubled(sheet, "participant", path.name)
-    labels = sheet.set_index("participant")
-    joined = rows.join(labels, on="participant").fillna(dict.fromkeys(labels, ""))
-    notes = []
-    for name in names:
-        groups = joined.groupby(name)["participant"].nunique()
-        sizes = ", ".join(
-            f"{remarks.list_names([str(group)]) if group else 'unknown'} {count}"
-            for group, count in groups.items()
-        )
-        notes.append(
-            f"Participants differ in {remarks.list_names([name])} ({ROSTER_FILE}; participants: {sizes}): "
-            "no test compares them."
-        )
-    return joined, notes
-
-
-def _join_rigs(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
-    """Add the participants' rig and certificate, from the table beside the ratings, where they differ."""
-    path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
-    if path is None or not path.is_file():
-        return rows, []
-    header = schema.read_header(path)
-    columns = {"participant": schema.ColumnInfo("who", needed=True)}
-    columns |= {name: schema.ColumnInfo("a rig") for name in RIG if name in header}
-    sheet, _ = schema.read_sheet(path, path.name, columns)
-    sheet = sheet[sheet["participant"].isin(rows["participant"])].set_index("participant")
-    notes = []
-    for name in (name for name in sheet if len(sheet[name].unique()) > 1):
-        rows = rows.join(sheet[name], on="participant").fillna({name: ""})
-        sizes = ", ".join(
-            f"{key or 'unknown'} {n}" for key, n in sheet[name].value_counts().items()
-        )
-        notes.append(
-            f"Participants differ in {RIG[str(name)]} ({ROSTER_FILE}; participants: {sizes}): see Robustness to other "
-            "choices."
-        )
-    return rows, notes
+# Further metrics.
 
 
 def _join_further(

@@ -249,6 +249,12 @@ def refuse_lines(bad: Series, what: str, *, must: str, do: str = "") -> None:
     raise ValueError(f"{what}, {place} {named}{more}: {bad.name} must {must}, got {got}{advice}")
 
 
+def refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
+    """Refuse a table that lists something twice."""
+    doubled = sheet.loc[sheet[name].duplicated(), name]
+    refuse_lines(doubled, what, must="be listed once", do="keep one of the lines")
+
+
 def shorten(text: str) -> str:
     r"""Quote a cell for a message that is to stay one line.
 

@@ -26,8 +26,8 @@ def level_difference(
     Examples
     --------
     >>> u = np.sin(np.arange(1000))
-    >>> round(level_difference([u, u, u], u, 1000), 9), round(10 * np.log10(3), 9)
-    (4.771212547, 4.771212547)
+    >>> round(level_difference([u, u, u], u, 1000), 9)  # 10 log10(3)
+    4.771212547
     """
     return float(measure_level(make_pair(acceleration, reduced, rate_hz)))
 

@@ -51,8 +51,8 @@ def log_spectral_distance(
     Examples
     --------
     >>> u = np.random.default_rng(0).normal(size=2000)
-    >>> round(log_spectral_distance([u, u, u], 3 * np.sqrt(3) * u, 2000), 9), round(20 * np.log10(3), 9)
-    (9.542425094, 9.542425094)
+    >>> round(log_spectral_distance([u, u, u], 3 * np.sqrt(3) * u, 2000), 9)  # 20 log10(3)
+    9.542425094
     """
     return float(measure_log_spectral(make_pair(acceleration, reduced, rate_hz)))
 
@@ -78,8 +78,8 @@ def itakura_saito_distance(
     Examples
     --------
     >>> u = np.random.default_rng(0).normal(size=2000)
-    >>> round(itakura_saito_distance([u, u, u], np.sqrt(0.3) * u, 2000), 9), round(10 - np.log(10) - 1, 9)
-    (6.697414907, 6.697414907)
+    >>> round(itakura_saito_distance([u, u, u], np.sqrt(0.3) * u, 2000), 9)  # 10 - ln(10) - 1
+    6.697414907
     """
     return float(measure_itakura_saito(make_pair(acceleration, reduced, rate_hz)))
 
@@ -92,13 +92,22 @@ def measure_itakura_saito(pair: Pair) -> Samples:
 
 def band_levels(pair: Pair) -> Samples:
     """Level of the reduced signal over the recording in dB, (..., n_bands); NaN in a band without energy in either."""
-    n = pair.samples.shape[-1]
-    smooth = WeberSmoothing(_band_centres(n, pair.rate_hz), pair.rate_hz / n, n // 2 + 1)
-    original, reduced = (smooth(energy[..., smooth.bins]) for energy in pair.energies)
-    both = np.maximum(original, reduced)
+    _, original, reduced = smooth_bands(pair)
     total = sum(energy[..., pair.felt].max(axis=-1, initial=0.0) for energy in pair.energies)
-    empty = both <= NUMERICAL_FLOOR * np.asarray(total)[..., None]
+    empty = np.maximum(original, reduced) <= NUMERICAL_FLOOR * np.asarray(total)[..., None]
     return np.where(empty, np.nan, level_db(original, reduced))
+
+
+def smooth_bands(pair: Pair) -> tuple[Samples, Samples, Samples]:
+    """Middles of the bands in Hz; mean energy per bin of the recording and of the reduced signal, (..., n_bands)."""
+    n = pair.samples.shape[-1]
+    centres = _band_centres(n, pair.rate_hz)
+    smooth = WeberSmoothing(centres, pair.rate_hz / n, n // 2 + 1)
+    # What is left of a sum of energies may be negative by rounding.
+    original, reduced = (
+        np.maximum(smooth(energy[..., smooth.bins]), 0.0) for energy in pair.energies
+    )
+    return centres, original, reduced
 
 
 def _band_centres(n_samples: int, rate_hz: float) -> Samples:

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.stimuli.match import NUMERICAL_FLOOR, energy_spectrum, linear_grid
+from feel321.stimuli.match import NUMERICAL_FLOOR, linear_grid
 from feel321.stimuli.recording import (
     Signal,
     admit,
@@ -62,13 +62,19 @@ class Pair:
         return slice(first, first + len(self.frequencies_hz))
 
     @cached_property
+    def spectra(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Spectra of the axes, (..., 3, n // 2 + 1), and of the reduced signal, (..., n // 2 + 1)."""
+        from scipy import fft
+
+        return fft.rfft(self.samples), fft.rfft(self.reduced)
+
+    @cached_property
     def energies(self) -> tuple[Samples, Samples]:
         """Energy of the recording (the sum of its axes) and of the reduced signal, (..., n // 2 + 1), bin by bin."""
-        axes = np.moveaxis(self.samples, -2, 0)
-        total = energy_spectrum(axes[0])
-        for axis in axes[1:]:
-            total += energy_spectrum(axis)
-        return total, energy_spectrum(self.reduced)
+        axes, reduced = (
+            np.square(spectrum.real) + np.square(spectrum.imag) for spectrum in self.spectra
+        )
+        return axes.sum(axis=-2), reduced
 
     @cached_property
     def nothing(self) -> NDArray[np.bool_]:
@@ -111,6 +117,23 @@ def make_pairs(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> P
             "reduced is more than 1e80 times as strong as the recording; are they in the same unit?"
         )
     return Pair(samples, signal, float(rate_hz), scale)
+
+
+def follow_energy(pair: Pair, weights: Samples | float = 1.0) -> tuple[Samples, Samples, float]:
+    """Follow the energy of recording (the sum of its axes) and reduced signal in the felt range; and the rate of both.
+
+    weights: of the felt frequencies. The energy is the squared magnitude of the analytic signal, (..., m), at a rate
+    that is just enough for it, a little below 2 kHz; as for all Fourier transforms, the end leads into the beginning.
+    """
+    from scipy import fft
+
+    n, n_felt = pair.samples.shape[-1], len(pair.frequencies_hz)
+    length = fft.next_fast_len(max(2 * n_felt, 1))
+    axes, reduced = (
+        np.abs(fft.ifft(spectrum[..., pair.felt] * weights, length)) ** 2
+        for spectrum in pair.spectra
+    )
+    return axes.sum(axis=-2), reduced, length * pair.rate_hz / n
 
 
 def level_db(original: Samples, reduced: Samples) -> Samples:

@@ -27,13 +27,11 @@ from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.sets.anchors import sensation_level_db, to_db
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
-from feel321.stimuli.sets.recipe import (
+from feel321.stimuli.sets.recipe import Recipe, check_names, describe_recipe
+from feel321.stimuli.sets.render import (
     Draft,
     Measured,
-    Recipe,
-    check_names,
     choose_gains,
-    describe_recipe,
     list_drafts,
     list_methods,
     measure_recording,

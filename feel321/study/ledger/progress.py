@@ -10,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from feel321.files import write_table
+from feel321.files import write_table, write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.rigs import find_rig_use

@@ -11,8 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from feel321.doors import describe, name_of
-from feel321.extensions import Method, find_method
+from feel321.doors import describe, name_of, refuse_name
+from feel321.extensions import Method, find_method, is_given
 from feel321.files import write_text
 from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, make_task
@@ -20,7 +20,7 @@ from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.metrics import MATCHES, METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
@@ -229,7 +229,7 @@ def make_identity(
 def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
     # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
-    checks = (_check_reference, _check_tasks, _check_between, _check_matching)
+    checks = (_check_reference, _check_metrics, _check_tasks, _check_between, _check_matching)
     if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
@@ -243,6 +243,16 @@ def _check_reference(settings: Settings) -> Iterator[str]:
             f"stimuli.reference must not be one of stimuli.reducers too, got {reference!r}; "
             "take it out of the reducers"
         )
+
+
+def _check_metrics(settings: Settings) -> Iterator[str]:
+    """Check that further metrics are there; that of a lab is not imported yet."""
+    further = [name for name in METRICS if name not in MATCHES]
+    for number, name in enumerate(settings.stimuli.metrics, start=1):
+        if name in MATCHES:
+            yield f"stimuli.metrics[{number}] must be a further metric, got {name!r}, which every set has; remove it"
+        elif name not in METRICS and not is_given("metric", name, settings.metrics):
+            yield refuse_name(name, further, f"stimuli.metrics[{number}]")
 
 
 def _check_matching(settings: Settings) -> Iterator[str]:

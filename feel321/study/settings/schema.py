@@ -21,18 +21,9 @@ from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdPlan
 from feel321.protocols.trial import CHOOSING, FLAGS, Flow
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
-from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.recipe import (
-    FIXED,
-    GAINS,
-    LEVELS,
-    NO_REFERENCE,
-    ORIGINAL,
-    Recipe,
-    check_names,
-)
+from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
@@ -318,12 +309,8 @@ BELOW_THRESHOLD = ("refuse", ACCEPT)
 """Whether stimuli that are weaker than the detection threshold keep a study from running."""
 
 
-FURTHER_METRICS = tuple(name for name in METRICS if name not in FIXED)
-"""Metrics that a set has only if it is asked for."""
-
 _OWN_REDUCER = kinds.own_or_one_of(REDUCERS, "reducer", "reducers")
 _OWN_REFERENCE = kinds.own_or_one_of((ORIGINAL, NO_REFERENCE, *REDUCERS), "reducer", "reducers")
-_OWN_METRIC = kinds.own_or_one_of(FURTHER_METRICS, "metric", "metrics")
 
 
 class StimuliTable(kinds.TomlTable):
@@ -339,7 +326,7 @@ class StimuliTable(kinds.TomlTable):
     fade_s: kinds.NotNegative = _RECIPE.fade_s
     threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = _RECIPE.threshold
     below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
-    metrics: Annotated[tuple[Annotated[str, _OWN_METRIC], ...], kinds.Distinct] = ()
+    metrics: Annotated[tuple[kinds.Words, ...], kinds.Distinct] = ()
     conditioning: ConditioningTable = ConditioningTable()
 
 

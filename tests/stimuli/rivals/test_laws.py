@@ -18,7 +18,7 @@ from feel321.stimuli.synthesis import SCENES, make_scene
 
 RATE = 4000.0
 EVERY = pytest.mark.parametrize("name", list(RIVALS))
-ABSOLUTE: set[str] = set()
+ABSOLUTE = {"st_sim"}
 """Rivals that depend on the unit: they compare with a threshold in m/s²."""
 
 
