@@ -95,8 +95,16 @@ def fit_choices(  # noqa: PLR0913 - which votes, and which model
 
     Parameters
     ----------
-    ratings, metrics, stimuli, scale, level, higher
-        As `predict_votes` takes them; all metrics are in one model.
+    ratings : Table or DataFrame
+        Choices, as `predict_votes` takes them.
+    metrics : sequence of str, optional
+        Columns of the stimuli, all in one model; the declared ones of a Table if left out.
+    stimuli : DataFrame, optional
+        The stimuli and their metrics, with a DataFrame of choices.
+    scale, level : str, optional
+        Which choices; needed where there are several scales.
+    higher : Mapping of str to {"better", "worse"}, optional
+        Whether a larger value of a metric is better or worse; what a Table's metrics declare, else better.
     order_effect : bool
         Whether being felt first may help, equally for all.
     lapse : float, optional

@@ -54,6 +54,9 @@ ASKED = {
 }
 """Scale -> what people chose, within a sentence."""
 
+BOTH = 2
+"""Metrics of which a sentence says "both" or "neither"."""
+
 CLUSTERED = "95 % t interval, clustered by participants and recordings"
 BY_RATER = "95 % bootstrap interval over participants only: these stimuli as the only ones"
 WHICH = Column("Choices", "_choices", TEXT)
@@ -278,7 +281,7 @@ def _describe_null(shares: DataFrame, asked: str) -> str:
     name, share = format_name(str(best.name)), _format_share(best)
     if len(shares) == 1:
         return f"It is not shown that {name} {share} predicts {asked} (chance 50 %)."
-    none = "Neither metric" if len(shares) == 2 else f"None of {len(shares)} metrics"  # noqa: PLR2004 - both
+    none = f"None of {len(shares)} metrics" if len(shares) > BOTH else "Neither metric"
     return f"{none} is shown to predict {asked} (chance 50 %); the highest share is that of {name} {share}."
 
 
@@ -298,7 +301,7 @@ def _describe_better(found: VotePrediction, best: str) -> str:
     worse += [row["first"] for row in clear if row["second"] == best and row["difference"] < 0]
     name = capitalise(format_name(best))
     if not worse:
-        others = "the other metric" if len(found.shares) == 2 else "any other metric"  # noqa: PLR2004 - both
+        others = "any other metric" if len(found.shares) > BOTH else "the other metric"
         return f"It is not shown that {format_name(best)} predicts more choices than {others}."
     return f"{name} predicts more choices than {join_words([format_name(one) for one in worse])}."
 

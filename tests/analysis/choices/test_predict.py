@@ -134,7 +134,7 @@ def test_only_test_stimuli_and_the_recording_as_reference_count(plant: Plant) ->
 def test_what_cannot_be_asked_is_refused(plant: Plant) -> None:
     planted = plant(participants=3, recordings=3)
     table = planted.read()
-    for given, message in [
+    refused: list[tuple[dict[str, Any], str]] = [
         ({"ratings": planted.votes}, "stimuli must be given with a DataFrame of votes"),
         ({"ratings": "votes.csv"}, "ratings must be a Table or a DataFrame"),
         ({"ratings": table, "stimuli": planted.stimuli}, "stimuli must be left out with a Table"),
@@ -150,9 +150,10 @@ def test_what_cannot_be_asked_is_refused(plant: Plant) -> None:
             "must be another stimulus than",
         ),
         ({"ratings": HAND.iloc[:0], "stimuli": STIMULI}, "must hold a choice between two stimuli"),
-    ]:
+    ]
+    for given, message in refused:
         with pytest.raises((ValueError, TypeError), match=message):
-            analysis.predict_votes(**given)  # type: ignore[arg-type]
+            analysis.predict_votes(**given)
 
 
 @pytest.mark.parametrize("weights", [(0.0, 0.0), (0.0, 5.0)])
