@@ -22,6 +22,7 @@ __all__ = [
     "Reducer",
     "Rng",
     "Samples",
+    "Stream",
 ]
 
 Samples: TypeAlias = NDArray[np.float64]
@@ -57,6 +58,18 @@ class Reducer(Protocol):
 
     def __call__(self, acceleration: Samples, rate_hz: float, /) -> Samples:
         """Reduce three axes, shape (..., 3, n), to one, shape (..., n)."""
+
+
+class Stream(Protocol):
+    """A reducer that is fed block by block; `latency_samples` is its constant delay."""
+
+    latency_samples: int
+
+    def process(self, block: Samples, /) -> Samples:
+        """Reduce the next samples, (3, k), to as many, (k,)."""
+
+    def flush(self) -> Samples:
+        """Return the last samples, as many as the latency."""
 
 
 class Metric(Protocol):
