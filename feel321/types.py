@@ -17,6 +17,7 @@ __all__ = [
     "Method",
     "Metric",
     "MetricInfo",
+    "OnGap",
     "PathLike",
     "Progress",
     "Reducer",
@@ -51,6 +52,10 @@ Method: TypeAlias = Literal["pearson", "spearman", "kendall"]
 
 Direction: TypeAlias = Literal["better", "worse"]
 """Which way a metric points: whether a larger value means a better match or a worse one."""
+
+
+OnGap: TypeAlias = Literal["raise", "hold", "zero"]
+"""What can stand for a missing sample: an error, the last sample that arrived (0 before the first), or 0."""
 
 
 class Reducer(Protocol):

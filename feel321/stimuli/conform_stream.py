@@ -23,10 +23,9 @@ import numpy as np
 
 from feel321.doors import check_name
 from feel321.stimuli.conform import ENERGY_TOLERANCE, RATE_HZ, TOLERANCE, WAV_TOLERANCE
-from feel321.stimuli.reducers.registry import OnGap
 from feel321.stimuli.rotation import random_rotations
 from feel321.stimuli.wav import read_wav, write_wav
-from feel321.types import PathLike, Samples, Stream
+from feel321.types import OnGap, PathLike, Samples, Stream
 
 BLOCKS = (1, 7, 64, 480)
 """Samples fed at a time; the last block is what is left."""
