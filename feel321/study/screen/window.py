@@ -121,6 +121,8 @@ class Window:
         self._shown: tuple[drawing.Item, ...] = ()
         self._due_s = self._redraw_s = 0.0
         self._is_closed = False
+        self.on_motion: Callable[[float, float], None] = lambda _x, _y: None
+        """Called with every place of the pointer, in pixels, as it is reported."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -185,6 +187,10 @@ class Window:
             self._events.append(InputEvent(kind, self.clock(), name, *at))
             return True
 
+        def drag(x: float, y: float, *_: object) -> bool:
+            self.on_motion(*locate(x, y))
+            return take("drag", at=locate(x, y))
+
         def end(*_: object) -> bool:
             self._is_closed = True
             return True  # the window stays until the session has let go of it
@@ -193,7 +199,8 @@ class Window:
             on_key_press=lambda symbol, _: take("press", key=symbol),
             on_key_release=lambda symbol, _: take("release", key=symbol),
             on_mouse_press=lambda x, y, *_: take("click", at=locate(x, y)),
-            on_mouse_drag=lambda x, y, *_: take("drag", at=locate(x, y)),
+            on_mouse_drag=drag,
+            on_mouse_motion=lambda x, y, *_: self.on_motion(*locate(x, y)),
             on_deactivate=lambda: take("unfocused"),
             on_hide=lambda: take("hidden"),
             on_close=end,
