@@ -170,7 +170,7 @@ def make_design(settings: Settings, folder: Path | None = None) -> Design:
     session = settings.session
     rehearsal = session.rehearsal.model_dump(by_alias=True)
     trials = {name: rehearsal.pop(name) for name in ("training", "practice")}
-    own = {name: settings.tasks[name].model_dump() for name in settings.tasks}
+    own = {name: settings.tasks[name].of_protocol() for name in settings.tasks}
     return Design(
         seed=settings.study.seed,
         order=session.order,
@@ -220,7 +220,25 @@ def make_identity(
         "rig": settings.rig.of_stimuli(),
         "calibration": calibration,
         "presenter": presenter,
+        **identify_exploration(settings),
     }
+
+
+EXPLORABLE = ("realism", "similarity")
+"""Protocols whose stimuli the hand may drive."""
+
+
+def find_modes(settings: Settings) -> dict[str, str]:
+    """Find what the hand drives in each protocol that explores."""
+    tasks = ((name, settings.tasks.get(name)) for name in settings.session.protocols)
+    return {name: task.explore for name, task in tasks if task is not None and task.explore}
+
+
+def identify_exploration(settings: Settings) -> dict[str, Any]:
+    """Describe how a session explores, if it does, for the header of its journal."""
+    if not (modes := find_modes(settings)):
+        return {}
+    return {"exploration": {**settings.session.exploration.model_dump(), "modes": modes}}
 
 
 # What each table of `study.toml` may say by itself, but not together with the others.
@@ -269,7 +287,9 @@ def _check_matching(settings: Settings) -> Iterator[str]:
 
 def _check_tasks(settings: Settings) -> Iterator[str]:
     for name, table in settings.tasks.items():
-        for key, value in table.model_dump().items():
+        if table.explore and name not in EXPLORABLE:
+            yield f"tasks.{name}.explore goes with {' and '.join(EXPLORABLE)} only; take it out"
+        for key, value in table.of_protocol().items():
             try:
                 make_task(name, **{key: value})
             except ValueError as error:
