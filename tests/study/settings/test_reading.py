@@ -74,6 +74,8 @@ def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
             entry = {key: one for table in value for key, one in table.items()}
         if name == "tasks":
             entry = value["similarity"]
+        if name == "scales" and isinstance(value, dict):
+            entry = value["roughness"]
         if isinstance(entry, dict) and name != "between":
             yield from list_written(entry, f"{place}{name}.")
         else:
