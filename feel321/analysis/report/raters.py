@@ -7,7 +7,16 @@ from typing import Any
 from feel321.analysis.contrasts.compare import find_repeat_sd
 from feel321.analysis.figures.choices import draw_raters
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.report.parts import Choices, RatingsPart, fit_rest, split_parts, thin_parts
+from feel321.analysis.report.parts import (
+    Choices,
+    RatingsPart,
+    add_step,
+    find_table_steps,
+    fit_rest,
+    split_parts,
+    thin_parts,
+    word_steps,
+)
 from feel321.analysis.report.section import (
     METRIC,
     NAME,
@@ -69,7 +78,7 @@ SLOPES = TableForm(
     "with Satterthwaite's df, p not adjusted. A dash: too few raters are left to fit the model.",
     (
         RATINGS, METRIC, Column("Raters", "_whose", NAME),
-        estimate("Points per +0.1", "tenth", "mixed model, points per +0.1", ends="tenth_"), P,
+        estimate("Points per +0.1", "_step", "mixed model, points per {_per}", ends="_step_"), P,
         Column("Participants", "n_people", COUNT, "n_participants"),
     ),
     path="panel.{scale}.{level}.{metric}.{panel}", n="n_people", detail=False,
@@ -93,7 +102,7 @@ def compute(table: Table, choices: Choices) -> Section:
         return Section(KEY, TITLE, notes=(why,))
     screening = screen_raters(single, rng=choices.make_rng(KEY))
     everyone = screening.table["participant"].nunique()
-    slopes = list(_vary(table, screening, choices))
+    slopes, steps = list(_vary(table, screening, choices)), find_table_steps(table)
     return Section(
         key=KEY,
         title=TITLE,
@@ -101,7 +110,7 @@ def compute(table: Table, choices: Choices) -> Section:
         grids=(
             RULES_APPLIED.build(_list_rules(screening)),
             AGREEMENTS.build(_list_agreements(screening)),
-            SLOPES.build(slopes),
+            word_steps(SLOPES, steps).build(add_step(row, steps[row["metric"]]) for row in slopes),
             REPEATED.build(_list_repeats(table)),
         ),
         unseen=tuple(
