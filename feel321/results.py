@@ -15,6 +15,7 @@ from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.refined.refine import Refined
 from feel321.analysis.report.write import Results
+from feel321.analysis.screening.consistency import RaterModel
 from feel321.analysis.screening.screen import Screening
 from feel321.analysis.space import Alignment, Ellipses, Space
 from feel321.analysis.table.items import Table
@@ -34,6 +35,6 @@ __all__ = [
     "P1401", "Act", "Advice", "Alignment", "Alpha", "Association", "Audit", "BradleyTerry", "Chart", "Dependent",
     "Difference", "Discrimination", "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit",
     "Multiverse", "NonInferiority", "P1401Difference", "Page", "Part", "Place", "Primaries", "Primary", "Problems",
-    "ReducerDifference", "Refined", "RepeatedMeasures", "Results", "RotationStatistics", "Screening", "SessionEvent",
-    "Signal", "Space", "Status", "Stress", "Table",
+    "RaterModel", "ReducerDifference", "Refined", "RepeatedMeasures", "Results", "RotationStatistics", "Screening",
+    "SessionEvent", "Signal", "Space", "Status", "Stress", "Table",
 ]  # fmt: skip

@@ -30,6 +30,7 @@ from feel321.analysis.primary.model import fit_attributes, fit_primary
 from feel321.analysis.primary.multiverse import run_multiverse
 from feel321.analysis.refined.refine import refine_metric
 from feel321.analysis.report.write import write_report
+from feel321.analysis.screening.consistency import rater_model
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.space import align_spaces, fit_space
@@ -43,15 +44,15 @@ __all__ = [
     "compare_p1401", "compare_reducers", "contrast", "correlate", "discriminate", "equivalence", "fit_attributes",
     "fit_mixed", "fit_primary", "fit_space", "intraclass", "krippendorff_alpha", "noise_ceiling", "non_inferiority",
     "p1401", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram", "plot_spectrum",
-    "profile_reducers", "read_table", "refine_metric", "repeated_measures_correlation", "run_multiverse",
+    "profile_reducers", "rater_model", "read_table", "refine_metric", "repeated_measures_correlation", "run_multiverse",
     "screen_raters", "stress", "tabulate_correlations", "write_report",
 ]  # fmt: skip
 
 _RECORDS = (
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference", "Discrimination",
     "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse", "NonInferiority",
-    "P1401", "P1401Difference", "Primaries", "Primary", "Refined", "RepeatedMeasures", "Results", "Screening",
-    "Space",
+    "P1401", "P1401Difference", "Primaries", "Primary", "RaterModel", "Refined", "RepeatedMeasures", "Results",
+    "Screening", "Space",
 )  # fmt: skip
 
 _OLD = {

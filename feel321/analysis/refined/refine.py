@@ -11,7 +11,7 @@ from feel321.analysis.agreement import find_ceiling
 from feel321.analysis.arrays import Values, check_draws
 from feel321.analysis.refined import candidates as search
 from feel321.analysis.resampling import BLOCK, bootstrap_margin, draw_counts, fisher_z
-from feel321.analysis.table.items import Items, Table, choose_metrics, make_items
+from feel321.analysis.table.items import Items, Table, choose_info, choose_metrics, make_items
 from feel321.doors import as_rng
 from feel321.records import Result
 
@@ -194,7 +194,7 @@ def refine_metric(  # noqa: PLR0913 - one per choice
     check_draws(draws, usual=400)
     names, rng = choose_metrics(table, metrics), as_rng(rng)
     items = make_items(table, tuple(dict.fromkeys([*names, *others])))
-    items, worse = _turn(items, names, info or getattr(table, "info", {}))
+    items, worse = _turn(items, names, info or choose_info(table))
     data = _prepare(items, names, others, within=within, rng=rng)
     whole = search.score_draws(
         data, people=np.ones((1, items.n_participants)), recordings=np.ones((1, items.n_recordings))
@@ -203,16 +203,15 @@ def refine_metric(  # noqa: PLR0913 - one per choice
     n_units = min(items.n_participants, items.n_sources)
     z, drawn_z = fisher_z(whole.correlations[0])[0], fisher_z(drawn.correlations[0])
     low, high = _interval(z, drawn_z, n_units)
-    rmse = float(whole.errors[0, 0])
     with np.errstate(divide="ignore"):  # no error at all has no logarithm, and no interval
-        log_low, log_high = _interval(np.log(rmse), np.log(drawn.errors[0]), n_units)
+        log_low, log_high = _interval(np.log(whole.errors[0, 0]), np.log(drawn.errors[0]), n_units)
     chosen, fit = _choose_finally(data)
     ceiling, notes = find_ceiling(items, within=within)
     gains = _tabulate_gains(data.basis, whole, drawn, n_units=n_units)
     value = float(whole.correlations[0, 0])
     return Refined(
         value=value, low=float(np.tanh(low)), high=float(np.tanh(high)),
-        rmse=rmse, rmse_low=float(np.exp(log_low)), rmse_high=float(np.exp(log_high)),
+        rmse=float(whole.errors[0, 0]), rmse_low=float(np.exp(log_low)), rmse_high=float(np.exp(log_high)),
         chosen=data.basis.candidates[chosen].name,
         weights=_tabulate_weights(data.basis, whole, chosen, fit=fit, worse=worse),
         candidates=_tabulate_candidates(data.basis, whole), gains=gains,
