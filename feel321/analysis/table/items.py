@@ -269,6 +269,11 @@ def choose_metrics(ratings: Table | DataFrame, metrics: Iterable[str] | None) ->
     return names
 
 
+def choose_info(ratings: Table | DataFrame) -> Mapping[str, MetricInfo]:
+    """Take what metrics declare from a Table; a DataFrame says nothing of it."""
+    return ratings.info if isinstance(ratings, Table) else {}
+
+
 def refuse_pooled(rows: DataFrame, *, metrics: Collection[str] = (), what: str = "ratings") -> None:
     """Refuse rows of several scales or several levels: their ratings are not about one thing."""
     for column in (name for name in ARMS if name in rows and name not in metrics):

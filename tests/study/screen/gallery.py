@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321.protocols.arms import ask_on_scales
 from feel321.protocols.detection import INTERVALS, THRESHOLD
-from feel321.protocols.options import ask_on_scales
 from feel321.protocols.questions import Question, label_points, read_ready
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_texts
