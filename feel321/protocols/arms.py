@@ -1,4 +1,4 @@
-"""The stimuli of one recording: its level arms, the reference of each, catch trials and their expected answers, and what is asked."""
+"""The stimuli of one recording: level arms, the reference of each, catch trials, and what is asked of them."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
