@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from feel321.protocols.detection import THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.trial import FREE, MATCHING, SURFACE, Judgement, Task
+from feel321.protocols.trial import FREE, MATCHING, SURFACE, Task
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -111,14 +111,3 @@ def _check_scales(task: Task, scales: tuple[str, ...]) -> tuple[str, ...]:
             f"{key} must not hold the scale of another task, got {', '.join(map(repr, foreign))}; name one of your own"
         )
     return scales
-
-
-def ask_on_scales(
-    judgements: Sequence[Judgement], scales: Sequence[str], *, own: str
-) -> tuple[Judgement, ...]:
-    """Ask for every judgement on several scales; right answers are known on the protocol's own only."""
-    return tuple(
-        judgement if scale == own else replace(judgement, expected=None, scale=scale)
-        for judgement in judgements
-        for scale in scales or (own,)
-    )

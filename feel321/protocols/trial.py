@@ -5,7 +5,7 @@ A trial names its stimuli by id; what an id feels like is known to the room abov
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import TYPE_CHECKING
 
@@ -151,6 +151,17 @@ class Judgement:
     def key(self) -> str:
         """What names its answer: the part, and the scale where it is not that of the trial."""
         return f"{self.part}:{self.scale}" if self.scale else self.part
+
+
+def ask_on_scales(
+    judgements: Sequence[Judgement], scales: Sequence[str], *, own: str
+) -> tuple[Judgement, ...]:
+    """Ask for every judgement on several scales; right answers are known on the protocol's own only."""
+    return tuple(
+        judgement if scale == own else replace(judgement, expected=None, scale=scale)
+        for judgement in judgements
+        for scale in scales or (own,)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,6 +370,8 @@ class Task:
         Whether the real surface is felt first, where the judgement is absolute.
     training, practice : int
         Number of trials with feedback, and of trials without feedback that do not count, before the first that does.
+    pairs : int or None
+        Number of pairs of each recording and level that are compared in a task that may have some only; None for all.
     scales : tuple of str
         The scales of each trial, in order, where there are several.
     gap_s : float or None
@@ -381,6 +394,7 @@ class Task:
     surface: bool = False
     training: int = 0
     practice: int = 0
+    pairs: int | None = None
     scales: tuple[str, ...] = ()
     gap_s: float | None = None
     answer_timeout_s: float | None = None

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from typing import TYPE_CHECKING, Any
 
-from feel321.files import write_text
+from feel321.files import write_table
 from feel321.protocols.questions import PREFIX, find_question
 from feel321.study.session.events import QuestionAnswered, SessionSuperseded
 from feel321.study.session.plan import TOMBSTONE_FILE, read_as_written, read_dossier
@@ -33,11 +31,7 @@ def write_answers(study: StudyFolder) -> list[dict[str, Any]]:
     rows = [row for folder in study.participants for row in read_answers(folder)]
     path = study.path / ANSWERS_FILE
     if rows or path.exists():
-        text = io.StringIO(newline="")
-        table = csv.DictWriter(text, COLUMNS)
-        table.writeheader()
-        table.writerows(rows)
-        write_text(path, text.getvalue())
+        write_table(path, COLUMNS, rows)
     return rows
 
 

@@ -182,7 +182,7 @@ def _make_check(lab: Lab) -> Check | None:
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 
     recordings, _ = try_recordings(lab.settings, lab.study.path)
-    reduced = reduce_stimuli(lab.stimuli, recordings, make_recipe(lab.settings))
+    reduced = reduce_stimuli(lab.stimuli, recordings, make_recipe(lab.settings, lab.study.path))
     return DeliveryCheck(
         lab.stimuli,
         lab.rig,

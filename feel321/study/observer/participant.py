@@ -9,6 +9,7 @@ temporal match, and the three of its `Percept`. The original and the real surfac
   different as what is weaker by the same number of dB. A match is known to the original only: by its weight, stimuli
   lie on a line, not in a space, and two that match equally well feel the same.
 - *Similarity* is the top of the scale less the distance from the reference: what is identical is worth full marks.
+- Of two, the one *more like the reference* is at the smaller distance from it, and the *preferred* one feels more real.
 
 Answer of a careful one: sure + gain * (percept - sure) + bias + shift + noise, cut to 0..100. Sure is the end of the
 slider that means the same to everybody: the bottom, or the top (identical) where similarity is asked for. The shift is
@@ -46,7 +47,8 @@ from feel321.protocols.matching import DB_PER_POINT, FIRST, MIDDLE, SECOND
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.threshold import predict_correct
 from feel321.protocols.trial import MATCHING, RATING_RANGE, SURFACE, Judgement, Scale, Trial
-from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS, acceleration_threshold, to_db
+from feel321.stimuli.sets.anchors import to_db
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold
 from feel321.study.observer.percepts import Percept, compare_percepts
 from feel321.study.session.events import TrialRated
 from feel321.study.settings.fields import one_of
@@ -143,10 +145,8 @@ class Rater:
            chapter 9. ISBN 0-8058-4230-6
         """
         names = list(distances)
-        guess, lapsed = names[rng.integers(len(names))], rng.random() < self.lapse_rate
-        if self.kind == STRAIGHT_LINER:
-            return names[int(self.favourite * len(names))]
-        if self.kind == RANDOM_CLICKER or lapsed:
+        guess, is_blind = self._guess(names, rng)
+        if is_blind:
             return guess
         asked, *felt = rng.normal(0, self.noise_sd * growth, len(names) + 1)
         away = {
@@ -156,6 +156,24 @@ class Rater:
         nearest = min(names, key=away.__getitem__)
         # Where two are exactly as near, no difference was felt.
         return guess if away[guess] == away[nearest] else nearest
+
+    def prefer(
+        self, percepts: Mapping[str, float], *, growth: float, rng: np.random.Generator
+    ) -> str:
+        """Choose the candidate that feels most real, from their percepts in points, each remembered with noise."""
+        names = list(percepts)
+        guess, is_blind = self._guess(names, rng)
+        noise = rng.normal(0, self.noise_sd * growth, len(names))
+        felt = {name: percepts[name] + own for name, own in zip(names, noise, strict=True)}
+        most = max(names, key=felt.__getitem__)
+        return guess if is_blind or felt[guess] == felt[most] else most
+
+    def _guess(self, names: Sequence[str], rng: np.random.Generator) -> tuple[str, bool]:
+        """Draw a choice that rests on nothing felt, and whether it is the one that is made."""
+        guess, lapsed = names[int(rng.integers(len(names)))], rng.random() < self.lapse_rate
+        if self.kind == STRAIGHT_LINER:
+            return names[int(self.favourite * len(names))], True
+        return guess, self.kind == RANDOM_CLICKER or lapsed
 
     def detect(self, chance: float, right: str, *, rng: np.random.Generator) -> str:
         """Choose the interval that vibrated; chance: share of right answers of a careful participant."""
@@ -330,8 +348,11 @@ def find_percept(experience: Experience, judgement: Judgement, *, touch: Touch) 
 def measure_distances(
     experience: Experience, judgement: Judgement, choices: Sequence[str], *, touch: Touch
 ) -> dict[str, float]:
-    """Compute how far each candidate is from the part asked about, in points."""
-    asked = experience.find(judgement.part)
+    """Compute how far each candidate is from the part asked about, or from the reference of a choice, in points."""
+    of_reference = judgement.part in choices
+    asked = (
+        experience.find_reference(judgement) if of_reference else experience.find(judgement.part)
+    )
     return {name: touch.measure_distance(experience.find(name), asked) for name in choices}
 
 
@@ -399,7 +420,10 @@ class Participant:
         growth = 1 + model.fatigue_noise * tired
         values: dict[str, float | str] = {}
         for judgement in trial.judgements:
-            if scale.choices:
+            if judgement.part in scale.choices and judgement.reference_id is None:
+                percepts = {name: self.touch.feel(experience.find(name)) for name in scale.choices}
+                values[judgement.part] = self.rater.prefer(percepts, growth=growth, rng=rng)
+            elif scale.choices:
                 distances = measure_distances(
                     experience, judgement, scale.choices, touch=self.touch
                 )

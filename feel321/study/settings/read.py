@@ -4,7 +4,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from itertools import product
@@ -12,7 +12,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from feel321.doors import describe
+from feel321.doors import describe, name_of, refuse_name
+from feel321.extensions import Method, find_method, is_given
 from feel321.files import write_text
 from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS
@@ -20,8 +21,11 @@ from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.recipe import NO_REFERENCE, Recipe
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.session.journal import digest
 from feel321.study.session.plan import Design
@@ -108,11 +112,35 @@ def turn_recording(recording: Recording, rotation: int) -> Recording:
     )
 
 
-def make_recipe(settings: Settings) -> Recipe:
-    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
+def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
+    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name.
+
+    folder: of the study, where files of its own reducers and metrics are; the current one if left out.
+    """
     stimuli = settings.stimuli.model_dump(exclude={"conditioning", "below_threshold"})
+    own = {
+        "reducers": [find_reducer(settings, name, folder) for name in settings.stimuli.reducers],
+        "metrics": [find_metric(settings, name, folder) for name in settings.stimuli.metrics],
+        "reference": find_reducer(settings, settings.stimuli.reference, folder),
+    }
     steps = Conditioning(**settings.stimuli.conditioning.model_dump())
-    return Recipe(conditioning=steps, **stimuli, **settings.rig.of_stimuli())
+    return Recipe(conditioning=steps, **(stimuli | own), **settings.rig.of_stimuli())
+
+
+def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
+    """Find one of the lab's own reducers; a name of feel321's stays a name."""
+    declared = {key: table.to_facts() for key, table in settings.reducers.items()}
+    if name in {*REDUCERS, ORIGINAL, NO_REFERENCE}:
+        return name
+    return find_method("reducer", name, taken=REDUCERS, folder=folder, declared=declared)
+
+
+def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Method:
+    """Find one of the lab's own metrics; a name of feel321's stays a name."""
+    declared = {key: table.to_facts() for key, table in settings.metrics.items()}
+    if name in METRICS:
+        return name
+    return find_method("metric", name, taken=METRICS, folder=folder, declared=declared)
 
 
 # From settings to sessions: texts, design, and what a journal's header says of them.
@@ -189,17 +217,31 @@ def make_identity(
     calibration: identity of the rig's certificate, or that there is none; None where no rig plays.
     """
     texts = read_study_texts(settings, folder)
-    # Pages aside from the plan ask nothing: sessions that began before there were any have the same texts.
-    pages = {key: page for key, page in texts["pages"].items() if key not in ASIDE}
-    del texts["questions"]  # the plan holds what is asked
+    consent = texts["pages"][CONSENT]["text"]
+    _leave_out_later(texts, settings.session.protocols)
     return {
         "locale": settings.session.language,
-        "texts_sha256": digest(json.dumps(texts | {"pages": pages}, sort_keys=True)),
-        "consent": texts["pages"][CONSENT]["text"],
+        "texts_sha256": digest(json.dumps(texts, sort_keys=True)),
+        "consent": consent,
         "rig": settings.rig.of_stimuli(),
         "calibration": calibration,
         "presenter": presenter,
     }
+
+
+LATER = ("triplet", "preference")
+"""Protocols that came when there were sessions already."""
+
+
+def _leave_out_later(texts: dict[str, Any], protocols: Sequence[str]) -> None:
+    """Leave out texts that came later and that a session does not show, so that one begun before can go on."""
+    # Pages aside from the plan ask nothing, and the plan holds what questions ask.
+    del texts["questions"]
+    for name in (name for name in LATER if name not in protocols):
+        texts["scales"].pop(name, None)
+        texts["pages"].pop(f"instructions.{name}", None)
+    for key in ASIDE:
+        texts["pages"].pop(key, None)
 
 
 # What each table of `study.toml` may say by itself, but not together with the others.
@@ -208,7 +250,9 @@ def make_identity(
 def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
     # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
-    checks = (_check_reference, _check_tasks, _check_scales, _check_between, _check_matching)
+    checks = (
+        _check_reference, _check_metrics, _check_tasks, _check_scales, _check_between, _check_matching,
+    )  # fmt: skip
     if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
@@ -222,6 +266,16 @@ def _check_reference(settings: Settings) -> Iterator[str]:
             f"stimuli.reference must not be one of stimuli.reducers too, got {reference!r}; "
             "take it out of the reducers"
         )
+
+
+def _check_metrics(settings: Settings) -> Iterator[str]:
+    """Check that further metrics are there; that of a lab is not imported yet."""
+    further = [name for name in METRICS if name not in MATCHES]
+    for number, name in enumerate(settings.stimuli.metrics, start=1):
+        if name in MATCHES:
+            yield f"stimuli.metrics[{number}] must be a further metric, got {name!r}, which every set has; remove it"
+        elif name not in METRICS and not is_given("metric", name, settings.metrics):
+            yield refuse_name(name, further, f"stimuli.metrics[{number}]")
 
 
 def _check_matching(settings: Settings) -> Iterator[str]:
@@ -338,8 +392,8 @@ def _list_items(settings: Settings) -> list[Item]:
     from feel321.stimuli.sets.anchors import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title
-    made = [(name, "test") for name in stimuli.reducers]
-    made += [(stimuli.reference, "reference")] * (stimuli.reference != NO_REFERENCE)
+    made = [(name_of(name), "test") for name in stimuli.reducers]
+    made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
     made += [(name, "anchor") for name in ANCHORS] * stimuli.anchors
     return [
         Item(f"{recording}-{role}-{reducer}-{level}", recording, reducer, level, role)

@@ -73,7 +73,9 @@ def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
         if name == "questions":
             entry = {key: one for table in value for key, one in table.items()}
         if name == "tasks":
-            entry = value["similarity"]
+            entry = value["similarity"] | value["triplet"]
+        if not place and name in {"reducers", "metrics"}:
+            (entry,) = value.values()  # one of the lab's own
         if name == "scales" and isinstance(value, dict):
             entry = value["roughness"]
         if isinstance(entry, dict) and name != "between":
