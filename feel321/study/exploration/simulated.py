@@ -13,6 +13,7 @@ from feel321.study.exploration.motion import Strokes
 from feel321.study.exploration.track import Exploration
 
 if TYPE_CHECKING:
+    from feel321.protocols.questions import Question
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.session.ports import (
@@ -47,6 +48,10 @@ class MovingPresenter:
     def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
         """Show a page."""
         return self._inner.show_page(page, place)
+
+    def show_question(self, question: Question, place: Place) -> Confirm | Pause | Abort:
+        """Show a question page."""
+        return self._inner.show_question(question, place)
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Begin a trial."""

@@ -187,9 +187,13 @@ class Window:
             self._events.append(InputEvent(kind, self.clock(), name, *at))
             return True
 
-        def drag(x: float, y: float, *_: object) -> bool:
-            self.on_motion(*locate(x, y))
-            return take("drag", at=locate(x, y))
+        def write(text: str) -> bool:
+            if text.isprintable():  # Enter is a text too
+                self._events.append(InputEvent("text", self.clock(), text))
+            return True
+
+        def move(motion: int) -> bool:
+            return motion != keys.MOTION_BACKSPACE or write("backspace")
 
         def end(*_: object) -> bool:
             self._is_closed = True
@@ -198,9 +202,11 @@ class Window:
         inner.push_handlers(
             on_key_press=lambda symbol, _: take("press", key=symbol),
             on_key_release=lambda symbol, _: take("release", key=symbol),
+            on_text=write,
+            on_text_motion=move,
             on_mouse_press=lambda x, y, *_: take("click", at=locate(x, y)),
-            on_mouse_drag=drag,
-            on_mouse_motion=lambda x, y, *_: self.on_motion(*locate(x, y)),
+            on_mouse_drag=lambda x, y, *_: take("drag", at=self._follow(locate(x, y))),
+            on_mouse_motion=lambda x, y, *_: bool(self._follow(locate(x, y))),
             on_deactivate=lambda: take("unfocused"),
             on_hide=lambda: take("hidden"),
             on_close=end,
@@ -208,6 +214,11 @@ class Window:
         if (own := getattr(inner, "_event_handlers", None)) is not None:
             # A window that is destroyed from outside is never asked to close. X11 says so; pyglet does not pass it on.
             own[DESTROY_NOTIFY] = end
+
+    def _follow(self, place: tuple[float, float]) -> tuple[float, float]:
+        """Pass on where the pointer is now."""
+        self.on_motion(*place)
+        return place
 
 
 @contextmanager

@@ -45,7 +45,7 @@ FROM_START = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Method:
+class Entrant:
     """A method under its short name: the function, what it declares of itself and the digest of its code."""
 
     name: str
@@ -77,13 +77,13 @@ def find_latency(name: str, rate_hz: float) -> float | None:
 
 
 def measure_recordings(
-    method: Method, recordings: Sequence[Recording], turns: Samples
+    method: Entrant, recordings: Sequence[Recording], turns: Samples
 ) -> list[Row]:
     """Measure a method on recordings, in every mounting: a row per recording."""
     return [_measure_recording(method, one, turns) for one in recordings]
 
 
-def _measure_recording(method: Method, recording: Recording, turns: Samples) -> Row:
+def _measure_recording(method: Entrant, recording: Recording, turns: Samples) -> Row:
     samples, rate = recording.acceleration, recording.rate_hz
     turned = turns @ samples
     outputs = [method.reduce(one, rate) for one in (samples, *turned)]
@@ -116,7 +116,7 @@ def _score_segments(recording: Recording, output: Samples) -> Iterator[float]:
     yield from np.median(scores, axis=0).tolist()
 
 
-def measure_stress(method: Method, battery: Battery) -> list[Row]:
+def measure_stress(method: Entrant, battery: Battery) -> list[Row]:
     """Measure a method on the stress test's scenes: a row per scene, with the median over its takes."""
     rows = []
     for scene, takes in battery.takes.items():
@@ -182,7 +182,7 @@ def _lowest(values: Sequence[float | None]) -> float | None:
     return min((value for value in values if value is not None), default=None)
 
 
-def check_repeats(method: Method, recording: Recording) -> None:
+def check_repeats(method: Entrant, recording: Recording) -> None:
     """Refuse a method that changes its input, or whose output is another one the second time."""
     given = recording.acceleration.copy()
     once, again = (method.reduce(given, recording.rate_hz) for _ in range(2))

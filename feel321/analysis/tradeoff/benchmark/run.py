@@ -18,7 +18,7 @@ from feel321.analysis.tradeoff.advise.measures import find_complexity
 from feel321.analysis.tradeoff.benchmark.battery import make_battery
 from feel321.analysis.tradeoff.benchmark.card import Card, make_card, write_card
 from feel321.analysis.tradeoff.benchmark.measure import (
-    Method,
+    Entrant,
     check_repeats,
     measure_look_ahead,
     measure_recordings,
@@ -127,19 +127,19 @@ def run_benchmark(
     return Benchmark(tuple(cards), tuple(failures))
 
 
-def _enter(given: str, reduce: Reducer) -> Method:
+def _enter(given: str, reduce: Reducer) -> Entrant:
     """Enter a method under its short name, with what it declares and the digest of its code."""
     name, own = name_of(given).rpartition(":")[2], _digest_code(reduce)
     if reduce in REDUCERS.values():
         facts = find_complexity(name, reduce, n_samples=cost.REFERENCE_N, rate_hz=cost.RATE_HZ)
         latency_s = None if name in WHY_NOT_STREAMING else facts.latency_ms / 1000
-        return Method(name, reduce, own, latency_s, facts.operations, facts.state)
+        return Entrant(name, reduce, own, latency_s, facts.operations, facts.state)
     facts_of = {name: getattr(reduce, name, None) for name in ("latency", "operations", "state")}
     numbers = [trim(float(v)) if isinstance(v, int | float) else None for v in facts_of.values()]
-    return Method(name, take_batches(reduce), own, *numbers)
+    return Entrant(name, take_batches(reduce), own, *numbers)
 
 
-def _check_names(methods: Sequence[Method]) -> None:
+def _check_names(methods: Sequence[Entrant]) -> None:
     names = [method.name for method in methods]
     for method in methods:
         known = method.name in REDUCERS and method.reduce is not REDUCERS[method.name]
@@ -161,7 +161,7 @@ def _digest_code(reduce: object) -> str | None:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _measure(method: Method, battery: Battery) -> dict[str, Any]:
+def _measure(method: Entrant, battery: Battery) -> dict[str, Any]:
     check_repeats(method, battery.scenes[0])
     return {
         "method": method.declared,
@@ -187,7 +187,7 @@ def describe_failure(error: Exception) -> str:
 
 
 def time_methods(
-    methods: Sequence[Method], *, rounds: int, clock: Clock, done: Callable[[int], None]
+    methods: Sequence[Entrant], *, rounds: int, clock: Clock, done: Callable[[int], None]
 ) -> Iterator[dict[str, Any]]:
     """Time methods and the transforms that DFT321 cannot do without, in turn, in one run: `times` of their cards."""
     if not methods:
