@@ -10,7 +10,6 @@ from math import gcd
 from typing import TYPE_CHECKING, Any
 
 from feel321.doors import Registry, as_rng, check_name, describe
-from feel321.protocols.arms import ask_on_scales
 from feel321.protocols.balance import MIXABLE, shuffle_rows, williams_square
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import (

@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.protocols.arms import ask_on_scales
 from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.questions import Question, label_points, read_ready
 from feel321.protocols.tasks import PROTOCOLS
