@@ -72,7 +72,7 @@ REDUCERS = (
     "sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed",
     "dft321_principal", "dft321_principal_windowed", "sax321_matched", "say321_matched", "saz321_matched",
     "pca321_matched", "sax321_matched_running", "say321_matched_running", "saz321_matched_running",
-    "pca321_matched_windowed",
+    "pca321_matched_windowed", "dft321_bands", "dft321_filtered", "dft321_best", "mag321_signed", "carrier321",
 )  # fmt: skip
 """Reducers of feel321, in the order of `feel321.stimuli.REDUCERS`."""
 
