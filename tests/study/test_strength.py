@@ -14,7 +14,8 @@ import pytest
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.stimuli.sets.recipe import Measured, Recipe
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.render import Measured
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import write_wav
