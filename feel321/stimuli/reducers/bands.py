@@ -18,11 +18,10 @@ References
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.stimuli.recording import admit
 from feel321.stimuli.reducers.axes import NO_SIGN, leading_axis, match_energy, with_sign
-from feel321.stimuli.reducers.fourier import Bins, Spectra, lead, transform
 from feel321.types import Samples
 
 EDGES_HZ = (0.0, *np.geomspace(20.0, 1000.0, 19).tolist())
@@ -58,23 +57,26 @@ def dft321_bands(acceleration: ArrayLike, rate_hz: float) -> Samples:
     n = admitted.samples.shape[-1]
     if n == 0:
         return np.zeros((*admitted.samples.shape[:-2], 0))
-    spectra = transform(admitted.samples)
-    main = lead(admitted.samples, spectra)
+    centred = admitted.samples - admitted.samples.mean(axis=-1, keepdims=True)
+    main = with_sign(leading_axis(np.einsum("...in,...jn->...ij", centred, centred)))
+    spectra = fft.rfft(admitted.samples)
     starts = np.searchsorted(np.arange(n // 2 + 1) * (rate_hz / n), EDGES_HZ)
-    merged = np.empty_like(spectra[0])
+    merged = np.empty_like(spectra[..., 0, :])
     for first, last in zip(starts, [*starts[1:], n // 2 + 1], strict=True):
         # A bin of a one-sided spectrum stands for two, but for those at 0 Hz and the Nyquist frequency.
         single = [place for place in (0, n // 2 if n % 2 == 0 else 0) if first <= place < last]
-        parts = [spectrum[..., first:last] for spectrum in spectra]
-        merged[..., first:last] = _project(parts, np.asarray(single, int) - first, main=main)
+        band = _project(spectra[..., first:last], np.asarray(single, int) - first, main=main)
+        merged[..., first:last] = band
     return admitted.restore(fft.irfft(merged, n))
 
 
-def _project(spectra: Spectra, single: np.ndarray, *, main: Samples) -> Bins:
-    """Project the bins of a band on its axis, as strong as all three axes; (..., k)."""
-    weights = np.ones(spectra[0].shape[-1])
+def _project(
+    spectra: NDArray[np.complex128], single: NDArray[np.intp], *, main: Samples
+) -> NDArray[np.complex128]:
+    """Project the bins of a band, (..., 3, k), on its axis, as strong as all three axes; (..., k)."""
+    weights = np.ones(spectra.shape[-1])
     weights[single] = np.sqrt(0.5)
-    weighed = np.stack([part * weights for part in spectra], axis=-2)
+    weighed = spectra * weights
     moments = np.einsum("...ik,...jk->...ij", weighed, weighed.conj()).real
     energy = np.trace(moments, axis1=-2, axis2=-1)[..., None, None]
     shares = np.divide(moments, energy, out=np.zeros_like(moments), where=energy > 0)
@@ -83,8 +85,7 @@ def _project(spectra: Spectra, single: np.ndarray, *, main: Samples) -> Bins:
     axes = np.where(along < -NO_SIGN, -axes, axes)
     kept = np.einsum("...i,...ij,...j->...", axes, moments, axes)
     gain = match_energy(energy[..., 0, 0], kept)[..., None]
-    merged: Bins = sum(part * (gain * axes[..., i, None]) for i, part in enumerate(spectra))  # type: ignore[assignment]  # three terms
-    return merged
+    return np.asarray(np.einsum("...i,...ik->...k", gain * axes, spectra))
 
 
 SPLITS_HZ = (40.0, 80.0, 160.0, 320.0, 640.0)

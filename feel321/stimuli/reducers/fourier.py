@@ -295,12 +295,6 @@ def _align_all(spectra: Spectra, energy: Samples, *, axis: Samples, n_samples: i
     return np.asarray(fft.irfft(aligned, n_samples, overwrite_x=True))
 
 
-def lead(samples: Samples, spectra: Spectra) -> Samples:
-    """First principal axis of the motion, (..., 3), pointing along its onset: as `dft321_principal`'s, not tilted."""
-    onset, anchor = find_onset(samples)
-    return _point_along(start_axis(measure(spectra)[1], anchor, pull=PULL), onset)
-
-
 _HALF = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1),
          (1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1))  # fmt: skip
 _DIRECTIONS = np.array(_HALF) / np.linalg.norm(_HALF, axis=-1)[:, None]
