@@ -31,6 +31,11 @@ CONTRACT = [
     "say321_matched_running",
     "saz321_matched_running",
     "pca321_matched_windowed",
+    "dft321_bands",
+    "dft321_filtered",
+    "dft321_best",
+    "mag321_signed",
+    "carrier321",
 ]
 RATE = 1000.0
 LENGTHS = st.integers(1, 200)

@@ -267,8 +267,6 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> Samples:
     >>> np.round(dft321_principal([2 * u, -u, 2 * u], 1000) / 3, 12)
     array([ 1.  , -2.  ,  0.5 ,  0.25])
     """
-    from scipy import fft
-
     admitted = admit(acceleration, rate_hz)
     n = admitted.samples.shape[-1]
     if n == 0:
@@ -276,15 +274,91 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> Samples:
     onset, anchor = find_onset(admitted.samples)
     spectra = transform(admitted.samples)
     energy, covariance = measure(spectra)
-    axis = start_axis(covariance, anchor, pull=PULL)
-    axis = np.where(np.einsum("...i,...i->...", axis, onset)[..., None] < 0, -axis, axis)
+    axis = _point_along(start_axis(covariance, anchor, pull=PULL), onset)
     axis = tilt(axis, covariance, anchor)
+    return admitted.restore(_align_all(spectra, energy, axis=axis, n_samples=n))
+
+
+def _point_along(axis: Samples, onset: Samples) -> Samples:
+    return np.where(np.einsum("...i,...i->...", axis, onset)[..., None] < 0, -axis, axis)
+
+
+def _align_all(spectra: Spectra, energy: Samples, *, axis: Samples, n_samples: int) -> Samples:
+    """Give the whole spectrum equation 3's magnitude and the phase along an axis, and transform it back."""
+    from scipy import fft
+
     aligned = spectra[0]  # overwritten in place: memory of this size is slow to get
     for place in _places(spectra):
         aligned[..., place] = align(
             [part[..., place] for part in spectra], energy[..., place], axis=axis
         )
-    return admitted.restore(fft.irfft(aligned, n, overwrite_x=True))
+    return np.asarray(fft.irfft(aligned, n_samples, overwrite_x=True))
+
+
+_HALF = ((1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1),
+         (1, 1, 1), (1, 1, -1), (1, -1, 1), (-1, 1, 1))  # fmt: skip
+_DIRECTIONS = np.array(_HALF) / np.linalg.norm(_HALF, axis=-1)[:, None]
+# Measured on scenes and recordings: more of either adds less than 2e-4 to the match, and that on isotropic noise.
+_FIRST_STEPS, _STEPS = 4, 24
+
+
+def dft321_best(acceleration: ArrayLike, rate_hz: float) -> Samples:
+    r"""Keep the energy of all axes at every frequency, with the phase that gives the greatest temporal match: a bound.
+
+    Notes
+    -----
+    By point 1 of the module's notes no signal with equation 3's spectrum has a greater rotation-invariant temporal
+    match than the one with the phase of the projection on the axis u that maximises :math:`g(u) = \sum_f \|A\| |u
+    \cdot A|`. From 13 directions about the principal axes it is climbed by :math:`u \leftarrow \sum_f \mathrm{Re}(A \,
+    \bar A_s)`, scaled to length 1, which never lowers g [1]_, and the best is kept. So what `dft321` and its relatives
+    lack of this match they lack by their choice of phase; what this one lacks no phase can give. It is a bound to
+    compare with, not a method to build: noise may choose the phase of a bin. The construction is ours.
+
+    References
+    ----------
+    .. [1] N. Kwak, "Principal component analysis based on L1-norm maximization", IEEE Transactions on Pattern Analysis
+       and Machine Intelligence 30(9), 2008. doi:10.1109/TPAMI.2008.114
+
+    Examples
+    --------
+    >>> u = np.array([1.0, -2.0, 0.5, 0.25])
+    >>> np.round(dft321_best([2 * u, -u, 2 * u], 1000) / 3, 12)
+    array([ 1.  , -2.  ,  0.5 ,  0.25])
+    """
+    admitted = admit(acceleration, rate_hz)
+    n = admitted.samples.shape[-1]
+    if n == 0:
+        return np.zeros((*admitted.samples.shape[:-2], 0))
+    onset, _ = find_onset(admitted.samples)
+    spectra = transform(admitted.samples)
+    energy, covariance = measure(spectra)
+    stacked = np.stack(spectra, axis=-2)
+    weights = np.sqrt(energy)
+    weights[..., 0] /= 2
+    weights[..., n // 2 :] /= 1 + (n % 2 == 0)
+    frame = np.linalg.eigh(covariance)[1]
+    starts = np.einsum("...ij,dj->d...i", frame, _DIRECTIONS)
+    climbed = [_climb(stacked, weights, axis=one, steps=_FIRST_STEPS) for one in starts]
+    sizes = np.array([(_go_along(stacked, one)[1] * weights).sum(axis=-1) for one in climbed])
+    best = np.argmax(sizes, axis=0)[None, ..., None]
+    axis = np.take_along_axis(np.array(climbed), best, axis=0)[0]
+    axis = _point_along(_climb(stacked, weights, axis=axis, steps=_STEPS), onset)
+    return admitted.restore(_align_all(spectra, energy, axis=axis, n_samples=n))
+
+
+def _climb(spectra: Bins, weights: Samples, *, axis: Samples, steps: int) -> Samples:
+    """Turn axes (..., 3) towards where the phases along them add up to more."""
+    for _ in range(steps):
+        along, size = _go_along(spectra, axis)
+        phase = weights * along.conj() / np.where(size > 0, size, 1.0)
+        axis = unit(np.einsum("...ik,...k->...i", spectra, phase).real, axis)
+    return axis
+
+
+def _go_along(spectra: Bins, axis: Samples) -> tuple[Bins, Samples]:
+    """Project spectra (..., 3, k) on an axis (..., 3): (..., k), and the magnitude of that."""
+    along: Bins = np.einsum("...ik,...i->...k", spectra, axis)
+    return along, np.abs(along)
 
 
 def find_onset(samples: Samples) -> tuple[Samples, Samples]:

@@ -59,7 +59,9 @@ def test_transforms_and_recursions_see_nothing_wider_than_32_bits(
         monkeypatch.setattr(module, used, spy(getattr(module, used)))
     reduced = reduce_in_32_bit(name, noise)
     assert seen <= {"float32", "complex64"}
-    assert bool(seen) == any(part in name for part in ("dft", "running", "matched_windowed"))
+    assert bool(seen) == any(
+        part in name for part in ("dft", "running", "matched_windowed", "carrier")
+    )
     exact = REDUCERS[name](noise.acceleration, noise.rate_hz)
     assert 1e-17 < np.sum((reduced - exact) ** 2) / np.sum(exact**2) < 1e-8
 

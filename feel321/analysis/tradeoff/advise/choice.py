@@ -43,7 +43,7 @@ from feel321.analysis.tradeoff.advise.scene import (
     compare,
 )
 from feel321.stimuli.match import LOWEST_HZ
-from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.reducers.registry import COMPARISONS, REDUCERS
 from feel321.stimuli.sets.anchors import felt_level
 from feel321.types import Reducer, Samples
 
@@ -118,10 +118,16 @@ def advise_scene(
     context: Context,
     *,
     seed: int = 0,
-    reducers: Mapping[str, Reducer] = REDUCERS,
+    reducers: Mapping[str, Reducer] | None = None,
     ratings: Mapping[str, Rated] | None = None,
 ) -> SceneAdvice:
-    """Find the simplest sufficient reducer of a scene."""
+    """Find the simplest sufficient reducer of a scene.
+
+    reducers: all but `COMPARISONS` if left out; of these, those that were rated.
+    """
+    if reducers is None:
+        left_out = {*COMPARISONS} - {*(ratings or {})}
+        reducers = {name: one for name, one in REDUCERS.items() if name not in left_out}
     if problem := _find_problem(scene.recording):
         return SceneAdvice(scene, reason=problem)
     listed = dict(_list_contenders(scene, context, reducers))
