@@ -16,7 +16,8 @@ from feel321.stimuli.match import (
     temporal_match,
     temporal_match_details,
 )
-from feel321.stimuli.metrics import METRIC_INFO, METRICS, match
+from feel321.stimuli.metrics import METRICS, match
+from feel321.stimuli.names import METRIC_INFO
 from feel321.stimuli.recording import Recording, Reduced
 from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer, reduce
 from feel321.stimuli.rotation import INVARIANTS, rotation_statistics

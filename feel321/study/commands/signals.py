@@ -302,7 +302,7 @@ def _compare_by_rivals(recording: Recording, samples: Samples) -> dict[str, Any]
 
 
 def _print_matches(facts: dict[str, Any]) -> None:
-    from feel321.stimuli.metrics import MATCHES
+    from feel321.stimuli.names import MATCHES
 
     steps = ", ".join(facts["steps"]) or "none, as it was measured"
     source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
@@ -326,7 +326,7 @@ def _print_matches(facts: dict[str, Any]) -> None:
 
 
 def _print_rival(name: str, value: float, *, reason: str | None) -> None:
-    from feel321.stimuli.metrics import METRIC_INFO
+    from feel321.stimuli.names import METRIC_INFO
 
     info = METRIC_INFO[name]
     sense = "higher is better" if info.higher == "better" else "lower is better"

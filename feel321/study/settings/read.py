@@ -20,7 +20,8 @@ from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.metrics import MATCHES, METRICS
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
