@@ -56,6 +56,7 @@ from feel321.protocols.arms import (
 from feel321.protocols.balance import williams_square
 from feel321.protocols.choosing import (
     ABX_CHOICES,
+    EVERY,
     PAIR_CHOICES,
     arrange_abx,
     arrange_pair,
@@ -256,7 +257,7 @@ _ALL = (
         "triplet",
         ("recording", "pair", "level"),
         compare_triplets,
-        references=(ORIGINAL, SURFACE, "reducer"),
+        references=(ORIGINAL, SURFACE, "reducer", EVERY),
         arrange=arrange_pair,
         score=score_pair,
         choices=PAIR_CHOICES,
@@ -295,7 +296,8 @@ def make_task(  # noqa: PLR0913 - the options that a task has
     timing : str or None
         One of the protocol's timings; None for its first.
     reference : str or None
-        The reference: `original`, `surface` or the name of a reducer; None for the protocol's first.
+        The reference: `original`, `surface`, the name of a reducer, or, of triplets, `every` stimulus in turn; None
+        for the protocol's first.
     surface : bool
         Whether the real surface is felt first.
     training, practice : int
@@ -354,7 +356,7 @@ def _check_reference(protocol: Protocol, reference: str) -> None:
         raise ValueError(
             f"{key} must not be set, got {reference!r}: nothing is compared with a reference here; leave it out"
         )
-    kind = reference if reference in {ORIGINAL, SURFACE} else "reducer"
+    kind = reference if reference in {ORIGINAL, SURFACE, EVERY} else "reducer"
     if not reference or kind not in protocol.references:
         allowed = ", ".join(protocol.references).replace("reducer", "the name of a reducer")
         raise ValueError(f"{key} must be one of {allowed}; got {reference!r}")

@@ -13,7 +13,7 @@ from feel321.analysis.choices.embed import FEWEST_REFERENCES, TRIPLET, embed_tri
 from feel321.analysis.choices.model import fit_votes
 from feel321.analysis.choices.predict import CHANCE, VotePrediction, predict
 from feel321.analysis.choices.votes import gather_votes
-from feel321.analysis.contrasts.bradley_terry import bradley_terry
+from feel321.analysis.contrasts.bradley_terry import BradleyTerry, bradley_terry
 from feel321.analysis.figures.shares import draw_shares
 from feel321.analysis.report.parts import SIGNIFICANCE, Choices
 from feel321.analysis.report.section import (
@@ -367,15 +367,14 @@ def _scale(arm: _Arm, choices: Choices) -> Section:
     one, other = _find_roles(arm)
     rows = arm.table.rows[(one != "anchor") & (other != "anchor")]
     stimuli = arm.table.stimuli
+    if len(rows["reference_reducer"].unique()) > 1:
+        rows = rows[rows["matched"]]  # likeness to one reference is no likeness to another
     if stimuli is None or rows.empty:
         return Section(KEY, TITLE)
     first, second = (rows[name].map(stimuli["reducer"]) for name in (STIMULUS, OTHER))
     winner = first.where(rows["rating"] == HIGHEST, second)
     pairs = rows[["participant"]].assign(first=first, second=second, winner=winner)
-    fitted = bradley_terry(
-        pairs, by_rater=len(pairs["participant"].unique()) > 1, order_effect=True, draws=choices.draws,
-        rng=choices.make_rng(KEY, arm.scale, arm.level),
-    )  # fmt: skip
+    fitted = _fit_abilities(pairs, choices.draws, choices.make_rng(KEY, arm.scale, arm.level))
     listed: list[Row] = []
     for row in fitted.to_frame().to_dict("records"):
         if (name := row["item"]) == "order":
@@ -393,6 +392,18 @@ def _scale(arm: _Arm, choices: Choices) -> Section:
         KEY, TITLE, grids=(ABILITIES.build(listed),), tables={"choices_abilities": listed},
         notes=fitted.notes,
     )  # fmt: skip
+
+
+def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> BradleyTerry:
+    """Fit abilities with intervals over participants; shrunken ones without, where a reducer always won or lost."""
+    try:
+        alone = len(pairs["participant"].unique()) == 1
+        return bradley_terry(pairs, by_rater=not alone, order_effect=True, draws=draws, rng=rng)
+    except ValueError as error:
+        if "separation" not in str(error):
+            raise
+    shrunken = bradley_terry(pairs, prior=0.5, order_effect=True)
+    return replace(shrunken, fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
 
 
 def _map(arm: _Arm, choices: Choices) -> Section:
