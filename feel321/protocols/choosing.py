@@ -89,7 +89,9 @@ def choose_pairs(n: int, count: int | None, *, key: str) -> tuple[tuple[int, int
     possible (from n - 1 pairs). The key decides which thing has which place.
     """
     names = sorted(range(n), key=lambda place: sha256(f"{key} {place}".encode()).digest())
-    pairs = ((names[one], names[other]) for one, other in (_pair_rounds if n % 2 else _pair_matches)(n))
+    pairs = (
+        (names[one], names[other]) for one, other in (_pair_rounds if n % 2 else _pair_matches)(n)
+    )
     return tuple(sorted((min(pair), max(pair)) for pair in islice(pairs, count)))
 
 

@@ -45,6 +45,7 @@ from itertools import combinations
 from math import prod
 
 from feel321.doors import Registry, check_name
+from feel321.protocols import choosing
 from feel321.protocols.arms import (
     EXPECTED,
     Comparisons,
@@ -54,20 +55,8 @@ from feel321.protocols.arms import (
     split_arms,
 )
 from feel321.protocols.balance import williams_square
-from feel321.protocols.choosing import (
-    ABX_CHOICES,
-    EVERY,
-    PAIR_CHOICES,
-    arrange_abx,
-    arrange_pair,
-    compare_abx,
-    compare_preferences,
-    compare_triplets,
-    score_abx,
-    score_pair,
-    teach_abx,
-)
 from feel321.protocols.trial import (
+    FREE,
     ORIGINAL,
     RATING_RANGE,
     SURFACE,
@@ -111,6 +100,11 @@ class Protocol:
     def scale(self) -> str:
         """Name of its scale."""
         return self.name
+
+    @property
+    def has_slider(self) -> bool:
+        """Whether a trial has one slider, beside which there may be others."""
+        return not self.choices and FREE not in self.timings
 
     def make_lessons(self, items: Items, task: Task) -> Comparisons:
         """Make the comparisons of training."""
@@ -238,7 +232,7 @@ _ALL = (
         "mushra",
         ("recording", "level"),
         _compare_mushra,
-        timings=("free",),
+        timings=(FREE,),
         references=(ORIGINAL, "reducer"),
         arrange=_arrange_mushra,
         sure_end=RATING_RANGE[1],
@@ -246,30 +240,30 @@ _ALL = (
     Protocol(
         "abx",
         _STIMULUS,
-        compare_abx,
+        choosing.compare_abx,
         references=(ORIGINAL, "reducer"),
-        teach=teach_abx,
-        arrange=arrange_abx,
-        score=score_abx,
-        choices=ABX_CHOICES,
+        teach=choosing.teach_abx,
+        arrange=choosing.arrange_abx,
+        score=choosing.score_abx,
+        choices=choosing.ABX_CHOICES,
     ),
     Protocol(
         "triplet",
         ("recording", "pair", "level"),
-        compare_triplets,
-        references=(ORIGINAL, SURFACE, "reducer", EVERY),
-        arrange=arrange_pair,
-        score=score_pair,
-        choices=PAIR_CHOICES,
+        choosing.compare_triplets,
+        references=(ORIGINAL, SURFACE, "reducer", choosing.EVERY),
+        arrange=choosing.arrange_pair,
+        score=choosing.score_pair,
+        choices=choosing.PAIR_CHOICES,
         some_pairs=True,
     ),
     Protocol(
         "preference",
         ("recording", "pair", "level"),
-        compare_preferences,
-        arrange=arrange_pair,
-        score=score_pair,
-        choices=PAIR_CHOICES,
+        choosing.compare_preferences,
+        arrange=choosing.arrange_pair,
+        score=choosing.score_pair,
+        choices=choosing.PAIR_CHOICES,
         some_pairs=True,
     ),
 )
@@ -356,7 +350,7 @@ def _check_reference(protocol: Protocol, reference: str) -> None:
         raise ValueError(
             f"{key} must not be set, got {reference!r}: nothing is compared with a reference here; leave it out"
         )
-    kind = reference if reference in {ORIGINAL, SURFACE, EVERY} else "reducer"
+    kind = reference if reference in {ORIGINAL, SURFACE, choosing.EVERY} else "reducer"
     if not reference or kind not in protocol.references:
         allowed = ", ".join(protocol.references).replace("reducer", "the name of a reducer")
         raise ValueError(f"{key} must be one of {allowed}; got {reference!r}")
@@ -375,7 +369,7 @@ def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, fl
     Returns
     -------
     dict of str to float
-        Points, 0 to 100, by the part that is judged, in the trial's order.
+        Points, 0 to 100, by the part that is judged (and the scale), in the trial's order.
 
     Raises
     ------
@@ -397,7 +391,7 @@ def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, fl
     """
     protocol = PROTOCOLS[trial.protocol]
     parts = {part.name: part.stimulus_id for part in trial.parts}
-    return {j.part: protocol.score(j, values[j.part], parts) for j in trial.judgements}
+    return {j.key: protocol.score(j, values[j.key], parts) for j in trial.judgements}
 
 
 def find_other(trial: Trial, judgement: Judgement) -> str | None:
@@ -411,11 +405,11 @@ def find_other(trial: Trial, judgement: Judgement) -> str | None:
 
 def is_as_expected(trial: Trial, values: Mapping[str, float | str]) -> bool | None:
     """Check whether all answers lie where those of someone who has understood do; None where any will do."""
-    known = [(judgement.part, j) for judgement in trial.judgements if (j := judgement.expected)]
+    known = [(judgement.key, j) for judgement in trial.judgements if (j := judgement.expected)]
     if not known:
         return None
     points = score_trial(trial, values)
-    return all(low <= points[part] <= high for part, (low, high) in known)
+    return all(low <= points[key] <= high for key, (low, high) in known)
 
 
 def measure_chance(trial: Trial) -> float:

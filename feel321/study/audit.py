@@ -26,6 +26,7 @@ from feel321.protocols.questions import PREFIX, find_question
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import ASIDE, MATCHING, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
+from feel321.study.exploration.track import MOTION, name_track
 from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
 from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
 from feel321.study.ledger.rigs import describe_rigs, find_rig_use
@@ -40,6 +41,7 @@ from feel321.study.session.journal import (
     name_journal,
     read_journal,
 )
+from feel321.study.session.pace import TIMED_OUT, Schedule
 from feel321.study.session.plan import (
     PLAN_FILE,
     TOMBSTONE_FILE,
@@ -117,6 +119,7 @@ class _Course:
 
     def __init__(self, plan: Plan) -> None:
         self._agenda = Agenda(plan.trials, plan.flow, plan.questions)
+        self._pace = Schedule({task.protocol: task for task in plan.tasks})
         self._questions, self._asked = plan.questions, Counter[str]()
         self._flow = plan.flow
         self._trials = {trial.number: trial for trial in plan.trials}
@@ -163,12 +166,19 @@ class _Course:
             case events.TrialRated():
                 self._check_rated(event, attempt, record.data["values"])
                 self._attempt = None
+            case events.TrialScheduled() if not self._pace.is_fixed(attempt.trial):
+                raise ValueError(f"schedules trial {event.trial}, whose onset is not fixed")
             case events.TrialSpoiled():
-                flags = attempt.list_flags(flow=self._flow)
-                if events.ENDS_UNANSWERED.isdisjoint(flags):
-                    raise ValueError(f"spoils trial {event.trial}, with which nothing was wrong")
-                _check_flags(event.flags, flags)
+                self._check_spoiled(event, attempt)
                 self._attempt = None
+
+    def _check_spoiled(self, event: events.TrialSpoiled, attempt: events.Attempt) -> None:
+        flags = attempt.list_flags(flow=self._flow)
+        if TIMED_OUT in event.flags and self._pace.find_limit(attempt.trial) is not None:
+            flags, self._aside = [*flags, TIMED_OUT], TIMED_OUT
+        elif events.ENDS_UNANSWERED.isdisjoint(flags):
+            raise ValueError(f"spoils trial {event.trial}, with which nothing was wrong")
+        _check_flags(event.flags, flags)
 
     def _check_tone(self, event: events.TonePresented, trial: Trial) -> None:
         """Check that a trial of the threshold block presents what follows from the answers before it."""
@@ -334,21 +344,26 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
     steps = list(audit_steps(chain.records, plan))
     yield from steps
     if not steps:  # else records need not be as they should
-        yield from _audit_delivered(chain.records, path.parent / DELIVERED)
+        yield from _audit_files(chain.records, path.parent)
 
 
-def _audit_delivered(records: Sequence[Record], folder: Path) -> Iterator[str]:
-    """Compare the files of what was rendered or measured with their digests in the journal."""
+def _audit_files(records: Sequence[Record], folder: Path) -> Iterator[str]:
+    """Compare the files of what was rendered, measured or explored with their digests in the journal."""
     for record in records:
         played = record.content if record.event == events.PartPlayed.event else None
-        if not isinstance(played, events.PartPlayed) or not played.delivered_sha256:
+        if not isinstance(played, events.PartPlayed):
             continue
-        path = folder / name_delivered(int(played.measured.get("file_number", 0)))
-        name = f", line {record.sequence + 1}: {folder.name}/{path.name}"
-        if not path.is_file():
-            yield f"{name} is gone; restore it from a copy"
-        elif hashlib.sha256(path.read_bytes()).hexdigest() != played.delivered_sha256:
-            yield f"{name} was changed since it was written; restore it from a copy"
+        delivered = name_delivered(int(played.measured.get("file_number", 0)))
+        track = name_track(int(played.motion.get("file_number", 0)))
+        for path, sha256 in (
+            (folder / DELIVERED / delivered, played.delivered_sha256),
+            (folder / MOTION / track, played.motion_sha256),
+        ):
+            name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
+            if sha256 and not path.is_file():
+                yield f"{name} is gone; restore it from a copy"
+            elif sha256 and hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+                yield f"{name} was changed since it was written; restore it from a copy"
 
 
 def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) -> Iterator[str]:

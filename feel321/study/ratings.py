@@ -112,7 +112,8 @@ def _list_judgements(plan: Plan, records: Records, *, path: Path) -> Iterator[di
                 played.append(part)
             case TrialRated() as rated if (trial := trials[rated.trial]).phase == "main":
                 felt = {part.part for part in played if part.completed}
-                if missing := [name for name in trial.judged if name not in felt]:
+                parts = dict.fromkeys(judgement.part for judgement in trial.judgements)
+                if missing := [name for name in parts if name not in felt]:
                     raise ValueError(
                         f"{path}, line {record.sequence + 1}: trial {trial.number} is rated, but {', '.join(missing)} "
                         "was not played since it was shown; restore the file from a copy"
@@ -133,14 +134,15 @@ def _judge(
             "repeat": trial.repeat,
             "stimulus_id": judgement.stimulus_id,
             "reference_id": judgement.reference_id,
-            "scale": trial.scale,
-            "rating": points[judgement.part],
+            "scale": judgement.scale or trial.scale,
+            "rating": points[judgement.key],
             "response_time_s": rated.response_time_s,
             "onset_s": felt[judgement.part].onset_s,
             "underruns": sum(part.underruns for part in played),
             "rejected": _write_flag(rated.rejected or superseded),
             **_describe_delivered(felt[judgement.part].delivered),
             "other_id": find_other(trial, judgement),
+            **_describe_motion([part for part in played if part.part == judgement.part]),
         }
 
 
@@ -153,6 +155,17 @@ def _describe_delivered(delivered: Mapping[str, float]) -> dict[str, Any]:
         "level_error_db": delivered.get("level_error_db", ""),
         "delivered_by": source,
     }
+
+
+def _describe_motion(played: Sequence[PartPlayed]) -> dict[str, Any]:
+    """Describe how a stimulus was explored: path of all its playbacks, and speed, weighted by their duration."""
+    paths = [part.motion for part in played if part.motion]
+    if not paths:
+        return {"motion_distance_m": "", "motion_mean_speed_m_s": ""}
+    length_m = sum(path.get("distance_m", 0.0) for path in paths)
+    lasted_s = sum(path.get("duration_s", 0.0) for path in paths)
+    speed = length_m / lasted_s if lasted_s else 0.0
+    return {"motion_distance_m": round(length_m, 6), "motion_mean_speed_m_s": round(speed, 6)}
 
 
 def _write_flag(flag: bool) -> str:  # noqa: FBT001 - the flag is the value, not an option

@@ -6,12 +6,15 @@ It shows, plays and passes on what the participant does; the engine decides what
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from math import ceil
 
 from feel321.protocols.questions import Question
 from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.actuator.output import Output
+from feel321.study.exploration.explorer import Explorer
+from feel321.study.exploration.track import Exploration
 from feel321.study.screen.asking import Form, fill_in
 from feel321.study.screen.drawing import Sheet
 from feel321.study.screen.input import Answer, InputEvent, Request, Twice
@@ -28,6 +31,7 @@ from feel321.study.session.ports import (
     Playback,
     Scaled,
     Surface,
+    TimedOut,
     Tone,
 )
 
@@ -150,7 +154,7 @@ SILENCE_S = 1.0  # longest wait for an output to fall silent before it is asked 
 class ScreenPresenter:
     """Shows, plays, and passes on what the participant does: `study.session.ports.Presenter`."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - a screen, what plays, what moves: each is there or not by itself
         self,
         window: Window,
         output: Output,
@@ -159,8 +163,9 @@ class ScreenPresenter:
         clock: Callable[[], float],
         surfaces: Mapping[str, Surface],
         hand: Hand | None = None,
+        exploration: Exploration | None = None,
     ) -> None:
-        self._hand = hand or Hand()
+        self._hand, self._exploration = hand or Hand(), exploration
         self._screen = Screen(window, texts, clock=clock, hand=self._hand)
         self._output, self._texts, self._clock, self._surfaces = output, texts, clock, surfaces
         self._acts: deque[Act] = deque()
@@ -228,7 +233,14 @@ class ScreenPresenter:
         self._screen.bring_up(view, answer)
         self._possible_s = self._clock()
 
-    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
+    def play(
+        self,
+        part: Part,
+        stimulus: Stimulus | Tone | Scaled,
+        *,
+        gap_s: float,
+        due_s: float | None = None,
+    ) -> Playback:
         """Play a stimulus to its end, or until the participant stops it."""
         frames = self._screen.window.frames
         self._announce("feeling", part)
@@ -238,13 +250,19 @@ class ScreenPresenter:
         goes_on, self._goes_round, self._is_switching = self._is_switching, False, False
         self._asked_s = self._asked_s if goes_round else self._clock()
         pause_s = LOOP_PAUSE_S if goes_round else gap_s
-        self._output.start(stimulus, gap_s=pause_s, goes_on=goes_on and answer.loops)
+        pause_s = pause_s if due_s is None else max(pause_s, due_s - self._clock())
+        start = self._output.start
+        if (explores := self._begin_exploring()) is not None:
+            start = partial(start, explorer=explores)
+        start(stimulus, gap_s=pause_s, goes_on=goes_on and answer.loops)
         try:
             act = self._watch_playing()
         except BaseException:
             self._output.stop()
             raise
         playback = self._output.collect()
+        if self._exploration is not None and explores is not None:
+            playback = self._exploration.finish(playback)
         self._end_part(part, is_felt=playback.completed and not playback.error)
         is_free = answer.loops and self._clock() - self._asked_s < LOOP_S
         if is_free and self._is_at_end and not playback.error and not act:
@@ -265,7 +283,7 @@ class ScreenPresenter:
                     self._end_part(part, is_felt=end is None)
                     return Playback(began_s, began_s, completed=end is None, act=end)
 
-    def wait(self) -> Act:
+    def wait(self, limit_s: float | None = None) -> Act:
         """Wait for the participant's next act on the trial that is shown."""
         self._screen.view = replace(self._screen.view, state="answering", playing="")
         answer = self._screen.find_answer()
@@ -273,12 +291,31 @@ class ScreenPresenter:
             for request in self._screen.listen():
                 self._acts.extend(_list_acts(request, answer, possible_s=self._possible_s))
             self._acts.extend(answer.markers.settle(self._clock()))
+            if limit_s is not None:
+                left_s = limit_s - self._clock() + self._possible_s
+                self._screen.view = replace(self._screen.view, left_s=max(1, ceil(left_s)))
+                if left_s <= 0 and not self._acts:
+                    return TimedOut(self._clock())
         return self._acts.popleft()
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
         """Explain to the participant why an act was not accepted, until the next one."""
+        trial = self._screen.view.trial
+        if trial is not None and any(judgement.scale for judgement in trial.judgements):
+            # Where there are several scales, they are numbered.
+            judged = trial.judged
+            parts = tuple(
+                str(judged.index(part) + 1) if reason == "not_answered" else part for part in parts
+            )
         names = ", ".join(self._texts.name_part(part) for part in parts)
         self._screen.notice = self._texts.refusals[reason].format(parts=names)
+
+    def _begin_exploring(self) -> Explorer | None:
+        """Make what plays the next stimulus as the hand moves, where the task explores."""
+        trial = self._screen.view.trial
+        if self._exploration is None or trial is None:
+            return None
+        return self._exploration.begin(trial.protocol)
 
     def _announce(self, state: str, part: Part) -> None:
         """Show which part comes before it is felt."""
@@ -329,7 +366,7 @@ def _list_acts(request: Request, answer: Answer, *, possible_s: float) -> Iterat
     elif request.name == "feel":
         yield from answer.markers.settle(time_s, rest_s=0.0)
         yield Feel(time_s, request.part)
-    elif request.name == "confirm" and not answer.finish_typing(time_s):
+    elif request.name == "confirm" and not (answer.finish_typing(time_s) or answer.go_to_open()):
         # Enter after digits that wait for another sets their value only: it must be seen before it counts.
         yield from answer.markers.settle(time_s, rest_s=0.0)
         yield Confirm(time_s, answer.values, max(0.0, time_s - possible_s))

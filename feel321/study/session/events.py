@@ -187,6 +187,12 @@ class TrialShown(AttemptEvent, event="shown"):
     """The trial is before the participant, all markers unset."""
 
 
+class TrialScheduled(AttemptEvent, event="scheduled"):
+    """The trial has a fixed onset; due_s: when its first part was to begin. What it began late shows its onset."""
+
+    due_s: float
+
+
 class TonePresented(AttemptEvent, event="tone"):
     """A trial of the threshold block: the interval (1 or 2) that vibrates, and its level in dB re 1 m/s² RMS.
 
@@ -212,10 +218,14 @@ class PartPlayed(AttemptEvent, event="played"):
     dac_source: str = ""
     delivered: dict[str, float] = field(default_factory=dict)
     delivered_sha256: str = ""
+    motion: dict[str, float] = field(default_factory=dict)
+    motion_sha256: str = ""
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields; what only some devices give is left out where it is empty."""
-        names = ("measured", "dac_source", "delivered", "delivered_sha256")
+        names = (
+            "measured", "dac_source", "delivered", "delivered_sha256", "motion", "motion_sha256",
+        )  # fmt: skip
         optional = {name: getattr(self, name) for name in names}
         return {k: v for k, v in super().to_data().items() if optional.get(k, True)}
 
