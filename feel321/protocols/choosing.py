@@ -1,9 +1,11 @@
 """Tasks in which a part is chosen: which one x was (ABX), which is more like the reference, which is preferred.
 
 Triplet: the participant feels the reference, then a and b, and says which of the two felt more like it [1]_. The pairs
-are those of the reducers of one recording and level arm. Preference: a and b only, and which of them is preferred; the
-recording itself is one of the stimuli. `[tasks.triplet] pairs = N` asks for N of the pairs per recording and level arm:
-each stimulus is in equally many of them, as far as the number allows, and each recording has pairs of its own.
+are those of the reducers of one recording and level arm. With `reference = "every"` each of them and the recording
+itself is the reference in turn, which is what a map of the stimuli needs. Preference: a and b only, and which of them
+is preferred; the recording itself is one of the stimuli. `[tasks.triplet] pairs = N` asks for N of the pairs per
+recording, level arm and reference: each stimulus is in equally many of them, as far as the number allows, and each
+recording has pairs of its own.
 
 The judgement is about a, which is felt first: 100 points mean that a was chosen, 0 that b was. Which stimulus is a
 changes with every turn, so that the mean over balanced trials has no advantage of the first. In catch trials one of the
@@ -18,7 +20,7 @@ References
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
-from itertools import combinations
+from itertools import islice
 
 from feel321.doors import check_name
 from feel321.protocols.arms import Comparisons, Items, find_catch, find_reference, split_arms
@@ -35,6 +37,9 @@ from feel321.protocols.trial import (
 
 ABX_CHOICES = PAIR_CHOICES = FIRST, SECOND = ("a", "b")
 """Names of the parts of which one is chosen."""
+
+EVERY = "every"
+"""Reference of a triplet task in which each stimulus is the reference in turn."""
 
 FEWEST = 2
 """Fewest stimuli of which one can be chosen."""
@@ -81,30 +86,37 @@ def choose_pairs(n: int, count: int | None, *, key: str) -> tuple[tuple[int, int
     """Choose so many of the pairs of n things, in order; all of them if there are no more.
 
     Each thing is in equally many pairs or in one more, and chains of pairs connect all things as soon as that is
-    possible (from n - 1 pairs): each next pair is of those that came least, and joins parts that nothing connects yet.
-    The key decides between what is alike.
+    possible (from n - 1 pairs). The key decides which thing has which place.
     """
-    left = list(combinations(range(n), 2))
-    if count is None or count >= len(left):
-        return tuple(left)
-    left.sort(key=lambda pair: sha256(f"{key} {pair}".encode()).digest())
-    used, group = [0] * n, list(range(n))
-    chosen: list[tuple[int, int]] = []
-    while len(chosen) < count:
-        one, other = min(
-            left,
-            key=lambda pair: (
-                used[pair[0]] + used[pair[1]],
-                abs(used[pair[0]] - used[pair[1]]),
-                group[pair[0]] == group[pair[1]],
-            ),
-        )
-        left.remove((one, other))
-        chosen.append((one, other))
-        used[one] += 1
-        used[other] += 1
-        group = [group[one] if own == group[other] else own for own in group]
-    return tuple(sorted(chosen))
+    names = sorted(range(n), key=lambda place: sha256(f"{key} {place}".encode()).digest())
+    pairs = (
+        (names[one], names[other]) for one, other in (_pair_rounds if n % 2 else _pair_matches)(n)
+    )
+    return tuple(sorted((min(pair), max(pair)) for pair in islice(pairs, count)))
+
+
+def _pair_matches(n: int) -> Iterator[tuple[int, int]]:
+    """List the pairs of an even number of things, match by match: each thing is in each match once.
+
+    The circle method of tournaments; two matches in a row make one circle through all things.
+    """
+    last = n - 1
+    for turn in range(last):
+        yield last, turn
+        yield from (((turn + step) % last, (turn - step) % last) for step in range(1, n // 2))
+
+
+def _pair_rounds(n: int) -> Iterator[tuple[int, int]]:
+    """List the pairs of an odd number of things, circle by circle through all of them, in Walecki's way.
+
+    Of each circle every other pair comes first, then the one with the thing that was left over, then the others.
+    """
+    last = n - 1
+    zigzag = [(place + 1) // 2 if place % 2 else -(place // 2) for place in range(last)]
+    for turn in range(last // 2):
+        circle = [last, *((step + turn) % last for step in zigzag)]
+        for place in (*range(0, last, 2), last, *range(1, last, 2)):
+            yield circle[place], circle[(place + 1) % n]
 
 
 def compare_triplets(items: Items, task: Task) -> Comparisons:
@@ -115,6 +127,9 @@ def compare_triplets(items: Items, task: Task) -> Comparisons:
 
 
 def _judge_likeness(arm: Items, task: Task) -> Iterator[Comparison]:
+    if task.reference == EVERY:
+        yield from _judge_all(arm, task)
+        return
     if task.reference == SURFACE:
         found, part = None, Part("reference", surface=arm[0].recording)
     else:
@@ -123,6 +138,17 @@ def _judge_likeness(arm: Items, task: Task) -> Iterator[Comparison]:
     tests = [item for item in arm if item.role == "test" and item != found]
     yield from _pair_up(tests, task, before=(part,))
     yield from _catch_out(arm, found or _find_original(arm), before=(part,))
+
+
+def _judge_all(arm: Items, task: Task) -> Iterator[Comparison]:
+    """Let each test stimulus and the recording itself be the reference in turn, of pairs of the others."""
+    original = _find_original(arm)
+    felt = [*filter(None, [original]), *(item for item in arm if item.role == "test")]
+    for reference in felt:
+        part = Part("reference", reference.stimulus_id)
+        yield from _pair_up([item for item in felt if item != reference], task, before=(part,))
+    if original:
+        yield from _catch_out(arm, original, before=(Part("reference", original.stimulus_id),))
 
 
 def compare_preferences(items: Items, task: Task) -> Comparisons:
@@ -153,7 +179,7 @@ def _pair_up(
             f"{len(stimuli)}; build a set of more reducers"
         )
     # Each recording and arm has pairs of its own, the same for every participant.
-    key = f"{stimuli[-1].recording} {stimuli[-1].level}"
+    key = f"{stimuli[-1].recording} {stimuli[-1].level} {_name_reference(before)}"
     for one, other in choose_pairs(len(stimuli), task.pairs, key=key):
         judgement = Judgement(FIRST, stimuli[one].stimulus_id, _name_reference(before))
         yield _pose(judgement, stimuli[other].stimulus_id, before=before)

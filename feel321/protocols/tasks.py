@@ -45,6 +45,7 @@ from itertools import combinations
 from math import prod
 
 from feel321.doors import Registry, check_name
+from feel321.protocols import choosing
 from feel321.protocols.arms import (
     EXPECTED,
     Comparisons,
@@ -54,18 +55,6 @@ from feel321.protocols.arms import (
     split_arms,
 )
 from feel321.protocols.balance import williams_square
-from feel321.protocols.choosing import (
-    ABX_CHOICES,
-    PAIR_CHOICES,
-    arrange_abx,
-    arrange_pair,
-    compare_abx,
-    compare_preferences,
-    compare_triplets,
-    score_abx,
-    score_pair,
-    teach_abx,
-)
 from feel321.protocols.trial import (
     FREE,
     ORIGINAL,
@@ -251,30 +240,30 @@ _ALL = (
     Protocol(
         "abx",
         _STIMULUS,
-        compare_abx,
+        choosing.compare_abx,
         references=(ORIGINAL, "reducer"),
-        teach=teach_abx,
-        arrange=arrange_abx,
-        score=score_abx,
-        choices=ABX_CHOICES,
+        teach=choosing.teach_abx,
+        arrange=choosing.arrange_abx,
+        score=choosing.score_abx,
+        choices=choosing.ABX_CHOICES,
     ),
     Protocol(
         "triplet",
         ("recording", "pair", "level"),
-        compare_triplets,
-        references=(ORIGINAL, SURFACE, "reducer"),
-        arrange=arrange_pair,
-        score=score_pair,
-        choices=PAIR_CHOICES,
+        choosing.compare_triplets,
+        references=(ORIGINAL, SURFACE, "reducer", choosing.EVERY),
+        arrange=choosing.arrange_pair,
+        score=choosing.score_pair,
+        choices=choosing.PAIR_CHOICES,
         some_pairs=True,
     ),
     Protocol(
         "preference",
         ("recording", "pair", "level"),
-        compare_preferences,
-        arrange=arrange_pair,
-        score=score_pair,
-        choices=PAIR_CHOICES,
+        choosing.compare_preferences,
+        arrange=choosing.arrange_pair,
+        score=choosing.score_pair,
+        choices=choosing.PAIR_CHOICES,
         some_pairs=True,
     ),
 )
@@ -301,7 +290,8 @@ def make_task(  # noqa: PLR0913 - the options that a task has
     timing : str or None
         One of the protocol's timings; None for its first.
     reference : str or None
-        The reference: `original`, `surface` or the name of a reducer; None for the protocol's first.
+        The reference: `original`, `surface`, the name of a reducer, or, of triplets, `every` stimulus in turn; None
+        for the protocol's first.
     surface : bool
         Whether the real surface is felt first.
     training, practice : int
@@ -360,7 +350,7 @@ def _check_reference(protocol: Protocol, reference: str) -> None:
         raise ValueError(
             f"{key} must not be set, got {reference!r}: nothing is compared with a reference here; leave it out"
         )
-    kind = reference if reference in {ORIGINAL, SURFACE} else "reducer"
+    kind = reference if reference in {ORIGINAL, SURFACE, choosing.EVERY} else "reducer"
     if not reference or kind not in protocol.references:
         allowed = ", ".join(protocol.references).replace("reducer", "the name of a reducer")
         raise ValueError(f"{key} must be one of {allowed}; got {reference!r}")

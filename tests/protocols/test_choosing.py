@@ -103,6 +103,26 @@ def test_the_recording_itself_may_be_preferred_and_is_preferred_to_anchors(
     assert [name_parts(c) for c in bare] == [list(pair) for pair in combinations(TESTS, 2)]
 
 
+def test_every_stimulus_may_be_the_reference_in_turn(make_items: MakeItems) -> None:
+    task = make_task("triplet", reference="every")
+    compared = PROTOCOLS["triplet"].compare(make_items("tap", NAMES), task)
+    felt = ("original", *TESTS)
+    expected = {
+        (head, pair) for head in felt for pair in combinations([n for n in felt if n != head], 2)
+    }
+    asked = [name_parts(c) for c in compared if not c.catch]
+    assert {(str(head), tuple(pair)) for head, *pair in asked} == expected
+    assert len(asked) == len(expected) == 4 * 3
+    assert [name_parts(c)[0] for c in compared if c.catch] == ["original", "original"]
+    some = make_task("triplet", reference="every", pairs=2)
+    heads = Counter(
+        name_parts(c)[0]
+        for c in PROTOCOLS["triplet"].compare(make_items("tap", NAMES), some)
+        if not c.catch
+    )
+    assert heads == dict.fromkeys(felt, 2)
+
+
 @both
 def test_one_stimulus_is_nothing_to_choose_from(name: str, make_items: MakeItems) -> None:
     items = [item for item in make_items("tap", ["dft321", "original"]) if name == "triplet"]

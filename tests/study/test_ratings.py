@@ -177,7 +177,14 @@ def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(
 
 
 @pytest.mark.parametrize(
-    ("task", "rating"), [("abx", {0.0, 100.0}), ("dissimilarity", {50.0}), ("mushra", {50.0})]
+    ("task", "rating"),
+    [
+        ("abx", {0.0, 100.0}),
+        ("dissimilarity", {50.0}),
+        ("mushra", {50.0}),
+        ("triplet", {100.0}),
+        ("preference", {100.0}),
+    ],
 )
 def test_every_judgement_of_a_trial_is_a_row(
     present: Present,
@@ -197,8 +204,19 @@ def test_every_judgement_of_a_trial_is_a_row(
     assert {row["rating"] for row in rows} == rating
     assert {row["scale"] for row in rows} == {task}
     names = {stimulus.stimulus_id for stimulus in stimuli.stimuli}
-    assert {row["stimulus_id"] for row in rows} | {row["reference_id"] for row in rows} <= names
+    assert {row["stimulus_id"] for row in rows} | {row["reference_id"] for row in rows} <= {
+        *names,
+        *([None] if task == "preference" else []),
+    }
     # An answer of `a` is right exactly where X repeats A: the score is checked against the parts, not against itself.
+    if task in {"triplet", "preference"}:
+        codes = list_codes(stimuli, seed=plan.seed)
+        felt = {t.number: [part.stimulus_id for part in t.parts[-2:]] for t in plan.trials}
+        for row in rows:
+            named = [codes[row[name]] for name in ("stimulus_id", "other_id")]
+            assert named == felt[row["trial"]]
+    else:
+        assert {row["other_id"] for row in rows} == {None}
     if task == "abx":
         right = {t.number: t.parts[2].stimulus_id == t.parts[0].stimulus_id for t in plan.trials}
         assert [row["rating"] == 100.0 for row in rows] == [right[row["trial"]] for row in rows]

@@ -9,38 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.analysis import words
 from feel321.analysis.choices.embed import FEWEST_REFERENCES, TRIPLET, embed_triplets
 from feel321.analysis.choices.model import fit_votes
 from feel321.analysis.choices.predict import CHANCE, VotePrediction, predict
 from feel321.analysis.choices.votes import gather_votes
-from feel321.analysis.contrasts.bradley_terry import bradley_terry
+from feel321.analysis.contrasts.bradley_terry import BradleyTerry, bradley_terry
 from feel321.analysis.figures.shares import draw_shares
+from feel321.analysis.report import section as page
 from feel321.analysis.report.parts import SIGNIFICANCE, Choices
-from feel321.analysis.report.section import (
-    METRIC,
-    NAME,
-    TEXT,
-    Column,
-    PageTable,
-    Picture,
-    Section,
-    TableForm,
-    make_slug,
-    read_methods,
-)
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table
 from feel321.analysis.table.schema import CHOSEN, HIGHEST
-from feel321.analysis.words import (
-    COUNT,
-    Line,
-    Number,
-    capitalise,
-    count_number,
-    format_name,
-    format_number,
-    join_words,
-    name_path,
-)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -59,56 +38,56 @@ BOTH = 2
 
 CLUSTERED = "95 % t interval, clustered by participants and recordings"
 BY_RATER = "95 % bootstrap interval over participants only: these stimuli as the only ones"
-WHICH = Column("Choices", "_choices", TEXT)
-N = Column("Choices", "n_votes", COUNT, "n_votes")
+WHICH = page.Column("Choices", "_choices", page.TEXT)
+N = page.Column("Choices", "n_votes", words.COUNT, "n_votes")
 
-PREDICTED = TableForm(
+PREDICTED = page.TableForm(
     "Share of choices that each metric predicts (chance: 0.50), with 95 % intervals for other people and other "
     "recordings; p against chance, adjusted by Holm over the metrics of its scale and level. Last rows: how often the "
     "majority of the other participants predicts a choice, and the majority of all, which no metric can exceed.",
     (
-        WHICH, METRIC,
-        Column("Share", "share", end="share", method="share of choices predicted", interval=CLUSTERED),
-        Column("p (Holm)", "p_holm", "p", "p_holm", "two-sided t test against chance, Holm's adjustment"), N,
+        WHICH, page.METRIC,
+        page.Column("Share", "share", end="share", method="share of choices predicted", interval=CLUSTERED),
+        page.Column("p (Holm)", "p_holm", "p", "p_holm", "two-sided t test against chance, Holm's adjustment"), N,
     ),
     path="choices.{scale}.{level}.{metric}", n="n_votes", detail=False,
 )  # fmt: skip
-COMPARED = TableForm(
+COMPARED = page.TableForm(
     "Differences between metrics in the share of choices that they predict; p adjusted by Holm over the pairs.",
     (
-        WHICH, Column("Metric", "first", TEXT), Column("Less", "second", TEXT),
-        Column("Difference", "difference", method="difference of shares of choices predicted", interval=CLUSTERED),
-        Column("p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment"),
+        WHICH, page.Column("Metric", "first", page.TEXT), page.Column("Less", "second", page.TEXT),
+        page.Column("Difference", "difference", method="difference of shares of choices predicted", interval=CLUSTERED),
+        page.Column("p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment"),
     ),
     path="choices_difference.{scale}.{level}.{first}.{second}", n="n_votes",
 )  # fmt: skip
-WEIGHTS = TableForm(
+WEIGHTS = page.TableForm(
     "Weights of the metrics in one logistic model: change in log odds of a choice per typical (root mean square) "
     "difference of the two stimuli. Order: log odds of what was felt first, against an equal. Lapses: share of choices "
     "that rest on nothing felt.",
     (
-        WHICH, Column("Term", "term", TEXT),
-        Column("Weight", "estimate", end="weight", method="logistic regression", interval=CLUSTERED),
-        Column("p", "p", "p", "p", "two-sided t test"),
+        WHICH, page.Column("Term", "term", page.TEXT),
+        page.Column("Weight", "estimate", end="weight", method="logistic regression", interval=CLUSTERED),
+        page.Column("p", "p", "p", "p", "two-sided t test"),
     ),
     path="choices_weight.{scale}.{level}.{term}", n="n_votes",
 )  # fmt: skip
-ABILITIES = TableForm(
+ABILITIES = page.TableForm(
     "Abilities of the reducers (Bradley-Terry): log odds of being chosen against the first of the table, over all "
     "recordings; intervals over participants, for these recordings.",
     (
-        WHICH, Column("Reducer", "reducer", NAME),
-        Column("Ability", "estimate", end="ability", method="Bradley-Terry model", interval=BY_RATER),
-        Column("Chosen", "share", end="share", method="share of its pairs in which it was chosen"), N,
+        WHICH, page.Column("Reducer", "reducer", page.NAME),
+        page.Column("Ability", "estimate", end="ability", method="Bradley-Terry model", interval=BY_RATER),
+        page.Column("Chosen", "share", end="share", method="share of its pairs in which it was chosen"), N,
     ),
     path="choices_ability.{scale}.{level}.{reducer}", n="n_votes",
 )  # fmt: skip
-PLACES = TableForm(
+PLACES = page.TableForm(
     "Map of the stimuli from triplets ({}): choices follow squared distances; only distances have a meaning.",
     (
-        WHICH, Column("Reducer", "stimulus", NAME),
-        Column("Axis 1", "axis_1", end="axis_1", method="stochastic triplet embedding"),
-        Column("Axis 2", "axis_2", end="axis_2", method="stochastic triplet embedding"),
+        WHICH, page.Column("Reducer", "stimulus", page.NAME),
+        page.Column("Axis 1", "axis_1", end="axis_1", method="stochastic triplet embedding"),
+        page.Column("Axis 2", "axis_2", end="axis_2", method="stochastic triplet embedding"),
     ),
     path="choices_map.{scale}.{level}.{stimulus}", n="n_votes",
 )  # fmt: skip
@@ -127,8 +106,8 @@ class _Arm:
     @property
     def subject(self) -> str:
         """How the choices are called where several levels are compared."""
-        bracket = f" (level {format_name(self.level)})" if self.several else ""
-        return f"{capitalise(self.scale)}{bracket}"
+        bracket = f" (level {words.format_name(self.level)})" if self.several else ""
+        return f"{words.capitalise(self.scale)}{bracket}"
 
     @property
     def keys(self) -> Row:
@@ -137,17 +116,17 @@ class _Arm:
         return {"scale": self.scale, "level": self.level, "_choices": lead}
 
 
-def compute_choices(table: Table, choices: Choices) -> Section:
+def compute_choices(table: Table, choices: Choices) -> page.Section:
     """Evaluate triplets and preferences, per scale and level."""
     arms = list(_split(table))
     if not arms:
-        return Section(KEY, TITLE)
+        return page.Section(KEY, TITLE)
     answers: list[str] = []
-    lines: list[Line] = []
+    lines: list[words.Line] = []
     notes: list[str] = []
-    grids: list[PageTable] = []
-    unseen: list[Number] = []
-    pictures: list[Picture] = []
+    grids: list[page.PageTable] = []
+    unseen: list[words.Number] = []
+    pictures: list[page.Picture] = []
     tables: dict[str, list[Row]] = {}
     for arm in arms:
         notes += list(_describe_catches(arm, unseen))
@@ -165,9 +144,9 @@ def compute_choices(table: Table, choices: Choices) -> Section:
             unseen += found.unseen
             for name, rows in found.tables.items():
                 tables.setdefault(name, []).extend(rows.to_dict("records"))
-    return Section(
+    return page.Section(
         key=KEY, title=TITLE, answers=answers, verdict=lines, grids=grids, unseen=unseen, tables=tables,
-        pictures=pictures, notes=notes, how=read_methods(KEY),
+        pictures=pictures, notes=notes, how=page.read_methods(KEY),
     )  # fmt: skip
 
 
@@ -188,7 +167,7 @@ def _find_roles(arm: _Arm) -> tuple[Any, Any]:
     return rows[STIMULUS].map(roles).to_numpy(), rows[OTHER].map(roles).to_numpy()
 
 
-def _describe_catches(arm: _Arm, unseen: list[Number]) -> Iterator[str]:
+def _describe_catches(arm: _Arm, unseen: list[words.Number]) -> Iterator[str]:
     """Say how often an anchor was chosen, which nobody should."""
     one, other = _find_roles(arm)
     is_catch = (one == "anchor") != (other == "anchor")
@@ -198,8 +177,10 @@ def _describe_catches(arm: _Arm, unseen: list[Number]) -> Iterator[str]:
     first = (arm.table.rows["rating"] == HIGHEST).to_numpy()
     wrong = int((np.where(first, one, other)[is_catch] == "anchor").sum())
     unseen += [
-        count_number(name_path(KEY, arm.scale, arm.level, "anchors_chosen"), wrong, n=n),
-        count_number(name_path(KEY, arm.scale, arm.level, "catch_trials"), n, n=n),
+        words.count_number(
+            words.name_path(KEY, arm.scale, arm.level, "anchors_chosen"), wrong, n=n
+        ),
+        words.count_number(words.name_path(KEY, arm.scale, arm.level, "catch_trials"), n, n=n),
     ]
     yield f"{arm.scale}, {arm.level}: an anchor was chosen in {wrong} of {n} catch trials."
 
@@ -207,7 +188,7 @@ def _describe_catches(arm: _Arm, unseen: list[Number]) -> Iterator[str]:
 # Which metric predicts the choices.
 
 
-def _predict(arm: _Arm, choices: Choices) -> Section:  # noqa: ARG001 - every step has this form
+def _predict(arm: _Arm, choices: Choices) -> page.Section:  # noqa: ARG001 - every step has this form
     votes = gather_votes(arm.table, metrics=arm.metrics)
     found = predict(votes)
     more = {**arm.keys, "n_votes": found.n_votes}
@@ -222,7 +203,7 @@ def _predict(arm: _Arm, choices: Choices) -> Section:  # noqa: ARG001 - every st
     differences = [more | row for row in found.differences.to_dict("records")]
     answer = _describe(arm, found)
     drawing = partial(
-        draw_shares, found, [format_name(name) for name in found.shares.index], arm.subject
+        draw_shares, found, [words.format_name(name) for name in found.shares.index], arm.subject
     )
     caption = (
         f"{arm.subject}: share of choices that each metric predicts, with 95 % intervals for other people and other "
@@ -233,15 +214,15 @@ def _predict(arm: _Arm, choices: Choices) -> Section:  # noqa: ARG001 - every st
         "recordings": found.n_recordings,
         "pairs": found.n_pairs,
     }
-    return Section(
-        KEY, TITLE, answers=(answer,), verdict=(Line(answer),),
+    return page.Section(
+        KEY, TITLE, answers=(answer,), verdict=(words.Line(answer),),
         grids=(PREDICTED.build(rows), COMPARED.build(differences)),
         unseen=tuple(
-            count_number(name_path(KEY, arm.scale, arm.level, f"n_{name}"), size, n=found.n_votes)
+            words.count_number(words.name_path(KEY, arm.scale, arm.level, f"n_{name}"), size, n=found.n_votes)
             for name, size in sizes.items()
         ),
         tables={"choices_predicted": rows, "choices_differences": differences},
-        pictures=(Picture(make_slug(KEY, arm.scale, arm.level), caption, drawing),), notes=found.notes,
+        pictures=(page.Picture(page.make_slug(KEY, arm.scale, arm.level), caption, drawing),), notes=found.notes,
     )  # fmt: skip
 
 
@@ -259,18 +240,20 @@ def _describe(arm: _Arm, found: VotePrediction) -> str:
         told.append(_describe_null(shares, asked))
     else:
         listed = [
-            f"{format_name(str(name))} {_format_share(row)}" for name, row in right.iterrows()
+            f"{words.format_name(str(name))} {_format_share(row)}" for name, row in right.iterrows()
         ]
         verb = "predicts" if len(listed) == 1 else "predict"
-        names = join_words(listed)
-        told.append(f"{capitalise(names)} {verb} {asked} (chance 50 %){_describe_ceiling(found)}.")
+        names = words.join_words(listed)
+        told.append(
+            f"{words.capitalise(names)} {verb} {asked} (chance 50 %){_describe_ceiling(found)}."
+        )
         told += [
             *_describe_turns(arm, str(right.index[0])),
             _describe_better(found, str(right.index[0])),
         ]
     if len(wrong):
-        names = join_words([
-            f"{format_name(str(name))} {_format_share(row)}" for name, row in wrong.iterrows()
+        names = words.join_words([
+            f"{words.format_name(str(name))} {_format_share(row)}" for name, row in wrong.iterrows()
         ])
         told.append(f"The better value of {names} was chosen less often than the worse.")
     return lead + " ".join(filter(None, told))
@@ -278,7 +261,7 @@ def _describe(arm: _Arm, found: VotePrediction) -> str:
 
 def _describe_null(shares: DataFrame, asked: str) -> str:
     best = shares.sort_values("share", ascending=False, kind="stable").iloc[0]
-    name, share = format_name(str(best.name)), _format_share(best)
+    name, share = words.format_name(str(best.name)), _format_share(best)
     if len(shares) == 1:
         return f"It is not shown that {name} {share} predicts {asked} (chance 50 %)."
     none = f"None of {len(shares)} metrics" if len(shares) > BOTH else "Neither metric"
@@ -299,11 +282,13 @@ def _describe_better(found: VotePrediction, best: str) -> str:
     clear = rows[rows["p_holm"] < SIGNIFICANCE].to_dict("records")
     worse = [row["second"] for row in clear if row["first"] == best and row["difference"] > 0]
     worse += [row["first"] for row in clear if row["second"] == best and row["difference"] < 0]
-    name = capitalise(format_name(best))
+    name = words.capitalise(words.format_name(best))
     if not worse:
         others = "any other metric" if len(found.shares) > BOTH else "the other metric"
-        return f"It is not shown that {format_name(best)} predicts more choices than {others}."
-    return f"{name} predicts more choices than {join_words([format_name(one) for one in worse])}."
+        return (
+            f"It is not shown that {words.format_name(best)} predicts more choices than {others}."
+        )
+    return f"{name} predicts more choices than {words.join_words([words.format_name(one) for one in worse])}."
 
 
 def _describe_turns(arm: _Arm, metric: str) -> Iterator[str]:
@@ -325,7 +310,7 @@ def _describe_turns(arm: _Arm, metric: str) -> Iterator[str]:
         if not (left["p_holm"] < SIGNIFICANCE and left["share"] > CHANCE):
             turns.append(name)
     if turns:
-        yield f"Without {join_words(turns, 'or')}, this is not shown for {format_name(metric)}."
+        yield f"Without {words.join_words(turns, 'or')}, this is not shown for {words.format_name(metric)}."
 
 
 def _format_share(row: Any) -> str:  # noqa: ANN401 - a row of a frame
@@ -336,13 +321,13 @@ def _format_share(row: Any) -> str:  # noqa: ANN401 - a row of a frame
 
 
 def _format_percent(share: float) -> str:
-    return f"{format_number(100 * share, kind=COUNT)} %"
+    return f"{words.format_number(100 * share, kind=words.COUNT)} %"
 
 
 # What the choices say of metrics together, of reducers, and of the space between stimuli.
 
 
-def _weigh(arm: _Arm, choices: Choices) -> Section:  # noqa: ARG001 - every step has this form
+def _weigh(arm: _Arm, choices: Choices) -> page.Section:  # noqa: ARG001 - every step has this form
     votes = gather_votes(arm.table, metrics=arm.table.metrics)
     found = fit_votes(votes)
     rows = [
@@ -357,25 +342,24 @@ def _weigh(arm: _Arm, choices: Choices) -> Section:  # noqa: ARG001 - every step
         **ends,
     })
     notes = [note for note in found.notes if note not in votes.notes]
-    return Section(
+    return page.Section(
         KEY, TITLE, grids=(WEIGHTS.build(rows),), tables={"choices_weights": rows}, notes=notes
     )
 
 
-def _scale(arm: _Arm, choices: Choices) -> Section:
+def _scale(arm: _Arm, choices: Choices) -> page.Section:
     """Scale the reducers by Bradley-Terry; catch trials, which are won nearly always, have no part in it."""
     one, other = _find_roles(arm)
     rows = arm.table.rows[(one != "anchor") & (other != "anchor")]
     stimuli = arm.table.stimuli
+    if len(rows["reference_reducer"].unique()) > 1:
+        rows = rows[rows["matched"]]  # likeness to one reference is no likeness to another
     if stimuli is None or rows.empty:
-        return Section(KEY, TITLE)
+        return page.Section(KEY, TITLE)
     first, second = (rows[name].map(stimuli["reducer"]) for name in (STIMULUS, OTHER))
     winner = first.where(rows["rating"] == HIGHEST, second)
     pairs = rows[["participant"]].assign(first=first, second=second, winner=winner)
-    fitted = bradley_terry(
-        pairs, by_rater=len(pairs["participant"].unique()) > 1, order_effect=True, draws=choices.draws,
-        rng=choices.make_rng(KEY, arm.scale, arm.level),
-    )  # fmt: skip
+    fitted = _fit_abilities(pairs, choices.draws, choices.make_rng(KEY, arm.scale, arm.level))
     listed: list[Row] = []
     for row in fitted.to_frame().to_dict("records"):
         if (name := row["item"]) == "order":
@@ -389,17 +373,29 @@ def _scale(arm: _Arm, choices: Choices) -> Section:
             "share": share,
             "n_votes": int(met.sum()),
         })
-    return Section(
+    return page.Section(
         KEY, TITLE, grids=(ABILITIES.build(listed),), tables={"choices_abilities": listed},
         notes=fitted.notes,
     )  # fmt: skip
 
 
-def _map(arm: _Arm, choices: Choices) -> Section:
+def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> BradleyTerry:
+    """Fit abilities with intervals over participants; shrunken ones without, where a reducer always won or lost."""
+    try:
+        alone = len(pairs["participant"].unique()) == 1
+        return bradley_terry(pairs, by_rater=not alone, order_effect=True, draws=draws, rng=rng)
+    except ValueError as error:
+        if "separation" not in str(error):
+            raise
+    shrunken = bradley_terry(pairs, prior=0.5, order_effect=True)
+    return replace(shrunken, fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
+
+
+def _map(arm: _Arm, choices: Choices) -> page.Section:
     """Map the reducers from triplets whose reference changes; with one reference there is no map."""
     rows, stimuli = arm.table.rows, arm.table.stimuli
     if stimuli is None or rows["reference_reducer"].nunique() < FEWEST_REFERENCES:
-        return Section(KEY, TITLE)
+        return page.Section(KEY, TITLE)
     both = [rows[name].map(stimuli["reducer"]) for name in (STIMULUS, OTHER)]
     is_first = rows["rating"] == HIGHEST
     columns = (
@@ -414,7 +410,7 @@ def _map(arm: _Arm, choices: Choices) -> Section:
         {**arm.keys, "n_votes": found.n_triplets, **row}
         for row in found.to_frame().to_dict("records")
     ]
-    return Section(
+    return page.Section(
         KEY, TITLE, grids=(PLACES.build(listed, caption=PLACES.caption.format(arm.subject)),),
         tables={"choices_map": listed}, notes=found.notes,
     )  # fmt: skip

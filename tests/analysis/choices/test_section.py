@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -92,6 +94,39 @@ def test_abilities_and_catch_trials_are_counted(plant: Plant) -> None:
         won = names[0].where(planted.votes["rating"] == 100, names[1]) == row["reducer"]
         met = (names[0] == row["reducer"]) | (names[1] == row["reducer"])
         assert row["share"] == pytest.approx(won[met].mean())
+
+
+def test_a_reducer_that_always_wins_has_a_shrunken_ability_and_no_interval(plant: Plant) -> None:
+    planted = plant(participants=4, recordings=3)
+    best = [planted.votes[name].str.endswith("dft321") for name in ("stimulus_id", "other_id")]
+    votes = planted.votes.assign(rating=planted.votes["rating"].mask(best[0], 100).mask(best[1], 0))
+    section = compute_choices(planted._replace(votes=votes).read(), QUICK)
+    table = section.tables["choices_abilities"].set_index("reducer")
+    assert table["estimate"].idxmax() == "dft321"
+    assert table.loc["dft321", "share"] == 1
+    assert table[["low", "high"]].isna().all(axis=None)
+    assert any("abilities are shrunken" in note for note in section.notes)
+
+
+def test_several_references_give_a_map_and_abilities_of_the_recording_alone(plant: Plant) -> None:
+    """Reducers lie on a line; what is nearer to the reference is chosen, with noise."""
+    planted = plant(participants=12, recordings=2)
+    names = ["original", "sax321", "mag321", "soc321", "dft321"]
+    rng = np.random.default_rng(0)
+    rows = [
+        (f"p{p}", f"r{r}-{names[a]}", f"r{r}-{names[b]}", f"r{r}-{names[h]}",
+         100 * (rng.random() < 1 / (1 + np.exp(0.3 * (abs(a - h) ** 2 - abs(b - h) ** 2)))))
+        for p in range(12) for r in range(2) for h in range(5)
+        for a, b in combinations([k for k in range(5) if k != h], 2)
+    ]  # fmt: skip
+    columns = ["participant", "stimulus_id", "other_id", "reference_id", "rating"]
+    votes = pd.DataFrame(rows, columns=columns).assign(scale="triplet", trial=range(len(rows)))
+    section = compute_choices(planted._replace(votes=votes).read(), QUICK)
+    places = section.tables["choices_map"].set_index("stimulus")["axis_1"].reindex(names)
+    assert abs(np.corrcoef(places, range(5))[0, 1]) > 0.98
+    assert set(section.tables["choices_abilities"]["n_votes"]) == {12 * 2 * 3}
+    abilities = section.tables["choices_abilities"].set_index("reducer")["estimate"]
+    assert abilities.reindex(names[1:]).is_monotonic_decreasing
 
 
 def test_a_report_of_choices_alone_opens_with_them_and_holds_its_numbers(

@@ -204,6 +204,11 @@ RATINGS = [
     (cell("underruns", "many"), "line 2: underruns must be a finite number, got 'many'; correct it or leave the"),
     (cell("response_time_s", "-0.1"), "line 2: response_time_s must be 0 or more, in seconds, or empty, got '-0.1'"),
     (cell("response_time_s", "nan"), "line 2: response_time_s must be a finite number, got 'nan'; correct it or"),
+    (cell("scale", "triplet"), "line 2: rating must be 100 (stimulus_id was chosen) or 0 (other_id was chosen)"),
+    (lambda f: f.assign(scale="triplet", rating="100"), "other_id must name the second of the two stimuli on scale"),
+    (lambda f: f.assign(scale="preference", rating="0", other_id=f["stimulus_id"]), "other_id must name the second of"),
+    (lambda f: f.assign(scale="preference", rating="0", other_id="ghost"), "other_id must be a stimulus of"),
+    (lambda f: f.assign(other_id=f["stimulus_id"]), "other_id must be empty but on scale 'triplet'"),
     (lambda f: f.assign(scale="dissimilarity", reference_id="ghost"), "lines 2, 3, 4 and 5 more: reference_id must"),
 ]  # fmt: skip
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+import signal
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
 import pytest
 
 from feel321.stimuli.wav import read_wav
+from feel321.study.analyze import analyze_study
 from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
@@ -105,6 +109,32 @@ def test_a_simulated_participant_finishes_by_keys_alone(
     assert len(list_tones(study)) == (1 + 5 + 1 if "threshold" in options else 0)
     if "threshold" in options:
         check_files(study)
+
+
+def test_choices_by_keys_are_killed_resumed_and_analysed(
+    lab: Any, make_study: Callable[..., StudyFolder], tmp_path: Path
+) -> None:
+    study = make_study("triplet", "preference", reducers=("sax321", "mag321"))
+    session = lab.start(study, "sim001", *HAND)
+    session.wait_for("rated", 3)
+    session.send(signal.SIGKILL)
+    session.finish()
+    done = session.count_done()
+    code, out, err = lab.run(study, "sim001", *HAND)
+    assert (code, err) == (0, "")
+    # Of each of two recordings the pair of reducers, and with the recording itself three pairs.
+    assert out == f"sim001: {done} of 8 done so far\nsim001: all 8 done\n"
+    assert audit_study(study) == []
+    alone = ask_minds_alone(study, tmp_path / "alone")
+    assert list_answers(study) == list_answers(alone)
+    analyze_study(study)
+    rows = pd.read_csv(study.ratings, keep_default_na=False)
+    assert rows["scale"].value_counts().to_dict() == {"preference": 6, "triplet": 2}
+    assert set(rows["rating"]) <= {0.0, 100.0}
+    assert (rows["other_id"] != rows["stimulus_id"]).all()
+    assert (rows["reference_id"] != "").tolist() == (rows["scale"] == "triplet").tolist()
+    answers = json.loads((study.report / "results.json").read_text(encoding="utf-8"))["answers"]
+    assert answers["choices"][0].startswith("Whether a metric predicts which of two stimuli ")
 
 
 def test_a_reference_of_three_axes_is_felt_through_the_sound_server(

@@ -42,12 +42,16 @@ PARTS = {
     "similarity": (Part("reference", "s0"), Part("test", "s1")),
     "dissimilarity": (Part("first", "s0"), Part("second", "s1")),
     "abx": (Part("a", "s0"), Part("b", "s1"), Part("x", "s0")),
+    "triplet": (Part("reference", "s0"), Part("a", "s1"), Part("b", "s2")),
+    "preference": (Part("a", "s1"), Part("b", "s2")),
     "mushra": (Part("reference", "s0"), *(Part(str(n), f"s{n}") for n in range(1, 13))),
     THRESHOLD: tuple(Part(name, "40 Hz") for name in INTERVALS),
     MATCHING: (Part("first", "s0"), Part("second", "s1")),
 }
 JUDGED = {
     "abx": ("x",),
+    "triplet": ("a",),
+    "preference": ("a",),
     "dissimilarity": ("second",),
     MATCHING: ("second",),
     "mushra": tuple(str(n) for n in range(1, 13)),
@@ -132,7 +136,8 @@ def make_views(
     missing = texts["refusals"]["not_felt"].format(parts=names)
     for name in PARTS:
         trial = make_trial(name)
-        kind = {"abx": "choice", THRESHOLD: "choice", "mushra": "rows"}.get(name, "slider")
+        kinds = dict.fromkeys(("abx", "triplet", "preference", THRESHOLD), "choice")
+        kind = (kinds | {"mushra": "rows"}).get(name, "slider")
         parts = [part.name for part in trial.parts]
         judged = [judgement.part for judgement in trial.judgements]
         shown = picture if name in {"touched", "realism"} else None

@@ -65,6 +65,8 @@ TASKS: Mapping[str, tuple[Task, ...]] = {
         "dissimilarity": make_task("dissimilarity"),
         "mushra": make_task("mushra"),
         "abx": make_task("abx"),
+        "triplet": make_task("triplet", reference="surface"),
+        "preference": make_task("preference"),
         "blocks": make_task("realism"),
     }.items()
 }

@@ -18,7 +18,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-TASKS = ("realism", "similarity-strict", "similarity-replay", "dissimilarity", "mushra", "abx")
+TASKS = (
+    "realism",
+    "similarity-strict",
+    "similarity-replay",
+    "dissimilarity",
+    "mushra",
+    "abx",
+    "triplet",
+    "preference",
+)
 PRESENTERS = ("observer", "scripted")
 OPENING = 60
 """So many calls at most until a session is open: the ledger, the slot, the plan, the journal or its mending."""
