@@ -6,6 +6,10 @@ Results have `to_frame` and `summary`; the other records are those that signals,
 from feel321.analysis.agreement import Alpha, Intraclass
 from feel321.analysis.association.classic import Dependent, RepeatedMeasures
 from feel321.analysis.association.correlate import Association, Difference
+from feel321.analysis.choices.embed import Embedding
+from feel321.analysis.choices.model import ChoiceModel
+from feel321.analysis.choices.power import ChoicePower
+from feel321.analysis.choices.predict import VotePrediction
 from feel321.analysis.contrasts.bradley_terry import BradleyTerry
 from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, ReducerDifference
 from feel321.analysis.contrasts.discrimination import Discrimination
@@ -20,6 +24,8 @@ from feel321.analysis.space import Alignment, Ellipses, Space
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.advise.page import Advice
+from feel321.analysis.tradeoff.benchmark.card import Card
+from feel321.analysis.tradeoff.benchmark.run import Benchmark
 from feel321.analysis.tradeoff.chart.compute import Chart
 from feel321.analysis.tradeoff.stress.page import Stress
 from feel321.protocols.trial import Page, Part
@@ -31,9 +37,49 @@ from feel321.study.session.ports import Act, Place
 from feel321.study.status import Status
 
 __all__ = [
-    "P1401", "Act", "Advice", "Alignment", "Alpha", "Association", "Audit", "BradleyTerry", "Chart", "Dependent",
-    "Difference", "Discrimination", "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit",
-    "Multiverse", "NonInferiority", "P1401Difference", "Page", "Part", "Place", "Primaries", "Primary", "Problems",
-    "ReducerDifference", "Refined", "RepeatedMeasures", "Results", "RotationStatistics", "Screening", "SessionEvent",
-    "Signal", "Space", "Status", "Stress", "Table",
+    "P1401",
+    "Act",
+    "Advice",
+    "Alignment",
+    "Alpha",
+    "Association",
+    "Audit",
+    "Benchmark",
+    "BradleyTerry",
+    "Card",
+    "Chart",
+    "ChoiceModel",
+    "ChoicePower",
+    "Dependent",
+    "Difference",
+    "Discrimination",
+    "Ellipses",
+    "Embedding",
+    "Equivalence",
+    "Estimate",
+    "Further",
+    "Intraclass",
+    "MixedFit",
+    "Multiverse",
+    "NonInferiority",
+    "P1401Difference",
+    "Page",
+    "Part",
+    "Place",
+    "Primaries",
+    "Primary",
+    "Problems",
+    "ReducerDifference",
+    "Refined",
+    "RepeatedMeasures",
+    "Results",
+    "RotationStatistics",
+    "Screening",
+    "SessionEvent",
+    "Signal",
+    "Space",
+    "Status",
+    "Stress",
+    "Table",
+    "VotePrediction",
 ]  # fmt: skip

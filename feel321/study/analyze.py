@@ -15,11 +15,12 @@ from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.metrics import MATCHES
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.study.answers import write_answers
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import describe_matches, write_matches
@@ -78,6 +79,7 @@ def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
     if not write_ratings(study, stimuli):
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
+    write_answers(study)
     further = measure_rotations(study, settings, stimuli)
     matched = describe_matches(write_matches(study, stimuli))
     return replace(further, notes=(*further.notes, *matched, *note_estimates(everybody)))

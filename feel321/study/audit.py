@@ -11,6 +11,7 @@ has noted every session that came beyond its opening.
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import pairwise
@@ -21,9 +22,11 @@ from typing import Any
 
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import INTERVALS, THRESHOLD
+from feel321.protocols.questions import PREFIX, find_question
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import ASIDE, MATCHING, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
+from feel321.study.exploration.track import MOTION, name_track
 from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
 from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
 from feel321.study.ledger.rigs import describe_rigs, find_rig_use
@@ -114,7 +117,8 @@ class _Course:
     """A session, followed record by record."""
 
     def __init__(self, plan: Plan) -> None:
-        self._agenda = Agenda(plan.trials, plan.flow)
+        self._agenda = Agenda(plan.trials, plan.flow, plan.questions)
+        self._questions, self._asked = plan.questions, Counter[str]()
         self._flow = plan.flow
         self._trials = {trial.number: trial for trial in plan.trials}
         self._detection = recall_detection(plan, ())
@@ -218,6 +222,8 @@ class _Course:
                 self._attempt = events.Attempt(step, number)
             case events.PageRead():
                 self._check_page(event, step)
+            case events.QuestionAnswered():
+                self._check_answer(event)
             case events.SessionFinished():
                 if step is not None:
                     raise ValueError(f"finished after {agenda.done} of {agenda.total} trials")
@@ -226,6 +232,21 @@ class _Course:
                         f"finished with {event.trials} trials, {event.given_up} of them given up; "
                         f"the journal holds {agenda.done} and {agenda.given_up}"
                     )
+
+    def _check_answer(self, event: events.QuestionAnswered) -> None:
+        question = find_question(self._questions, f"{PREFIX}{event.question}")
+        if question is None:
+            raise ValueError(f"answers {event.question!r}, which the plan does not ask")
+        self._asked[event.question] += 1
+        if event.occasion != self._asked[event.question]:
+            raise ValueError(
+                f"answers {event.question!r} as occasion {event.occasion}, it is {self._asked[event.question]}"
+            )
+        if question.find_fault(event.value) or event.personal is not question.personal:
+            raise ValueError(
+                f"answers {event.question!r} as nobody can: the value must be one that the plan offers, and marked "
+                f"personal = {question.personal}"
+            )
 
     def _check_page(self, event: events.PageRead, step: Page | Trial | None) -> None:
         if event.key in ASIDE and event.key != self._aside:
@@ -314,21 +335,26 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
     steps = list(audit_steps(chain.records, plan))
     yield from steps
     if not steps:  # else records need not be as they should
-        yield from _audit_delivered(chain.records, path.parent / DELIVERED)
+        yield from _audit_files(chain.records, path.parent)
 
 
-def _audit_delivered(records: Sequence[Record], folder: Path) -> Iterator[str]:
-    """Compare the files of what was rendered or measured with their digests in the journal."""
+def _audit_files(records: Sequence[Record], folder: Path) -> Iterator[str]:
+    """Compare the files of what was rendered, measured or explored with their digests in the journal."""
     for record in records:
         played = record.content if record.event == events.PartPlayed.event else None
-        if not isinstance(played, events.PartPlayed) or not played.delivered_sha256:
+        if not isinstance(played, events.PartPlayed):
             continue
-        path = folder / name_delivered(int(played.measured.get("file_number", 0)))
-        name = f", line {record.sequence + 1}: {folder.name}/{path.name}"
-        if not path.is_file():
-            yield f"{name} is gone; restore it from a copy"
-        elif hashlib.sha256(path.read_bytes()).hexdigest() != played.delivered_sha256:
-            yield f"{name} was changed since it was written; restore it from a copy"
+        delivered = name_delivered(int(played.measured.get("file_number", 0)))
+        track = name_track(int(played.motion.get("file_number", 0)))
+        for path, sha256 in (
+            (folder / DELIVERED / delivered, played.delivered_sha256),
+            (folder / MOTION / track, played.motion_sha256),
+        ):
+            name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
+            if sha256 and not path.is_file():
+                yield f"{name} is gone; restore it from a copy"
+            elif sha256 and hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+                yield f"{name} was changed since it was written; restore it from a copy"
 
 
 def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) -> Iterator[str]:

@@ -187,7 +187,7 @@ def plan_sessions(
 ) -> list[Plan]:
     """Give participants their numbers in the design, and plan their sessions."""
     numbers = claim_slots(room.ledger, participants, simulated=simulated, now=room.now)
-    design = make_design(settings)
+    design = make_design(settings, room.study.path)
     return [
         make_plan(design, room.stimuli, name, number=numbers[name], simulated=simulated)
         for name in participants

@@ -230,7 +230,10 @@ def _check_set(
 
 def _check_plan(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that the tasks of every group find the stimuli that they need."""
-    (design, groups), stimuli = _keep_choosing(make_design(settings)), read_stimuli(study.stimuli)
+    (design, groups), stimuli = (
+        _keep_choosing(make_design(settings, study.path)),
+        read_stimuli(study.stimuli),
+    )
     problems: dict[str, None] = {}
     for number in range(1, groups + 1):
         try:
@@ -282,11 +285,13 @@ def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
 
 
 def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
-    from feel321.study.screen.layout import find_overflows, make_screen_texts
+    from feel321.study.screen.layout import find_overflows
+    from feel321.study.screen.view import make_screen_texts
 
     language = find_language(settings, study.path)
     try:
         texts, scales = read_study_texts(settings, study.path), read_scales(language)
+        questions = make_design(settings, study.path).questions
     except OSError as error:
         return [
             f"{error.filename}: {error.strerror}; put your texts there, or name a language of the catalogue"
@@ -295,7 +300,7 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
         return str(error).splitlines()
     return [
         f"texts in {language}: {problem}"
-        for problem in find_overflows(make_screen_texts(texts), scales.values())
+        for problem in find_overflows(make_screen_texts(texts), scales.values(), questions)
     ]
 
 

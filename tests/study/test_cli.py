@@ -19,8 +19,10 @@ from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition, list_steps
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.match import spectral_match
-from feel321.stimuli.metrics import MATCHES, METRICS
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rivals.catalog import RIVALS
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.study import cli
@@ -258,6 +260,27 @@ def test_reduce_never_writes_over_the_recording_or_its_sidecar(
     assert "belongs to the recording; name another file" in capsys.readouterr().err
     assert (tmp_path / "raw.wav").read_bytes() == before
     assert (tmp_path / "raw.json").read_text(encoding="utf-8") == '{"unit": "g"}'
+
+
+def test_match_compares_by_rivals_when_asked(
+    recording: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output = tmp_path / "out.wav"
+    assert main(["reduce", str(recording), "--reducer", "say321", "-o", str(output)]) == 0
+    capsys.readouterr()
+    assert main(["match", str(recording), str(output), "--rivals", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    bumps = condition(make_scene("bumps", duration_s=0.5), Conditioning())
+    assert list(facts["rivals"]) == list(RIVALS)
+    for name, value in facts["rivals"].items():
+        direct = METRICS[name](bumps.acceleration, bumps.acceleration[1], 10000.0)
+        assert value == pytest.approx(direct, abs=1e-4)
+    assert main(["match", str(recording), str(output), "--rivals"]) == 0
+    shown = capsys.readouterr().out
+    assert f"level difference {facts['rivals']['level_difference']:.4f} dB (lower is" in shown
+    assert "envelope correlation 0." in shown
+    assert main(["match", str(recording), str(output), "--json"]) == 0
+    assert "rivals" not in json.loads(capsys.readouterr().out)
 
 
 def test_what_is_undefined_is_null_in_json(tmp_path: Path, capsys: Capture) -> None:

@@ -20,8 +20,9 @@ from feel321.analysis.report.section import (
     TableForm,
     read_methods,
 )
-from feel321.analysis.table.schema import ERROR, MATCHES, SOURCE
+from feel321.analysis.table.schema import ERROR, SOURCE
 from feel321.analysis.words import COUNT
+from feel321.stimuli.names import MATCHES
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
     from feel321.analysis.primary.plan import Cells
-    from feel321.analysis.table.reading import Table
+    from feel321.analysis.table.items import Table
 
 ITEM, SIGNIFICANCE = "item", 0.05
 

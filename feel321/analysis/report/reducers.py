@@ -54,13 +54,14 @@ from feel321.analysis.report.section import (
     make_slug,
     read_methods,
 )
-from feel321.analysis.table.items import find_sources
-from feel321.analysis.table.reading import Table, order_reducers
+from feel321.analysis.table.items import find_sources, order_reducers
 from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
 from feel321.analysis.words import COUNT, Number
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from feel321.analysis.table.reading import Table
 
 Row = dict[Any, Any]
 

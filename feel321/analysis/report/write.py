@@ -27,16 +27,18 @@ from feel321.analysis.report import (
     robustness,
     standard,
 )
+from feel321.analysis.report import choices as chosen
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.section import Section, number_pictures, render_template
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.items import find_sources, format_recordings
-from feel321.analysis.table.reading import ROSTER_FILE, Further, Table, find_tables, read_table
+from feel321.analysis.table.reading import Further, Table, find_tables, read_table
+from feel321.analysis.table.roster import ROSTER_FILE
 from feel321.analysis.words import Claim, Line, Number, count_number, format_note
 from feel321.doors import as_seed, follow
 from feel321.records import Result
-from feel321.types import PathLike, Progress, Rng
+from feel321.types import MetricInfo, PathLike, Progress, Rng
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -227,6 +229,7 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     reducers.compute_levels,
     reducers.compute_profile,
     reducers.compute_contrasts,
+    chosen.compute_choices,
     pairs.compute_discrimination,
     pairs.compute_space,
     robustness.compute_refined,
@@ -250,6 +253,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     metrics: Sequence[str] | None = None,
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
+    info: Mapping[str, MetricInfo] | None = None,
     rng: Rng = 0,
     seed: int | None = None,
     progress: Progress | None = False,
@@ -279,6 +283,8 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         ``source``: intervals then draw sources.
     further : Further, optional
         Metrics to explore that neither file holds, such as rotation statistics.
+    info : Mapping of str to MetricInfo, optional
+        What metrics declare: which way each points, its bounds, label and unit (`read_table`).
     rng : int or Generator
         Seed of all randomness; the same files, choices and seed give the same bytes.
     seed : int, optional
@@ -310,9 +316,8 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         ResultsFolder(folder, background=True) as target,
         follow(progress or False, "report") as move,
     ):
-        table, given = _open(
-            ratings_path, manifest_path, metrics=metrics, sources=sources, further=further
-        )
+        choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
+        table, given = _open(ratings_path, manifest_path, **choice)
         sections = []
         for section in _compute(table, choices, move):
             sections.append(section)
@@ -337,8 +342,8 @@ def _open(
     if isinstance(ratings, Table):
         if manifest is not None or any(choice is not None for choice in choices.values()):
             raise ValueError(
-                "manifest, metrics, sources and further must be left out with a Table, which has them; give them to "
-                "read_table"
+                "manifest, metrics, sources, further and info must be left out with a Table, which has them; give them "
+                "to read_table"
             )
         return ratings, {"ratings": ratings.rows}
     if manifest is None:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 from feel321.analysis.table import schema
 from feel321.analysis.table.items import ROLE, STIMULUS, TEST
+from feel321.analysis.table.metrics import describe_explored
 from feel321.analysis.table.schema import shorten
+from feel321.stimuli.names import REDUCER_NAMES
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -23,6 +25,7 @@ SHORT = 10
 SPACE = (
     "Where a map of the dissimilarities can be made, it is shown under The space of what was felt."
 )
+VOTES = "They are evaluated under Choices between two stimuli."
 
 
 def list_names(names: Sequence[str]) -> str:
@@ -71,12 +74,8 @@ def note_stimuli(sheet: DataFrame) -> Iterator[str]:
         yield f"Stimuli as is were played with {scope}: {values} m/s² per m/s² recorded."
     if schema.SENSATION in sheet and (weak := int((sheet[schema.SENSATION] < 0).sum())):
         yield f"{weak} of {len(sheet)} stimuli were played below the detection threshold."
-    for name in (name for name in schema.MATCHES if name in sheet):
-        if len(above := sheet.loc[sheet[name] > 1, STIMULUS]):
-            first = list_names([above.iloc[0]])
-            yield f"'{name}' is above 1, which no match can be, for {len(above)} stimuli, first {first}."
     tests = sheet.loc[sheet[ROLE] == TEST, "reducer"]
-    if strangers := sorted(set(tests) - set(schema.REDUCERS)):
+    if strangers := sorted(set(tests) - set(REDUCER_NAMES)):
         yield f"Reducers unknown to feel321, analysed as named: {list_names(strangers)}."
 
 
@@ -97,7 +96,8 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
 def note_gaps(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     """Say which stimuli nobody rated, and which scales have no test stimulus."""
     apart = rows["scale"].isin(schema.APART)
-    rated = {*rows[STIMULUS].unique(), *rows.loc[apart, "reference_id"].unique()}
+    both = ("reference_id", "other_id")
+    rated = {*rows[STIMULUS].unique(), *(n for key in both for n in rows.loc[apart, key].unique())}
     if unrated := [str(name) for name in manifest.index if name not in rated]:
         yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {list_names(unrated)}."
     tested = set(rows.loc[rows[ROLE] == TEST, "scale"].unique())
@@ -126,7 +126,7 @@ def note_lookalikes(rows: DataFrame) -> Iterator[str]:
 def note_lacking(rows: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
     """Say which further metrics some rated test stimuli lack."""
     tests = rows[rows[ROLE] == TEST]
-    for name in (name for name in schema.describe_explored(metrics) if name in rows):
+    for name in (name for name in describe_explored(metrics) if name in rows):
         lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
         if len(lacking):
             first = list_names([str(lacking[0])])
@@ -148,3 +148,6 @@ def note_apart(rows: DataFrame) -> Iterator[str]:
             f"{lead.format(schema.ANSWERED, n)} they are right (100) or wrong (0). The profile holds the "
             "percentage correct; guessing gives 50."
         )
+    for scale in schema.CHOSEN:
+        if n := counts.get(scale, 0):
+            yield f"{lead.format(scale, n)} one of two stimuli was chosen. {VOTES}"

@@ -8,8 +8,9 @@ dropped silently: what is left out, or assumed because a column is missing, is i
 A study whose participants differ, in how they hold the tool for example, writes `participants.csv` with a column for
 each such factor. Its columns become columns of the judgements; no test compares groups of people.
 
-Further metrics are the rotation statistics of the metrics, the metrics of signals as they were delivered, and
-counterparts that no orientation of the sensor changes (`feel321.analysis.table.schema.FURTHER`). A stimulus has them
+Any numeric column of the manifest is a metric (`feel321.analysis.table.metrics`). Further metrics are the rotation
+statistics of the metrics, the metrics of signals as they were delivered, and counterparts that no orientation of the
+sensor changes. A stimulus has them
 from the manifest, from the ratings (the mean over its judgements), or from the caller. They are explored: no primary
 analysis and no correction for several tests holds them.
 """
@@ -24,29 +25,32 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from feel321.analysis.table import metrics as metrics_of
 from feel321.analysis.table import notes as remarks
-from feel321.analysis.table import schema
-from feel321.analysis.table.items import ROLE, STIMULUS, TEST, Table, leave_rejected, order_reducers
+from feel321.analysis.table import roster, schema
+from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.doors import as_names, as_path, describe
-from feel321.types import PathLike
+from feel321.stimuli.names import REDUCER_NAMES
+from feel321.types import MetricInfo, PathLike
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-__all__ = ["Further", "Table", "order_reducers", "read_table"]
+__all__ = ["Further", "Table", "read_table"]
 
 RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
 
-ROSTER_FILE = "participants.csv"
-RIG = {"rig": "rig", "calibration": "certificate of calibration"}
-"""Columns on what the participants felt the stimuli on, and what they are in words."""
-ROSTER = frozenset({
-    "number", "simulated", "state", "sessions", "done", "total", "first_utc", "last_utc", "training_passed", *RIG,
-})  # fmt: skip
-"""Columns on the progress of a participant; all others, but for the participant's name, are labels."""
-
-JUDGEMENT = ("participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id")
+JUDGEMENT = (
+    "participant",
+    "session",
+    "protocol",
+    "scale",
+    "block",
+    STIMULUS,
+    "reference_id",
+    OTHER,
+)
 """What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
 repeats are counted instead, so does what it was judged against."""
 
@@ -58,19 +62,20 @@ OPTIONAL = (
 )  # fmt: skip
 """Columns that judgements keep where there are any."""
 
-MOSTLY = 0.5
-"""Share of a column's cells that are numbers where the column is meant to hold numbers."""
-
 SURFACED, UNLISTED = "the real surface", "what the manifest does not list"
 FOREIGN = "a stimulus of another recording"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Further:
-    """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed."""
+    """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed.
+
+    rivals: metrics, columns of these or of the manifest, that are to be compared with those of the primary analysis.
+    """
 
     metrics: DataFrame
     notes: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()
 
 
 def read_table(
@@ -80,6 +85,7 @@ def read_table(
     metrics: Sequence[str] | None = None,
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
+    info: Mapping[str, MetricInfo] | None = None,
 ) -> Table:
     """Read ratings and manifest into one tidy table.
 
@@ -98,6 +104,9 @@ def read_table(
         ``source`` that says so.
     further : Further, optional
         Metrics to explore that neither file holds.
+    info : Mapping of str to MetricInfo, optional
+        What metrics declare: which way each points, its bounds, label and unit. ``manifest.json`` beside the manifest
+        may say it too; nothing said: higher is better, no bounds. A value beyond a declared bound is refused.
 
     Returns
     -------
@@ -118,7 +127,10 @@ def read_table(
     if manifest is None:
         ratings, manifest = find_tables(ratings)
     judged, listed = _open(ratings, "ratings"), _open(manifest, "manifest")
-    stimuli, planned, notes = _read_manifest(listed, sources or {}, metrics)
+    rivals = further.rivals if further else ()
+    stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources or {}, rivals=rivals)
+    known, beyond = _read_info(stimuli, info, listed, names=(*planned, *rivals))
+    stimuli = stimuli.set_index(STIMULUS)
     rows, more_notes = _read_ratings(*judged)
     _check_stimuli(rows, stimuli, names=(judged.what, listed.what))
     stimuli, joined = _join_further(stimuli, rows, further, names=(judged.what, listed.what))
@@ -128,6 +140,7 @@ def read_table(
     rows["matched"] = _find_references(rows, stimuli).isin(["", SURFACED, UNLISTED])
     rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
     notes += [
+        *beyond,
         *joined,
         *more_notes,
         *remarks.note_gaps(rows, stimuli),
@@ -136,16 +149,38 @@ def read_table(
         *remarks.note_lookalikes(rows),
         *remarks.note_lacking(rows, planned),
     ]
-    tests, known = rows[rows[ROLE] == TEST], schema.describe_explored(planned)
-    explored = [name for name in known if name in rows and tests[name].notna().all()]
-    rows = rows[[
-        "participant", STIMULUS, "reference_id", "reference_reducer", "source", *ECHOED, ROLE, "matched", "scale",
-        "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
-        *planned, *explored,
-    ]].reset_index(drop=True)  # fmt: skip
-    rows, more_notes = _join_labels(rows, judged.given)
-    rows, on_rigs = _join_rigs(rows, judged.given)
-    return Table(rows, planned, (*notes, *more_notes, *on_rigs), tuple(explored))
+    rows, explored, compared, lacking = _select_columns(rows, planned, rivals)
+    rows, more_notes = roster.join_labels(rows, judged.given)
+    rows, on_rigs = roster.join_rigs(rows, judged.given)
+    notes += [*lacking, *more_notes, *on_rigs]
+    columns = ["source", *ECHOED, ROLE, *dict.fromkeys([*planned, *explored, *compared])]
+    return Table(rows, planned, tuple(notes), explored, compared, known, stimuli[columns])
+
+
+def _select_columns(
+    rows: DataFrame, planned: Sequence[str], rivals: Sequence[str]
+) -> tuple[DataFrame, tuple[str, ...], tuple[str, ...], list[str]]:
+    """Select the columns of a table; also the metrics that are explored and compared, and notes."""
+    tests = rows[rows[ROLE] == TEST]
+    known = [name for name in metrics_of.describe_explored(planned) if name in tests]
+    explored = tuple(name for name in known if tests[name].notna().all())
+    compared, lacking = _leave_incomplete(tests, [*planned, *rivals] if rivals else ())
+    selected = rows[[
+        "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
+        "scale", "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
+        *dict.fromkeys([*planned, *explored, *compared]),
+    ]]  # fmt: skip
+    return selected.reset_index(drop=True), explored, compared, lacking
+
+
+def _leave_incomplete(tests: DataFrame, rivals: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
+    """Leave out rivals that some rated test stimulus has no value of: on other stimuli they are not comparable."""
+    rivals = tuple(dict.fromkeys(rivals))
+    bare = [name for name in rivals if tests[name].isna().any()]
+    if not bare:
+        return rivals, []
+    note = f"Not compared, because some rated test stimuli have no value: {', '.join(bare)}."
+    return tuple(name for name in rivals if name not in bare), [note]
 
 
 def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
@@ -180,7 +215,7 @@ def _open(given: PathLike | DataFrame, what: str) -> _Source:
 
 def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[str]]:
     """Read every judgement that counts."""
-    columns = {**schema.RATINGS, **schema.describe_further()}
+    columns = {**schema.RATINGS, **metrics_of.describe_further()}
     sheet, notes = schema.read_sheet(source, what, columns)
     sheet, more_notes = _leave_rejected(sheet, what)  # which needs no rating
     notes += more_notes
@@ -196,8 +231,10 @@ def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[
     schema.refuse_lines(
         unclear, what, must=f"be 100 (right) or 0 (wrong) on scale '{schema.ANSWERED}'"
     )
-    if "reference_id" not in sheet:
-        sheet["reference_id"] = ""
+    for name in ("reference_id", OTHER):
+        if name not in sheet:
+            sheet[name] = ""
+    _check_choices(sheet, what)
     notes += [*_check_doubles(sheet, what), *remarks.note_scales(sheet)]
     if "underruns" in sheet and len(broken := sheet.loc[sheet["underruns"] > 0, "participant"]):
         notes.append(
@@ -205,9 +242,25 @@ def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[
             "(underruns): they count; mark them as rejected to leave them out."
         )
     if "repeat" not in sheet:
-        alike = ["participant", STIMULUS, "reference_id", "scale"]
+        alike = ["participant", STIMULUS, "reference_id", OTHER, "scale"]
         sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
     return sheet, notes
+
+
+def _check_choices(sheet: DataFrame, what: str) -> None:
+    """Refuse choices that name no second stimulus, or no winner, and a second stimulus where nothing is chosen."""
+    is_choice = sheet["scale"].isin(schema.CHOSEN)
+    scales = " or ".join(map(repr, schema.CHOSEN))
+    unclear = sheet.loc[
+        is_choice & ~sheet["rating"].isin([schema.LOWEST, schema.HIGHEST]), "rating"
+    ]
+    must = f"be 100 (stimulus_id was chosen) or 0 ({OTHER} was chosen) on scale {scales}"
+    schema.refuse_lines(unclear, what, must=must)
+    same = (sheet[OTHER] == "") | (sheet[OTHER] == sheet[STIMULUS])
+    must = f"name the second of the two stimuli on scale {scales}"
+    schema.refuse_lines(sheet.loc[is_choice & same, OTHER], what, must=must)
+    idle = sheet.loc[~is_choice & (sheet[OTHER] != ""), OTHER]
+    schema.refuse_lines(idle, what, must=f"be empty but on scale {scales}")
 
 
 def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
@@ -256,11 +309,15 @@ def _check_doubles(sheet: DataFrame, what: str) -> list[str]:
 
 
 def _read_manifest(
-    source: _Source, sources: Mapping[str, str], metrics: Sequence[str] | None
+    source: _Source,
+    metrics: Sequence[str] | None,
+    *,
+    sources: Mapping[str, str],
+    rivals: Sequence[str],
 ) -> tuple[DataFrame, tuple[str, ...], list[str]]:
-    """Read the manifest's columns that an analysis needs, indexed by stimulus; also the planned metrics, and notes."""
+    """Read the manifest's columns that an analysis needs; also the planned metrics, and notes."""
     metrics, what = None if metrics is None else as_names(metrics, "metrics"), source.what
-    columns = schema.describe_manifest(metrics or schema.PLANNED)
+    columns = metrics_of.describe_manifest([*(metrics or schema.PLANNED), *rivals])
     sheet, notes = schema.read_sheet(*source, columns)
     planned, more_notes = _choose_metrics(sheet, metrics, source)
     notes += more_notes
@@ -277,20 +334,37 @@ def _read_manifest(
         what,
         must=f"be one of {', '.join(schema.ROLES)}",
     )
-    _refuse_doubled(sheet, STIMULUS, what)
-    _read_metrics(sheet, planned, what)
+    schema.refuse_doubled(sheet, STIMULUS, what)
+    _read_metrics(sheet, planned, what, rivals=rivals)
     for name in (schema.AMPLITUDE, schema.GAIN, schema.SENSATION):
-        if name not in planned:
+        if name not in {*planned, *rivals}:
             schema.read_column(sheet, name, what, kind=columns[name].kind)
     sheet["source"] = _read_sources(sheet, sources, what)
     notes += remarks.note_stimuli(sheet)
-    return sheet.set_index(STIMULUS), planned, notes
+    return sheet, planned, notes
 
 
-def _read_metrics(sheet: DataFrame, planned: Sequence[str], what: str) -> None:
-    for name in (*planned, *(name for name in schema.describe_explored(planned) if name in sheet)):
+def _read_info(
+    sheet: DataFrame,
+    declared: Mapping[str, MetricInfo] | None,
+    source: _Source,
+    *,
+    names: Sequence[str],
+) -> tuple[dict[str, MetricInfo], list[str]]:
+    """Find what the metrics declare, and hold the manifest to their bounds; also note where ours are passed."""
+    wanted = dict.fromkeys([*names, *metrics_of.describe_explored(())])
+    given = [name for name in wanted if name in sheet or name in names]
+    known, stated = metrics_of.gather_info(given, declared, source.given)
+    return known, list(metrics_of.refuse_unbounded(sheet, source.what, info=known, stated=stated))
+
+
+def _read_metrics(
+    sheet: DataFrame, planned: Sequence[str], what: str, *, rivals: Sequence[str]
+) -> None:
+    known = dict.fromkeys([*planned, *rivals, *metrics_of.describe_explored(planned)])
+    for name in (name for name in known if name in sheet):
         # The reference need not have a metric: it is what the others are matched against.
-        if name in planned or name not in schema.MATCHES:
+        if name in planned or name in metrics_of.describe_further():
             lacking = sheet.loc[(sheet[name] == "") & (sheet[ROLE] == TEST), name]
             do = "correct it or leave the row out"
             schema.refuse_lines(lacking, what, must="be a finite number", do=do)
@@ -324,7 +398,7 @@ def _refuse_missing(sheet: DataFrame, metrics: Sequence[str], source: _Source) -
             f"metrics must be one name or more, each once, got {', '.join(metrics) or 'none'}"
         )
     for name in metrics:
-        if name in sheet and name not in schema.NOT_METRICS and _is_numeric(sheet[name]):
+        if name in sheet and name in metrics_of.list_numeric(sheet):
             continue
         instead, why = schema.STAND_INS.get(name), ""
         if instead in sheet:
@@ -337,24 +411,8 @@ def _refuse_missing(sheet: DataFrame, metrics: Sequence[str], source: _Source) -
 
 def _list_numeric(source: Path | DataFrame) -> str:
     """List what may be used as a metric, of all columns of the table."""
-    cells = schema.read_cells(source)
-    names = [
-        str(name) for name in cells if name not in schema.NOT_METRICS and _is_numeric(cells[name])
-    ]
+    names = metrics_of.list_numeric(schema.read_cells(source))
     return f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
-
-
-def _is_numeric(cells: Series) -> bool:
-    import pandas as pd
-
-    filled = cells[cells != ""]
-    share = pd.to_numeric(filled, errors="coerce").notna().mean() if len(filled) else 0
-    return bool(share > MOSTLY)
-
-
-def _refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
-    doubled = sheet.loc[sheet[name].duplicated(), name]
-    schema.refuse_lines(doubled, what, must="be listed once", do="keep one of the lines")
 
 
 def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Series:
@@ -375,9 +433,15 @@ def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Se
 
 def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, names: tuple[str, str]) -> None:
     what, listed = names
-    strangers = ratings.loc[~ratings[STIMULUS].isin(manifest.index), STIMULUS]
-    must = f"be a stimulus of {listed}"
-    schema.refuse_lines(strangers, what, must=must, do="is it the manifest of these stimuli?")
+    must, do = f"be a stimulus of {listed}", "is it the manifest of these stimuli?"
+    for name in (STIMULUS, OTHER):
+        strangers = ratings.loc[
+            ~ratings[name].isin([*manifest.index, *[""] * (name == OTHER)]), name
+        ]
+        schema.refuse_lines(strangers, what, must=must, do=do)
+    arms = (ratings[name].map(manifest["recording"]) for name in (STIMULUS, OTHER))
+    foreign = ratings.loc[(ratings[OTHER] != "") & (next(arms) != next(arms)), OTHER]
+    schema.refuse_lines(foreign, what, must="be of the same recording as stimulus_id")
     for name in [name for name in ECHOED if name in ratings]:
         of_stimulus = ratings[STIMULUS].map(manifest[name])
         differing = ratings.loc[ratings[name] != of_stimulus, name]
@@ -402,10 +466,11 @@ def _turn_pairs(ratings: DataFrame, manifest: DataFrame, what: str) -> DataFrame
 def _find_roles(rows: DataFrame, manifest: DataFrame) -> Series:
     """Find the role that each stimulus had in its judgement."""
     is_same = rows[STIMULUS] == rows["reference_id"]
+    is_choice = rows["scale"].isin(schema.CHOSEN)
     roles = rows[ROLE].mask(is_same & (rows[ROLE] == TEST), "reference")
     is_pair = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "") & ~is_same
     return roles.mask(
-        is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), schema.PAIR
+        is_choice | is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), schema.PAIR
     )
 
 
@@ -419,7 +484,7 @@ def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
         known[name] = UNLISTED
         if name in manifest.index:
             reducer, role = manifest.loc[name, ["reducer", ROLE]]
-            whole = role == "reference" and reducer not in schema.REDUCERS
+            whole = role == "reference" and reducer not in REDUCER_NAMES
             known[name] = "" if whole else f"what '{reducer}' made of the recording"
     of_reference = rows["reference_id"].map(manifest["recording"])
     is_foreign = of_reference.notna() & (of_reference != rows["recording"])
@@ -441,72 +506,19 @@ def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
         yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
 
 
-# Labels of participants and further metrics.
-
-
-def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
-    """Add a column for each label of the participants, from the table beside the ratings."""
-    path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
-    if path is None or not path.is_file():
-        return rows, []
-    known = ROSTER | {*rows, "participant"}
-    names = [name for name in schema.read_header(path) if name and name not in known]
-    if not names:
-        return rows, []
-    columns = {"participant": schema.ColumnInfo("who", needed=True)} | dict.fromkeys(
-        names, schema.ColumnInfo("a label")
-    )
-    sheet, _ = schema.read_sheet(path, path.name, columns)
-    _refuse_doubled(sheet, "participant", path.name)
-    labels = sheet.set_index("participant")
-    joined = rows.join(labels, on="participant").fillna(dict.fromkeys(labels, ""))
-    notes = []
-    for name in names:
-        groups = joined.groupby(name)["participant"].nunique()
-        sizes = ", ".join(
-            f"{remarks.list_names([str(group)]) if group else 'unknown'} {count}"
-            for group, count in groups.items()
-        )
-        notes.append(
-            f"Participants differ in {remarks.list_names([name])} ({ROSTER_FILE}; participants: {sizes}): "
-            "no test compares them."
-        )
-    return joined, notes
-
-
-def _join_rigs(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
-    """Add the participants' rig and certificate, from the table beside the ratings, where they differ."""
-    path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
-    if path is None or not path.is_file():
-        return rows, []
-    header = schema.read_header(path)
-    columns = {"participant": schema.ColumnInfo("who", needed=True)}
-    columns |= {name: schema.ColumnInfo("a rig") for name in RIG if name in header}
-    sheet, _ = schema.read_sheet(path, path.name, columns)
-    sheet = sheet[sheet["participant"].isin(rows["participant"])].set_index("participant")
-    notes = []
-    for name in (name for name in sheet if len(sheet[name].unique()) > 1):
-        rows = rows.join(sheet[name], on="participant").fillna({name: ""})
-        sizes = ", ".join(
-            f"{key or 'unknown'} {n}" for key, n in sheet[name].value_counts().items()
-        )
-        notes.append(
-            f"Participants differ in {RIG[str(name)]} ({ROSTER_FILE}; participants: {sizes}): see Robustness to other "
-            "choices."
-        )
-    return rows, notes
+# Further metrics.
 
 
 def _join_further(
     manifest: DataFrame, ratings: DataFrame, given: Further | None, *, names: tuple[str, str]
 ) -> tuple[DataFrame, list[str]]:
     """Give every stimulus the further metrics that there are."""
-    judged = [name for name in schema.describe_further() if name in ratings]
+    judged = [name for name in metrics_of.describe_further() if name in ratings]
     parts = (
         [(ratings.groupby(STIMULUS)[judged].mean(), " and ".join(names[::-1]))] if judged else []
     )
     if given is not None:
-        _check_given(given.metrics)
+        _check_given(given)
         parts.append((given.metrics, "the files and the further metrics given"))
     for more, where in parts:
         if doubled := [str(name) for name in more if name in manifest]:
@@ -518,8 +530,8 @@ def _join_further(
     return manifest, [*(given.notes if given else ()), *(f"'{name}': {mean}." for name in judged)]
 
 
-def _check_given(metrics: DataFrame) -> None:
-    allowed = schema.describe_further()
+def _check_given(given: Further) -> None:
+    metrics, allowed = given.metrics, [*metrics_of.describe_further(), *given.rivals]
     for name in metrics:
         if name not in allowed:
             raise ValueError(

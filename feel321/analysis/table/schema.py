@@ -3,8 +3,8 @@
 Conventions: names are matched exactly. A column that is spelt almost like one of these is refused, because it would
 otherwise be passed over; any other column is not used, and is named in the report's notes.
 
-Names of metrics, tasks and columns that other packages define are repeated here as data, so that a table is read
-without them; tests compare both.
+Names of tasks and columns that other layers define are repeated here as data; tests compare both. Those of reducers
+and metrics come from their registries (`feel321.analysis.table.metrics`).
 
 Cells are read as text, so that a participant called ``NA`` or ``007`` keeps that name; `read_column` then reads each as
 the kind that its column is declared as, and names the lines that it cannot read. `refuse_lines` is the one form of such
@@ -33,7 +33,10 @@ LARGEST = 1e12
 """No metric is larger in size; squares of much larger numbers are no numbers any more."""
 
 PAIRED, ANSWERED = "dissimilarity", "abx"
-APART = (PAIRED, ANSWERED)
+CHOSEN = ("triplet", "preference")
+"""Scales on which one of two stimuli was chosen: 100 for the one named first, 0 for the other."""
+
+APART = (PAIRED, ANSWERED, *CHOSEN)
 """Scales that enter no association: a metric describes one stimulus, and is larger or smaller."""
 
 ROLES = ("test", "reference", "anchor")
@@ -60,21 +63,6 @@ PLANNED = ("spectral_match_bounded", "temporal_match")
 
 STAND_INS = {"spectral_match_bounded": "spectral_match"}
 """Used for a planned metric that a manifest does not have."""
-
-MATCHES = {
-    "spectral_match": "eq. 1 of Landin et al. 2010, which has no lower bound",
-    "temporal_match": "how well a stimulus matches its recording",
-    "spectral_match_bounded": "how well a stimulus matches its recording",
-}
-"""Match metrics of feel321, and what they are in words."""
-
-REDUCERS = (
-    "sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed",
-    "dft321_principal", "dft321_principal_windowed", "sax321_matched", "say321_matched", "saz321_matched",
-    "pca321_matched", "sax321_matched_running", "say321_matched_running", "saz321_matched_running",
-    "pca321_matched_windowed",
-)  # fmt: skip
-"""Reducers of feel321, in the order of `feel321.stimuli.REDUCERS`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +100,9 @@ RATINGS: Mapping[str, ColumnInfo] = {
     ERROR: ColumnInfo("level of the vibration delivered, over that asked for", "dB", kind="error"),
     SOURCE: ColumnInfo("what the delivered metrics rest on: sensor, certificate, or nothing"),
     SENSATION: ColumnInfo("level over the participant's own threshold", "dB", used=False),
+    "other_id": ColumnInfo(
+        "the other stimulus of a choice (triplet, preference), felt after stimulus_id"
+    ),
 }
 """One row per judgement."""
 
@@ -122,7 +113,6 @@ MANIFEST: Mapping[str, ColumnInfo] = {
     AMPLITUDE: ColumnInfo("root mean square as played", "m/s^2", kind="amplitude"),
     GAIN: ColumnInfo("m/s^2 played per m/s^2 recorded", kind="known"),
     SENSATION: ColumnInfo("over the detection threshold, as played", "dB", kind="known"),
-    **{name: ColumnInfo(meaning, "1 = perfect match") for name, meaning in MATCHES.items()},
     **{
         name: ColumnInfo("not used", used=False)
         for name in (
@@ -139,50 +129,8 @@ NOT_METRICS = frozenset({
     *IDENTITY, "level", "role", "source", "file", "sha256", "recording_sha256"
 })  # fmt: skip
 
-FURTHER: Mapping[str, tuple[str, str, tuple[str, ...]]] = {
-    "rotation_mean": ("mean of the {} over random orientations of the sensor", "1 = perfect match", tuple(MATCHES)),
-    "rotation_sd": ("standard deviation of the {} over random orientations of the sensor", "1", tuple(MATCHES)),
-    "delivered": ("{} of the signal as it was delivered", "1 = perfect match", tuple(MATCHES)),
-    "energy_weighted": ("{} with frequencies weighted by their energy", "1 = perfect match", ("spectral_match",)),
-    "invariant": (
-        "counterpart of the {} that no orientation changes", "1 = perfect match", ("spectral_match", "temporal_match")
-    ),
-}  # fmt: skip
-"""Suffix of a metric's name -> meaning, unit, and the metrics that have it: per stimulus in the manifest, or per
-judgement in the ratings, where a stimulus has the mean over its judgements. `spectral_match_invariant` is the former
-name of `spectral_match_energy_weighted`; tables that use it are read as before."""
-
-
-def describe_further() -> dict[str, ColumnInfo]:
-    """List the columns of metrics that an analysis explores, beside those that it was planned for."""
-    return {
-        f"{metric}_{kind}": ColumnInfo(
-            meaning.format(metric.replace("_", " ")), unit, kind="metric"
-        )
-        for metric in MATCHES
-        for kind, (meaning, unit, metrics) in FURTHER.items()
-        if metric in metrics
-    }
-
-
-def describe_explored(metrics: Sequence[str]) -> dict[str, ColumnInfo]:
-    """List the columns of metrics that an analysis of other metrics explores.
-
-    Examples
-    --------
-    >>> list(describe_explored(["spectral_match_bounded", "temporal_match"]))[:2]
-    ['spectral_match', 'spectral_match_rotation_mean']
-    """
-    others = {name: MANIFEST[name] for name in MATCHES} | describe_further()
-    return {name: column for name, column in others.items() if name not in metrics}
-
-
-def describe_manifest(metrics: Sequence[str] = ()) -> dict[str, ColumnInfo]:
-    """List the columns that a manifest may have, with the metrics that a study declares."""
-    declared = {name: ColumnInfo("a metric that the study declares") for name in metrics}
-    needed = {name: column for name, column in MANIFEST.items() if column.needed}
-    return {**MANIFEST, **describe_further(), **declared, **needed}
-
+MOSTLY = 0.5
+"""Share of a column's cells that are numbers where the column is meant to hold numbers."""
 
 FOREIGN = {
     b"\x1f\x8b": "a gzip file; unpack it first",
@@ -227,7 +175,7 @@ KINDS: Mapping[str, Kind] = {
     ),
     "amplitude": Kind("be 0 or more, in m/s², or empty", "", lambda values: ~(values < 0)),
     "metric": Kind(
-        f"be 1 or less, and no more than {LARGEST:g} in size", "",
+        f"be no more than {LARGEST:g} in size", "",
         lambda values: ~(values.abs() > LARGEST),
     ),
     "error": Kind("be a number or empty", "", lambda values: ~(values.abs() > LARGEST)),
@@ -299,6 +247,12 @@ def refuse_lines(bad: Series, what: str, *, must: str, do: str = "") -> None:
     got = shorten(first) if isinstance(first, str) else f"{first:g}"
     advice = f"; {do}" if do else ""
     raise ValueError(f"{what}, {place} {named}{more}: {bad.name} must {must}, got {got}{advice}")
+
+
+def refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
+    """Refuse a table that lists something twice."""
+    doubled = sheet.loc[sheet[name].duplicated(), name]
+    refuse_lines(doubled, what, must="be listed once", do="keep one of the lines")
 
 
 def shorten(text: str) -> str:

@@ -4,10 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from feel321.stimuli.recording import Signal
-from feel321.stimuli.rivals.pairs import MOST_DB, Pair, level_db, make_pair
-from feel321.types import MetricInfo, Samples
-
-LEVEL = MetricInfo("Level difference", "worse", 0.0, MOST_DB, "dB")
+from feel321.stimuli.rivals.pairs import Pair, level_db, make_pair
+from feel321.types import Samples
 
 
 def level_difference(
@@ -26,8 +24,8 @@ def level_difference(
     Examples
     --------
     >>> u = np.sin(np.arange(1000))
-    >>> round(level_difference([u, u, u], u, 1000), 9), round(10 * np.log10(3), 9)
-    (4.771212547, 4.771212547)
+    >>> round(level_difference([u, u, u], u, 1000), 9)  # 10 log10(3)
+    4.771212547
     """
     return float(measure_level(make_pair(acceleration, reduced, rate_hz)))
 

@@ -12,13 +12,22 @@ is that of the match metrics, 20 to 1000 Hz or the Nyquist frequency.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.stimuli.match import NUMERICAL_FLOOR, energy_spectrum, linear_grid
+from feel321.stimuli.match import (
+    HIGHEST_HZ,
+    LOWEST_HZ,
+    NUMERICAL_FLOOR,
+    WEBER_FRACTION,
+    WeberSmoothing,
+    linear_grid,
+)
+from feel321.stimuli.names import MOST_DB
 from feel321.stimuli.recording import (
     Signal,
     admit,
@@ -29,9 +38,6 @@ from feel321.stimuli.recording import (
     largest,
 )
 from feel321.types import Samples
-
-MOST_DB = 60.0
-"""Levels further apart count as this far apart."""
 
 _BEYOND_COMPARISON = 1e80
 
@@ -62,13 +68,19 @@ class Pair:
         return slice(first, first + len(self.frequencies_hz))
 
     @cached_property
+    def spectra(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Spectra of the axes, (..., 3, n // 2 + 1), and of the reduced signal, (..., n // 2 + 1)."""
+        from scipy import fft
+
+        return fft.rfft(self.samples), fft.rfft(self.reduced)
+
+    @cached_property
     def energies(self) -> tuple[Samples, Samples]:
         """Energy of the recording (the sum of its axes) and of the reduced signal, (..., n // 2 + 1), bin by bin."""
-        axes = np.moveaxis(self.samples, -2, 0)
-        total = energy_spectrum(axes[0])
-        for axis in axes[1:]:
-            total += energy_spectrum(axis)
-        return total, energy_spectrum(self.reduced)
+        axes, reduced = (
+            np.square(spectrum.real) + np.square(spectrum.imag) for spectrum in self.spectra
+        )
+        return axes.sum(axis=-2), reduced
 
     @cached_property
     def nothing(self) -> NDArray[np.bool_]:
@@ -113,6 +125,23 @@ def make_pairs(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> P
     return Pair(samples, signal, float(rate_hz), scale)
 
 
+def follow_energy(pair: Pair, weights: Samples | float = 1.0) -> tuple[Samples, Samples, float]:
+    """Follow the energy of recording (the sum of its axes) and reduced signal in the felt range; and the rate of both.
+
+    weights: of the felt frequencies. The energy is the squared magnitude of the analytic signal, (..., m), at a rate
+    that is just enough for it, a little below 2 kHz; as for all Fourier transforms, the end leads into the beginning.
+    """
+    from scipy import fft
+
+    n, n_felt = pair.samples.shape[-1], len(pair.frequencies_hz)
+    length = fft.next_fast_len(max(2 * n_felt, 1))
+    axes, reduced = (
+        np.abs(fft.ifft(spectrum[..., pair.felt] * weights, length)) ** 2
+        for spectrum in pair.spectra
+    )
+    return axes.sum(axis=-2), reduced, length * pair.rate_hz / n
+
+
 def level_db(original: Samples, reduced: Samples) -> Samples:
     """Level of energies over others in dB, at most `MOST_DB` either way; 0 where both are silent."""
     most = 10 ** (MOST_DB / 10)
@@ -120,3 +149,26 @@ def level_db(original: Samples, reduced: Samples) -> Samples:
     floored = (np.maximum(energy, both / most) for energy in (reduced, original))
     above, below = (np.where(both > 0, energy, 1.0) for energy in floored)
     return np.asarray(10 * np.log10(above / below))
+
+
+def smooth_bands(pair: Pair) -> tuple[Samples, Samples, Samples]:
+    """Middles of the bands in Hz; mean energy per bin of the recording and of the reduced signal, (..., n_bands)."""
+    n = pair.samples.shape[-1]
+    centres = _band_centres(n, pair.rate_hz)
+    smooth = WeberSmoothing(centres, pair.rate_hz / n, n // 2 + 1)
+    # What is left of a sum of energies may be negative by rounding.
+    original, reduced = (
+        np.maximum(smooth(energy[..., smooth.bins]), 0.0) for energy in pair.energies
+    )
+    return centres, original, reduced
+
+
+def _band_centres(n_samples: int, rate_hz: float) -> Samples:
+    """Middles of bands 22 % wide that fill the felt range; possibly none."""
+    lowest, highest = max(LOWEST_HZ, rate_hz / n_samples), min(HIGHEST_HZ, rate_hz / 2)
+    if lowest >= highest:
+        return np.zeros(0)
+    ratio = (2 + WEBER_FRACTION) / (2 - WEBER_FRACTION)
+    n_bands = max(round(math.log(highest / lowest) / math.log(ratio)), 1)
+    edges = np.geomspace(lowest, highest, n_bands + 1)
+    return np.asarray((edges[1:] + edges[:-1]) / 2)

@@ -138,9 +138,18 @@ def reduce(  # noqa: PLR0913 - one per option
     help="Also this metric: a name, or one of your own, as mylab.haptics:psnr; repeatable.",
 )
 @raw_option
+@shared.flag(
+    "--rivals", "Compare by the rivals of the match metrics too: level, spectra, envelopes."
+)
 @shared.json_option
 def match(
-    *, recording: Recording, reduced: Path, metrics: tuple[str, ...], raw: bool, as_json: bool
+    *,
+    recording: Recording,
+    reduced: Path,
+    metrics: tuple[str, ...],
+    raw: bool,
+    rivals: bool,
+    as_json: bool,
 ) -> None:
     """Match a reduced WAV file, in m/s^2, against its recording.
 
@@ -153,9 +162,11 @@ def match(
     _check_pair(recording, samples, rate_hz=rate_hz, name=reduced.name)
     steps, source = _find_steps(recording, reduced.with_suffix(".json"), raw=raw)
     facts = _list_steps(recording, steps) | {"conditioning_from": source}
-    conditioned = _condition(recording, steps)
-    facts |= _match(conditioned, samples)
-    further = _match_further(conditioned, samples, metrics)
+    ready = _condition(recording, steps)
+    facts |= _match(ready, samples)
+    if rivals:
+        facts |= _compare_by_rivals(ready, samples)
+    further = _match_further(ready, samples, metrics)
     facts |= further
     if as_json:
         shared.print_json(facts)
@@ -322,6 +333,16 @@ def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
     }
 
 
+def _compare_by_rivals(recording: Recording, samples: Samples) -> dict[str, Any]:
+    """Rival metrics by name, and why one is not known."""
+    from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+
+    measured = measure_batch(recording.acceleration, samples, recording.rate_hz)
+    values = {name: float(value) for name, value in measured.items()}
+    missing = {name: RIVALS[name].reason for name, value in values.items() if math.isnan(value)}
+    return {"rivals": values, "rivals_reasons": missing}
+
+
 def _match_further(
     recording: Recording, samples: Samples, metrics: tuple[str, ...]
 ) -> dict[str, float]:
@@ -336,7 +357,7 @@ def _match_further(
 
 
 def _print_matches(facts: dict[str, Any]) -> None:
-    from feel321.stimuli.metrics import MATCHES
+    from feel321.stimuli.names import MATCHES
 
     steps = ", ".join(facts["steps"]) or "none, as it was measured"
     source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
@@ -355,3 +376,14 @@ def _print_matches(facts: dict[str, Any]) -> None:
             else f"{facts[name]:.4f}{detail}"
         )
         click.echo(f"{name.replace('_', ' ')} {value}")
+    for name, value in facts.get("rivals", {}).items():
+        _print_rival(name, value, reason=facts["rivals_reasons"].get(name))
+
+
+def _print_rival(name: str, value: float, *, reason: str | None) -> None:
+    from feel321.stimuli.names import METRIC_INFO
+
+    info = METRIC_INFO[name]
+    sense = "higher is better" if info.higher == "better" else "lower is better"
+    unit = f" {info.unit}" if info.unit else ""
+    click.echo(f"{info.label} " + (f"none: {reason}" if reason else f"{value:.4f}{unit} ({sense})"))

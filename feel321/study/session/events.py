@@ -110,6 +110,20 @@ class PageRead(SessionEvent, event="page"):
     stood_s: float
 
 
+class QuestionAnswered(SessionEvent, event="answered"):
+    """A question page was answered; value: None where it was left open, occasion: from 1, where it is asked again.
+
+    personal: whether the value is personal data.
+    """
+
+    question: str
+    occasion: int
+    value: float | str | None
+    personal: bool
+    time_s: float
+    stood_s: float
+
+
 class SessionFinished(SessionEvent, event="finished"):
     """All trials are done."""
 
@@ -198,10 +212,14 @@ class PartPlayed(AttemptEvent, event="played"):
     dac_source: str = ""
     delivered: dict[str, float] = field(default_factory=dict)
     delivered_sha256: str = ""
+    motion: dict[str, float] = field(default_factory=dict)
+    motion_sha256: str = ""
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields; what only some devices give is left out where it is empty."""
-        names = ("measured", "dac_source", "delivered", "delivered_sha256")
+        names = (
+            "measured", "dac_source", "delivered", "delivered_sha256", "motion", "motion_sha256",
+        )  # fmt: skip
         optional = {name: getattr(self, name) for name in names}
         return {k: v for k, v in super().to_data().items() if optional.get(k, True)}
 

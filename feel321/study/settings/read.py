@@ -14,12 +14,14 @@ from typing import Any
 from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
 from feel321.files import write_text
+from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, make_task
-from feel321.protocols.texts import read_texts
+from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.metrics import MATCHES, METRICS
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
@@ -160,12 +162,15 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     return texts
 
 
-def make_design(settings: Settings) -> Design:
-    """Make the design: all that a study decides about the sessions of its participants."""
+def make_design(settings: Settings, folder: Path | None = None) -> Design:
+    """Make the design: all that a study decides about the sessions of its participants.
+
+    folder: that of the study, where a file of its own may hold the texts of ready questions.
+    """
     session = settings.session
     rehearsal = session.rehearsal.model_dump(by_alias=True)
     trials = {name: rehearsal.pop(name) for name in ("training", "practice")}
-    own = {name: settings.tasks[name].model_dump() for name in settings.tasks}
+    own = {name: settings.tasks[name].of_protocol() for name in settings.tasks}
     return Design(
         seed=settings.study.seed,
         order=session.order,
@@ -178,7 +183,19 @@ def make_design(settings: Settings) -> Design:
         ),
         threshold=session.threshold.make_block() if session.threshold else None,
         matching=session.matching.make_block(settings.stimuli.levels) if session.matching else None,
+        questions=_make_questions(settings, folder),
     )
+
+
+def _make_questions(settings: Settings, folder: Path | None) -> tuple[Question, ...]:
+    questions: list[Question] = []
+    for table in settings.session.questions:
+        if table.use:
+            language = MODEL if folder is None else find_language(settings, folder)
+            questions += read_ready(table.use, read_texts(language), when=table.when)
+        else:
+            questions.append(table.make_question())
+    return tuple(questions)
 
 
 def make_identity(
@@ -195,6 +212,7 @@ def make_identity(
     texts = read_study_texts(settings, folder)
     # Pages aside from the plan ask nothing: sessions that began before there were any have the same texts.
     pages = {key: page for key, page in texts["pages"].items() if key not in ASIDE}
+    del texts["questions"]  # the plan holds what is asked
     return {
         "locale": settings.session.language,
         "texts_sha256": digest(json.dumps(texts | {"pages": pages}, sort_keys=True)),
@@ -202,7 +220,25 @@ def make_identity(
         "rig": settings.rig.of_stimuli(),
         "calibration": calibration,
         "presenter": presenter,
+        **identify_exploration(settings),
     }
+
+
+EXPLORABLE = ("realism", "similarity")
+"""Protocols whose stimuli the hand may drive."""
+
+
+def find_modes(settings: Settings) -> dict[str, str]:
+    """Find what the hand drives in each protocol that explores."""
+    tasks = ((name, settings.tasks.get(name)) for name in settings.session.protocols)
+    return {name: task.explore for name, task in tasks if task is not None and task.explore}
+
+
+def identify_exploration(settings: Settings) -> dict[str, Any]:
+    """Describe how a session explores, if it does, for the header of its journal."""
+    if not (modes := find_modes(settings)):
+        return {}
+    return {"exploration": {**settings.session.exploration.model_dump(), "modes": modes}}
 
 
 # What each table of `study.toml` may say by itself, but not together with the others.
@@ -251,7 +287,9 @@ def _check_matching(settings: Settings) -> Iterator[str]:
 
 def _check_tasks(settings: Settings) -> Iterator[str]:
     for name, table in settings.tasks.items():
-        for key, value in table.model_dump().items():
+        if table.explore and name not in EXPLORABLE:
+            yield f"tasks.{name}.explore goes with {' and '.join(EXPLORABLE)} only; take it out"
+        for key, value in table.of_protocol().items():
             try:
                 make_task(name, **{key: value})
             except ValueError as error:

@@ -248,7 +248,7 @@ MANIFEST = [
     ),
     (
         cell("spectral_match", "-1e300"),
-        "line 2: spectral_match must be 1 or less, and no more than 1e+12 in size, got '-1e300'",
+        "line 2: spectral_match must be no more than 1e+12 in size, got '-1e300'",
     ),
     (cell("recording", ""), "line 2: recording must not be empty, got ''; name it"),
     (

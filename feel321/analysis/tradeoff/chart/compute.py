@@ -21,7 +21,7 @@ from feel321 import __version__
 from feel321.analysis.arrays import CONFIDENCE
 from feel321.analysis.contrasts.compare import profile_reducers
 from feel321.analysis.resampling import draw_counts
-from feel321.analysis.table.items import Table, order_reducers
+from feel321.analysis.table.items import order_reducers
 from feel321.analysis.table.schema import ROLES
 from feel321.analysis.tradeoff.chart import accuracy, cost, page
 from feel321.analysis.tradeoff.chart.points import (
@@ -41,6 +41,7 @@ from feel321.types import PathLike
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.table.items import Table
     from feel321.analysis.tradeoff.chart.cost import Clock
     from feel321.stimuli.guard import OwnReducer
     from feel321.stimuli.recording import Recording

@@ -1,0 +1,195 @@
+"""Metrics as columns of a table: what each declares of itself, which others are explored, steps to report slopes by.
+
+Any numeric column of a manifest is a metric. What it declares (`feel321.types.MetricInfo`) comes, the first that says
+so, from the caller (`[metrics.NAME]` in ``study.toml``), from ``metrics`` in the ``manifest.json`` beside the
+manifest, or from `feel321.stimuli.METRIC_INFO`. Nothing declared: higher is better, no bounds, its name for a label.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.analysis.table import schema
+from feel321.stimuli.names import MATCHES, METRIC_INFO
+from feel321.types import MetricInfo
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+DECLARED = "manifest.json"
+"""File beside a manifest whose ``metrics`` say what the columns of metrics are."""
+
+TENTH = 0.1
+"""Step of a metric that is a share, such as a match from 0 to 1."""
+
+ROUNDING = 1e-9
+"""Share of a bound by which a value may pass it: files hold rounded numbers."""
+
+KINDS: Mapping[str, tuple[str, str]] = {
+    "rotation_mean": ("mean of the {} over random orientations of the sensor", ""),
+    "rotation_sd": ("standard deviation of the {} over random orientations of the sensor", ""),
+    "delivered": ("{} of the signal as it was delivered", ""),
+    "energy_weighted": ("{} with frequencies weighted by their energy", "spectral_match"),
+    "invariant": (
+        "counterpart of the {} that no orientation changes",
+        "spectral_match temporal_match",
+    ),
+}
+"""Suffix of a metric's name -> meaning, and the metrics that have it, all if none is named: per stimulus in the
+manifest, or per judgement in the ratings, where a stimulus has the mean over its judgements. `spectral_match_invariant`
+is the former name of `spectral_match_energy_weighted`; tables that use it are read as before."""
+
+
+def describe_further() -> dict[str, schema.ColumnInfo]:
+    """List the columns that are derived from a metric and explored beside those that an analysis was planned for."""
+    return {
+        f"{metric}_{kind}": schema.ColumnInfo(
+            meaning.format(metric.replace("_", " ")), kind="metric"
+        )
+        for metric in MATCHES
+        for kind, (meaning, of) in KINDS.items()
+        if not of or metric in of.split()
+    }
+
+
+def describe_explored(metrics: Sequence[str]) -> dict[str, schema.ColumnInfo]:
+    """List the columns of metrics that an analysis of other metrics explores.
+
+    Examples
+    --------
+    >>> list(describe_explored(["spectral_match_bounded", "temporal_match"]))[:1]
+    ['spectral_match']
+    """
+    own = {name: schema.ColumnInfo(METRIC_INFO[name].label, kind="metric") for name in MATCHES}
+    return {
+        name: column for name, column in (own | describe_further()).items() if name not in metrics
+    }
+
+
+def describe_manifest(metrics: Iterable[str] = ()) -> dict[str, schema.ColumnInfo]:
+    """List the columns that a manifest may have, with the metrics that are asked for."""
+    declared = {name: schema.ColumnInfo("a metric", kind="metric") for name in metrics}
+    needed = {name: column for name, column in schema.MANIFEST.items() if column.needed}
+    return {**schema.MANIFEST, **describe_explored(()), **declared, **needed}
+
+
+def list_numeric(cells: DataFrame) -> list[str]:
+    """List the columns, read as text, that hold numbers and are no identity: all that may be used as a metric."""
+    import pandas as pd
+
+    def is_numeric(name: str) -> bool:
+        filled = cells.loc[cells[name] != "", name]
+        share = pd.to_numeric(filled, errors="coerce").notna().mean() if len(filled) else 0
+        return bool(share > schema.MOSTLY)
+
+    return [name for name in map(str, cells) if name not in schema.NOT_METRICS and is_numeric(name)]
+
+
+def list_rivals(manifest: Path | DataFrame) -> list[str]:
+    """List the columns of a manifest that may be compared as metrics: numeric, and no fact about the file or gain."""
+    facts = {name for name, column in schema.MANIFEST.items() if not column.used}
+    facts |= {schema.AMPLITUDE, schema.GAIN, schema.SENSATION}
+    cells = schema.read_cells(manifest)
+    kinds = tuple(f"_{kind}" for kind in KINDS)
+    return [
+        name
+        for name in list_numeric(cells)
+        if name not in facts and not (name.endswith(kinds) and name in describe_further())
+    ]
+
+
+def gather_info(
+    names: Collection[str], declared: Mapping[str, MetricInfo] | None, manifest: Path | DataFrame
+) -> tuple[dict[str, MetricInfo], frozenset[str]]:
+    """Find what each metric declares; also name those whose bounds a study or a manifest states."""
+    stated = {**_read_declared(manifest), **(declared or {})}
+    known = {**METRIC_INFO, **stated}
+    found = {name: known.get(name, MetricInfo(name)) for name in names}
+    return found, frozenset(name for name in names if name in stated)
+
+
+def _read_declared(manifest: Path | DataFrame) -> dict[str, MetricInfo]:
+    """Read what ``manifest.json`` beside a manifest says of its columns; nothing where there is none."""
+    path = manifest.with_name(DECLARED) if isinstance(manifest, Path) else None
+    if path is None or not path.is_file():
+        return {}
+    try:
+        listed = json.loads(path.read_text(encoding="utf-8")).get("metrics", {})
+        return {str(name): make_info(str(name), facts) for name, facts in listed.items()}
+    except (AttributeError, TypeError, ValueError) as error:
+        raise ValueError(f"{path.name}: 'metrics' must describe metrics by name; {error}") from None
+
+
+def make_info(name: str, facts: Mapping[str, object]) -> MetricInfo:
+    """Make what a metric declares of the facts that a file gives; null and what is missing are the defaults."""
+    wanted = {field.name for field in fields(MetricInfo)}
+    given = {key: value for key, value in facts.items() if key in wanted and value is not None}
+    for key in {"low", "high"} & set(given):
+        given[key] = float(str(given[key]))
+    try:
+        return MetricInfo(**{"label": name, **given})  # type: ignore[arg-type]  # MetricInfo checks them
+    except ValueError as error:
+        raise ValueError(f"metric '{name}': {error}") from None
+
+
+def refuse_unbounded(
+    sheet: DataFrame, what: str, *, info: Mapping[str, MetricInfo], stated: Collection[str]
+) -> Iterator[str]:
+    """Refuse values beyond bounds that a study or manifest states; note those beyond bounds of our own metrics."""
+    for name in (name for name in info if name in sheet):
+        one, values = info[name], sheet[name]
+        slack = ROUNDING * max(
+            (abs(end) for end in (one.low, one.high) if math.isfinite(end)), default=0.0
+        )
+        beyond = values[(values < one.low - slack) | (values > one.high + slack)]
+        if beyond.empty:
+            continue
+        if name in stated:
+            do = "correct it, or the bounds that are declared"
+            schema.refuse_lines(beyond, what, must=f"be {format_bounds(one)}", do=do)
+        first = schema.shorten(str(sheet.loc[beyond.index[0], "stimulus_id"]))
+        side = f"above {one.high:g}" if beyond.iloc[0] > one.high else f"below {one.low:g}"
+        yield f"'{name}' is {side}, which no match can be, for {len(beyond)} stimuli, first {first}."
+
+
+def format_bounds(info: MetricInfo) -> str:
+    """Write the range of a metric.
+
+    Examples
+    --------
+    >>> format_bounds(MetricInfo("a", low=0, high=1)), format_bounds(MetricInfo("a", high=1))
+    ('0 to 1', '1 or less')
+    """
+    if math.isfinite(info.low + info.high):
+        return f"{info.low:g} to {info.high:g}"
+    if math.isfinite(info.high):
+        return f"{info.high:g} or less"
+    return f"{info.low:g} or more" if math.isfinite(info.low) else "any number"
+
+
+def find_steps(
+    items: DataFrame, metrics: Iterable[str], info: Mapping[str, MetricInfo]
+) -> dict[str, float]:
+    """Choose the step of each metric by which slopes are reported: 0.1 of a match, else a power of ten.
+
+    A metric of at most 1 without a unit is a share of 1. Of any other the step is the largest power of ten that is
+    not above the distance between its quartiles within recordings: 10 of a level in dB that differs by 25.
+    """
+    steps = {}
+    for name in metrics:
+        one = info.get(name)
+        share = one is not None and not one.unit and abs(one.high) == 1
+        values = items[name].astype(float)
+        within = (values - values.groupby(items["recording"]).transform("mean")).dropna()
+        span = float(np.subtract(*np.percentile(within, [75, 25]))) if len(within) else 0.0
+        steps[name] = (
+            TENTH if share or not span > 0 else 10.0 ** math.floor(math.log10(span) + ROUNDING)
+        )
+    return steps

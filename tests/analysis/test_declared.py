@@ -1,0 +1,120 @@
+"""Metrics of a lab's own: what they declare, where that comes from, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pandas as pd
+import pytest
+
+from feel321.analysis.table.metrics import find_steps, order_reducers
+from feel321.analysis.table.reading import Further, read_table
+from feel321.stimuli.match import METRICS
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.types import MetricInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from feel321.analysis.table.items import Table
+
+DISTANCE = MetricInfo("roughness distance", higher="worse", low=0, high=60, unit="dB")
+
+
+@pytest.fixture
+def small(files: Callable[..., object]) -> object:
+    """Files whose manifest has a metric of another kind."""
+    study = files()
+    manifest = pd.read_csv(study.manifest)
+    manifest["roughness"] = (50 - 40 * manifest["temporal_match"]).round(3)
+    manifest.to_csv(study.manifest, index=False)
+    return study
+
+
+def read(study: object, **more: object) -> Table:
+    return read_table(study.ratings, study.manifest, metrics=["roughness"], **more)
+
+
+def declare(study: object, **facts: object) -> None:
+    text = json.dumps({"metrics": {"roughness": facts}})
+    study.manifest.with_name("manifest.json").write_text(text, encoding="utf-8")
+
+
+def test_nothing_declared_is_better_without_bounds_under_its_name(small: object) -> None:
+    assert read(small).info["roughness"] == MetricInfo("roughness")
+
+
+def test_the_study_comes_before_the_manifest_and_that_before_the_registry(small: object) -> None:
+    declare(small, label="roughness", higher="worse", low=None, unit="dB", method="mylab:rough")
+    assert read(small).info["roughness"] == MetricInfo("roughness", higher="worse", unit="dB")
+    assert read(small, info={"roughness": DISTANCE}).info["roughness"] == DISTANCE
+    assert read(small).info["temporal_match"].high == 1
+
+
+@pytest.mark.parametrize(
+    ("facts", "message"),
+    [
+        ({"higher": "up"}, "metric 'roughness': higher must be 'better' or 'worse', got 'up'"),
+        ({"low": "a"}, "could not convert string to float: 'a'"),
+        ({"low": 2, "high": 1}, "low must be below high"),
+        (3, "'metrics' must describe metrics by name"),
+    ],
+)
+def test_a_manifest_that_declares_nonsense_is_refused(
+    small: object, facts: object, message: str
+) -> None:
+    declare(small)
+    path = small.manifest.with_name("manifest.json")
+    path.write_text(json.dumps({"metrics": {"roughness": facts}}), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"^manifest\.json") as caught:
+        read(small)
+    assert message in str(caught.value)
+
+
+def test_a_value_beyond_declared_bounds_is_refused_with_its_line(small: object) -> None:
+    manifest = pd.read_csv(small.manifest)
+    manifest.loc[3, "roughness"] = 61
+    manifest.to_csv(small.manifest, index=False)
+    assert read(small).metrics == ("roughness",)
+    expected = (
+        r"^manifest\.csv, line 5: roughness must be 0 to 60, got 61; correct it, or the bounds"
+    )
+    with pytest.raises(ValueError, match=expected):
+        read(small, info={"roughness": DISTANCE})
+    # Rounded in the file, and no more.
+    manifest.loc[3, "roughness"] = 60 + 1e-8
+    manifest.to_csv(small.manifest, index=False)
+    assert read(small, info={"roughness": DISTANCE}).info["roughness"] == DISTANCE
+
+
+def test_metrics_to_be_compared_come_along_where_every_stimulus_has_them(small: object) -> None:
+    manifest = pd.read_csv(small.manifest)
+    manifest["holes"] = manifest["roughness"].where(manifest.index != 2)
+    manifest.to_csv(small.manifest, index=False)
+    table = read(small, further=Further(pd.DataFrame(), rivals=("temporal_match", "holes")))
+    assert table.rivals == ("roughness", "temporal_match")
+    assert "Not compared, because some rated test stimuli have no value: holes." in table.notes
+    assert read(small).rivals == ()
+
+
+@pytest.mark.parametrize(
+    ("values", "info", "step"),
+    [
+        ([0, 10, 20, 30, 40], MetricInfo("a", unit="dB"), 10),
+        ([0, 0.01, 0.02, 0.03, 0.04], MetricInfo("a"), 0.01),
+        ([0, 0.01, 0.02, 0.03, 0.04], MetricInfo("a", high=1), 0.1),
+        ([0, 2e5, 4e5, 6e5, 8e5], MetricInfo("a"), 1e5),
+        ([3, 3, 3, 3, 3], MetricInfo("a"), 0.1),
+    ],
+)
+def test_steps_fit_the_spread_of_a_metric(
+    values: list[float], info: MetricInfo, step: float
+) -> None:
+    items = pd.DataFrame({"recording": "r", "a": values})
+    assert find_steps(items, ["a"], {"a": info}) == {"a": pytest.approx(step)}
+
+
+def test_own_names_come_from_their_registries(small: object) -> None:
+    assert order_reducers(["zeta", *sorted(REDUCERS)]) == [*REDUCERS, "zeta"]
+    assert set(METRICS) <= {*read(small).info, "spectral_match_bounded"}
