@@ -27,9 +27,21 @@ DEMO_PARTICIPANTS = 16
 @click.option(
     "--study", "bundled", type=click.Choice(list_bundled()), help="A published study to run again."
 )
-def new(folder: Path, *, bundled: str | None) -> None:
+@click.option(
+    "--with",
+    "extra",
+    type=click.Choice(["methods"]),
+    help="Also a working example of a reducer, a metric, a format and a command of your own, in methods/.",
+)
+def new(folder: Path, *, bundled: str | None, extra: str | None) -> None:
     """Begin a study: a commented study.toml, ready to use."""
+    from feel321.study.folder import add_methods
+
+    if bundled and extra:
+        raise click.UsageError("--with adds to a study of your own; leave out --study")
     study = Study.create(folder, like=bundled).folder
+    if extra:
+        add_methods(study)
     click.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
 
 
