@@ -10,13 +10,7 @@ from shlex import quote
 import click
 
 from feel321.study.commands import shared
-from feel321.study.folder import (
-    StudyFolder,
-    create_study,
-    list_bundled,
-    read_template,
-    require_study,
-)
+from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
 from feel321.study.study import Study
 
 DEMO_PARTICIPANTS = 16
@@ -75,7 +69,7 @@ def check(
     """
     if method is not None:
         context.exit(_check_method(folder, method, kind, as_json=as_json))
-    study = Study(require_study(folder), shared.is_terminal(), warn=shared.warn)
+    study = shared.open_study(folder)
     found = study.check()
     for text in (*found.remarks, *found.warnings):
         shared.warn(text)
