@@ -368,16 +368,16 @@ def call(method: Method, function: Callable[..., Any], *args: Any, doing: str = 
     """
     noticed: list[warnings.WarningMessage] = []
     near = _find_roots(method) if method.origin == "file" else []
-    with _TURN, _quiet(noticed), _on_path(*near):
-        try:
+    try:
+        with _TURN, _quiet(noticed), _on_path(*near):
             return function(*args)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # sys.exit, too little memory, recursion: all the same here
-            raise ValueError(f"{method}: {_word(error, method)}{_add(doing)}") from error
-        finally:
-            for one in noticed:
-                _say_once(f"{method}: {one.category.__name__}: {_shorten(one.message)}")
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # sys.exit, too little memory, recursion: all the same here
+        raise ValueError(f"{method}: {_word(error, method)}{_add(doing)}") from error
+    finally:
+        for one in noticed:
+            _say_once(f"{method}: {one.category.__name__}: {_shorten(one.message)}")
 
 
 def _add(doing: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import subprocess
+import sys
 import tempfile
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
@@ -264,7 +265,7 @@ def run_metric(
 def _run(method: Method, files: Mapping[str, str]) -> str:
     """Run a command in the study's folder, and return what it printed."""
     words = split_command(method.kind, method.name, method.place)
-    for mark, path in files.items():
+    for mark, path in {**files, "{python}": sys.executable}.items():
         words = [word.replace(mark, path) for word in words]
     limit_s = float(method.find_fact("timeout_s", TIMEOUT_S))
     try:

@@ -19,6 +19,8 @@ from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.answers import write_answers
 from feel321.study.folder import StudyFolder, require_study
@@ -113,29 +115,33 @@ def measure_rotations(study: StudyFolder, settings: Settings, stimuli: StimulusS
         reason = problems[0].splitlines()[0].rstrip(".")
         note = f"Rotation statistics of the metrics are left out: {reason}."
         return Further(pd.DataFrame(), (note,))
-    return compute_rotations(
-        recordings, stimuli, steps=recipe.conditioning, seed=settings.study.seed
-    )
+    return compute_rotations(recordings, stimuli, recipe=recipe, seed=settings.study.seed)
 
 
 def compute_rotations(
-    recordings: Sequence[Recording], stimuli: StimulusSet, *, steps: Conditioning, seed: int
+    recordings: Sequence[Recording], stimuli: StimulusSet, *, recipe: Recipe, seed: int
 ) -> Further:
-    """Condition recordings, rotate them, reduce them, and describe their metrics."""
-    tests = [stimulus for stimulus in stimuli.stimuli if stimulus.role == "test"]
+    """Condition recordings, rotate them, reduce them, and describe their metrics; a command would take too long."""
+    commands = {one.name for one in recipe.methods if one.origin == "command"}
+    tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
+    if not reducers:
+        return Further(
+            pd.DataFrame(), ("Rotation statistics: all reducers are commands; left out.",)
+        )
+    own = [find_reducer(recipe, name) for name in reducers]
     size = sum(recording.acceleration.size for recording in recordings) * len(reducers)
     n_turns = min(MOST, max(LEAST, AFFORDABLE // size))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
     def describe(recording: Recording) -> np.ndarray:
-        ready = condition(recording, steps)
-        matches = match_rotations(ready.acceleration, ready.rate_hz, reducers=reducers, turns=turns)
+        ready = condition(recording, recipe.conditioning)
+        matches = match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
         both = np.stack([matches.mean(axis=-1), matches.std(axis=-1, ddof=1)], axis=-1)
         return both.reshape(len(reducers), -1).round(DIGITS)
 
-    # Threads: nearly all of the work is done by libraries that release the interpreter.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    # Threads: nearly all of the work is done by libraries that release the interpreter. A lab's own code gets one.
+    with ThreadPoolExecutor(1 if recipe.methods else os.cpu_count()) as pool:
         names = [recording.name for recording in recordings]
         found = dict(zip(names, pool.map(describe, recordings), strict=True))
     table = pd.DataFrame(
@@ -147,6 +153,7 @@ def compute_rotations(
         f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {n_turns} random "
         f"orientations of the sensor (seed {seed}, the same ones for all), reduced and matched with itself; level, "
         "resampling and fades, which stimuli go through afterwards, have no part in it."
+        + (f" Without {', '.join(sorted(commands))}: commands." if commands else "")
     )
     return Further(table, (note,))
 

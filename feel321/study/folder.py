@@ -9,7 +9,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from feel321.files import create_text
+from feel321.files import create_text, write_text
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PARTICIPANT_ID
 
@@ -151,6 +151,24 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     if not study.rig.exists():
         create_text(study.rig, (TEMPLATES / "rig_template.toml").read_text(encoding="utf-8"))
     return study
+
+
+def add_methods(study: StudyFolder) -> None:
+    """Add an example of every kind of method of a lab's own to a study that was just begun."""
+    home = study.path / "methods"
+    home.mkdir(exist_ok=True)
+    for entry in (TEMPLATES / "methods").iterdir():
+        if entry.name.endswith(".py.txt"):
+            create_text(home / entry.name.removesuffix(".txt"), entry.read_text(encoding="utf-8"))
+    taps = [100 * 0.9 ** (n % 250) * (-1) ** (n // 4) for n in range(2000)]
+    lines = ["2000", *(f"{0.4 * one:.4f} {-0.3 * one:.4f} {one:.4f}" for one in taps)]
+    create_text(study.path / "recordings" / "tap.xyz", "\n".join(lines) + "\n")
+    text = study.settings.read_text(encoding="utf-8")
+    begin, end = text.index("reducers = ["), text.index("levels = [")
+    own = 'reducers = ["say321", "pca321", "dft321", "my321", "wav321"]  # the last two are your own, see below\n'
+    text = (text[:begin] + own + text[end:]).replace("metrics = []", 'metrics = ["snr"]')
+    tables = (TEMPLATES / "methods" / "tables.toml").read_text(encoding="utf-8")
+    write_text(study.settings, text + tables)
 
 
 def require_study(path: Path) -> StudyFolder:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
+from feel321.extensions import find_method
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL
 from feel321.study.folder import SETTINGS_FILE
 from feel321.study.settings.read import find_metric, find_reducer, read_settings
 
@@ -15,6 +18,10 @@ if TYPE_CHECKING:
     from feel321.extensions import Method
     from feel321.study.settings.schema import Settings
     from feel321.types import Metric, Reducer
+
+
+PAIR = ("acceleration", "reduced", "rate_hz")
+"""Parameters of a metric; a reducer takes the first and the last."""
 
 
 def open_reducer(name: str, folder: Path) -> Reducer:
@@ -27,6 +34,34 @@ def open_metric(name: str, folder: Path) -> Metric:
     """Open a metric likewise."""
     found = find_metric(_read_if_there(folder), name, folder)
     return METRICS[name] if isinstance(found, str) else OwnMetric(found)
+
+
+def open_method(name: str, folder: Path, kind: str | None = None) -> Method:
+    """Open one of the lab's own methods; without a kind, a metric is what takes three arguments."""
+    settings = _read_if_there(folder)
+    if name in {*REDUCERS, *METRICS, ORIGINAL, NO_REFERENCE}:
+        raise ValueError(f"{name} is feel321's own; name a reducer or metric of yours")
+    if kind is None and name in settings.metrics and name not in settings.reducers:
+        kind = "metric"
+    find = {"reducer": find_reducer, "metric": find_metric}
+    if kind is None and name not in settings.reducers:
+        kind = _guess_kind(name, folder)
+    found = find[kind or "reducer"](settings, name, folder)
+    return cast("Method", found)
+
+
+def _guess_kind(name: str, folder: Path) -> str:
+    """Guess the kind of a method by the number of its parameters."""
+    from feel321.extensions import list_entry_points
+
+    if ":" not in name:
+        is_metric = name in list_entry_points("metric") and name not in list_entry_points("reducer")
+        return "metric" if is_metric else "reducer"
+    found = find_method("reducer", name, folder=folder)
+    try:
+        return "metric" if len(signature(found.load()).parameters) == len(PAIR) else "reducer"
+    except (ValueError, TypeError):  # whatever is wrong with it is found again
+        return "reducer"
 
 
 def list_own_reducers(settings: Settings, folder: Path) -> dict[str, OwnReducer]:

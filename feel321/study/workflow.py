@@ -20,6 +20,7 @@ from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, is_in_use
+from feel321.study.methods import list_methods
 from feel321.study.minutes import measure_design
 from feel321.study.provenance import find_changes
 from feel321.study.session.journal import Clock, utc_now
@@ -126,7 +127,23 @@ def _try_recipe(
         recipe = make_recipe(settings, study.path)
     except ValueError as error:
         return None, [f"{study.settings.name}: {error}"]
-    return recipe, list(_check_recordings(recordings, recipe))
+    return recipe, [*_check_recordings(recordings, recipe), *_check_methods(study, settings)]
+
+
+def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
+    """Check the form of the lab's own reducers and metrics, as far as that is quick."""
+    from feel321.stimuli.conformance import check_method
+
+    try:
+        methods = list_methods(settings, study.path)
+    except (TypeError, ValueError) as error:
+        return [f"{study.settings.name}: {error}"]
+    return [
+        f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
+        for one in methods
+        for found in check_method(one, quick=True)
+        if not found.passed
+    ]
 
 
 def _find_strength(

@@ -14,21 +14,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from feel321.analysis import resampling
 from feel321.analysis.agreement import SMALLEST, find_ceiling
 from feel321.analysis.arrays import PERFECT, Values, check_draws
 from feel321.analysis.contrasts.compare import stimulus_means
-from feel321.analysis.resampling import (
-    FEWEST_ITEMS,
-    METHODS,
-    MOST_UNDEFINED,
-    STILL,
-    Draws,
-    bootstrap_margin,
-    count_scarcest,
-    draw_intervals,
-    fisher_z,
-    measure_lean,
-)
 from feel321.analysis.table.items import (
     Items,
     Table,
@@ -325,7 +314,7 @@ def tabulate_correlations(
     import pandas as pd
 
     names = choose_metrics(table, metrics)
-    methods, seed = METHODS if method == "all" else [method], as_rng(rng).integers(2**63)
+    methods, seed = resampling.METHODS if method == "all" else [method], as_rng(rng).integers(2**63)
     rows = []
     for part in split_tests(table):
         items = make_items(part.rows, names)
@@ -339,9 +328,9 @@ def correlate_items(
     items: Items, metrics: tuple[str, ...], method: str, *, draws: int, rng: Rng
 ) -> Correlated:
     """Correlate with all metrics of the items, and with all of them in the same draws."""
-    check_name(method, METHODS, "method")
+    check_name(method, resampling.METHODS, "method")
     check_draws(draws)
-    drawn = draw_intervals(items, method, draws=draws, rng=as_rng(rng))
+    drawn = resampling.draw_intervals(items, method, draws=draws, rng=as_rng(rng))
     return Correlated(items, metrics, method, drawn)
 
 
@@ -351,16 +340,23 @@ class Correlated(NamedTuple):
     items: Items
     metrics: tuple[str, ...]
     method: str
-    drawn: Draws
+    drawn: resampling.Draws
 
     def associate(self, metric: str) -> Association:
         """Correlate with one metric."""
-        items, drawn, how, notes = *self._pick(metric), METHODS[self.method], self._explain(metric)
+        items, drawn, how, notes = (
+            *self._pick(metric),
+            resampling.METHODS[self.method],
+            self._explain(metric),
+        )
         value = float(drawn.point[0])
-        middle = float(fisher_z(drawn.point)[0] - measure_lean(items, self.method, drawn)[0])
-        units = count_scarcest(items, drawn), items.n_participants
+        middle = float(
+            resampling.fisher_z(drawn.point)[0]
+            - resampling.measure_lean(items, self.method, drawn)[0]
+        )
+        units = resampling.count_scarcest(items, drawn), items.n_participants
         (low, high), (narrow_low, narrow_high) = (
-            np.tanh(middle + bootstrap_margin(part[0], n) * np.array([-1, 1])).tolist()
+            np.tanh(middle + resampling.bootstrap_margin(part[0], n) * np.array([-1, 1])).tolist()
             for part, n in zip((drawn.two_way, drawn.participants), units, strict=True)
         )
         ceiling, more_notes = find_ceiling(items, within=how.within)
@@ -380,12 +376,15 @@ class Correlated(NamedTuple):
         """Compare the correlations with two metrics."""
         items, drawn = self._pick(first, second)
         notes = self._explain(first, second)
-        z_first, z_second = fisher_z(drawn.point)
+        z_first, z_second = resampling.fisher_z(drawn.point)
         differences = np.subtract(*drawn.two_way)
         if np.isfinite(drawn.point).all():
             notes += _explain_undrawn(differences, "two-way")
-        z, margin = z_first - z_second, bootstrap_margin(differences, count_scarcest(items, drawn))
-        lean = np.subtract(*measure_lean(items, self.method, drawn))
+        z, margin = (
+            z_first - z_second,
+            resampling.bootstrap_margin(differences, resampling.count_scarcest(items, drawn)),
+        )
+        lean = np.subtract(*resampling.measure_lean(items, self.method, drawn))
         z_range = z - lean + np.array([-margin, margin])
         middle = (z_first + z_second) / 2
         low, high = np.tanh(middle + z_range / 2) - np.tanh(middle - z_range / 2)
@@ -397,10 +396,10 @@ class Correlated(NamedTuple):
             method=self.method, notes=tuple(notes), **_count(items),
         )  # fmt: skip
 
-    def _pick(self, *metrics: str) -> tuple[Items, Draws]:
+    def _pick(self, *metrics: str) -> tuple[Items, resampling.Draws]:
         places = [self.metrics.index(name) for name in metrics]
         items = replace(self.items, metrics=self.items.metrics[places])
-        return items, Draws(*(part[places] for part in self.drawn))
+        return items, resampling.Draws(*(part[places] for part in self.drawn))
 
     def _explain(self, *metrics: str) -> list[str]:
         items, drawn = self._pick(*metrics)
@@ -427,7 +426,9 @@ def _explain_size(items: Items) -> Iterator[str]:
         yield f"Two-way intervals draw the {items.n_sources} sources of the {items.n_recordings} recordings."
 
 
-def _explain_value(items: Items, drawn: Draws, metrics: tuple[str, ...]) -> Iterator[str]:
+def _explain_value(
+    items: Items, drawn: resampling.Draws, metrics: tuple[str, ...]
+) -> Iterator[str]:
     """Say why a correlation is not defined, or what it rests on."""
     for row, metric in enumerate(metrics):
         if drawn.of_recordings.size:
@@ -455,8 +456,10 @@ def _explain_recordings(correlations: Values, metric: str) -> Iterator[str]:
 
 
 def _explain_undefined(items: Items, metric: str, *, row: int) -> str:
-    if items.n_items < FEWEST_ITEMS:
-        return f"No correlation: it needs {FEWEST_ITEMS} test stimuli, got {items.n_items}."
+    if items.n_items < resampling.FEWEST_ITEMS:
+        return (
+            f"No correlation: it needs {resampling.FEWEST_ITEMS} test stimuli, got {items.n_items}."
+        )
     if np.ptp(items.metrics[row]) == 0:
         return f"No correlation: '{metric}' is the same for every stimulus."
     return "No correlation: the mean rating is the same for every stimulus."
@@ -466,12 +469,16 @@ def _explain_undrawn(drawn: Values, kind: str) -> Iterator[str]:
     """Say how many draws gave no result, or that all gave the same."""
     undefined = int(np.isnan(drawn).sum())
     if undefined:
-        end = ": too many for an interval" if undefined > MOST_UNDEFINED * drawn.size else ""
+        end = (
+            ": too many for an interval"
+            if undefined > resampling.MOST_UNDEFINED * drawn.size
+            else ""
+        )
         yield (
             f"{undefined} of {drawn.size} {kind} draws gave no correlation (fewer than three stimuli, a constant, or "
             f"all points on a line) and are left out{end}."
         )
-    elif np.ptp(drawn) <= STILL:
+    elif np.ptp(drawn) <= resampling.STILL:
         yield f"All {drawn.size} {kind} draws gave the same: no interval without spread."
 
 
@@ -512,12 +519,18 @@ def make_panel(
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
     seed, items = int(rng.integers(2**63)), make_items(part, metrics)
-    of = [correlate_items(items, metrics, method, draws=draws, rng=seed) for method in METHODS]
+    of = [
+        correlate_items(items, metrics, method, draws=draws, rng=seed)
+        for method in resampling.METHODS
+    ]
     signs = np.array([find_sign(info, name) for name in metrics])
     compared = of
     if (signs < 0).any():
         turned = replace(items, metrics=items.metrics * signs[:, None])
-        compared = [correlate_items(turned, metrics, how, draws=draws, rng=seed) for how in METHODS]
+        compared = [
+            correlate_items(turned, metrics, how, draws=draws, rng=seed)
+            for how in resampling.METHODS
+        ]
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
     return Panel(
         scale=str(part["scale"].iloc[0]),

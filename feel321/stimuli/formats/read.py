@@ -24,6 +24,7 @@ from feel321.stimuli.formats.containers import (
     read_lmt,
     read_wav_recording,
 )
+from feel321.stimuli.formats.own import find_format, read_own
 from feel321.stimuli.formats.tables import read_table
 from feel321.stimuli.recording import UNITS, Recording, check_finite, check_rate
 from feel321.types import PathLike, Samples
@@ -331,6 +332,8 @@ def read_recording(
     """
     source = as_path(path)
     request = ReadingOptions(rate_hz, unit, columns, full_scale, resample)
+    if source.suffix.lower() not in SUFFIXES and (own := find_format(source)):
+        return read_own(own, source)
     with file_named(source):
         decoded = _decode(source, request)
         unit_found, unit_notes = settle_unit(decoded.unit, unit)

@@ -160,6 +160,27 @@ class StimulusSet(Result):
             if gain > STRONG_GAIN
         )
 
+    def find_methods(self) -> dict[str, str]:
+        """Find the lab's own reducers and metrics that the set was made with.
+
+        Returns
+        -------
+        dict of str to str
+            Name -> digest of the code, from `manifest.json`; empty where there are none.
+        """
+        try:
+            details = json.loads((self.folder / "manifest.json").read_bytes())
+            kinds = [details.get(kind, {}) for kind in ("reducers", "metrics")]
+            own = {
+                name: one["sha256"]
+                for kind in kinds
+                for name, one in kind.items()
+                if one["method"] != "feel321"
+            }
+        except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+            return {}
+        return own
+
     def to_frame(self) -> DataFrame:
         """Return the manifest as a table.
 

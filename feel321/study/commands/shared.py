@@ -64,11 +64,16 @@ def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]
     return click.option("--seed", type=click.IntRange(min=0), help=text)
 
 
+def open_study(folder: Path) -> Study:
+    """Open a study that is there, for a terminal."""
+    return Study(require_study(folder), is_terminal(), warn=warn)
+
+
 def study_argument(verb: Verb) -> Verb:
     """Give a verb the argument STUDY; it receives `study`, a Study that is there."""
 
     def find(_context: click.Context, _parameter: click.Parameter, value: Path) -> Study:
-        return Study(require_study(value), is_terminal(), warn=warn)
+        return open_study(value)
 
     return click.argument("study", metavar="[STUDY]", default=Path(), type=FILE, callback=find)(
         verb

@@ -21,21 +21,55 @@ DEMO_PARTICIPANTS = 16
 @click.option(
     "--study", "bundled", type=click.Choice(list_bundled()), help="A published study to run again."
 )
-def new(folder: Path, *, bundled: str | None) -> None:
+@click.option(
+    "--with",
+    "extra",
+    type=click.Choice(["methods"]),
+    help="Also a working example of a reducer, a metric, a format and a command of your own, in methods/.",
+)
+def new(folder: Path, *, bundled: str | None, extra: str | None) -> None:
     """Begin a study: a commented study.toml, ready to use."""
+    from feel321.study.folder import add_methods
+
+    if bundled and extra:
+        raise click.UsageError("--with adds to a study of your own; leave out --study")
     study = Study.create(folder, like=bundled).folder
+    if extra:
+        add_methods(study)
     click.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
 
 
-@click.command(epilog="Example: feel321 check my-study")
-@shared.study_argument
+@click.command(
+    epilog="""\b
+Example: feel321 check my-study
+         feel321 check --method mylab.haptics:my321
+         feel321 check my-study --method methods/psnr.py:psnr --kind metric
+"""
+)
+@shared.folder_argument
+@click.option(
+    "--method",
+    metavar="NAME",
+    help="Check this reducer or metric of your own instead: mylab:my321, methods/my321.py:my321, or its table's name.",
+)
+@click.option(
+    "--kind",
+    type=click.Choice(["reducer", "metric"]),
+    help="What the method is.  [default: by its parameters]",
+)
 @shared.json_option
 @click.pass_context
-def check(context: click.Context, *, study: Study, as_json: bool) -> None:
+def check(
+    context: click.Context, *, folder: Path, method: str | None, kind: str | None, as_json: bool
+) -> None:
     """Check everything that a study needs.
 
-    Settings, recordings, strength of the stimuli, rig and stimulus set: every problem is listed at once.
+    Settings, recordings, strength of the stimuli, rig and stimulus set: every problem is listed at once. With
+    --method: whether a reducer or metric of your own keeps the form that everything else relies on.
     """
+    if method is not None:
+        context.exit(_check_method(folder, method, kind, as_json=as_json))
+    study = shared.open_study(folder)
     found = study.check()
     for text in (*found.remarks, *found.warnings):
         shared.warn(text)
@@ -52,6 +86,25 @@ def check(context: click.Context, *, study: Study, as_json: bool) -> None:
         good = f"{study.folder.path}: no problems{counted}"
         click.echo("\n".join([*(found.problems or [good]), *found.notes]))
     context.exit(1 if found.problems else 0)
+
+
+def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -> int:
+    """Check one of the lab's own methods, and print a line for each check."""
+    from feel321.stimuli.conformance import check_method
+    from feel321.study.methods import open_method
+
+    method = open_method(name, folder, kind)
+    found = check_method(method)
+    failed = sum(not one.passed for one in found)
+    if as_json:
+        shared.print_json({
+            "kind": method.kind, "name": method.name, **method.to_json(), "checks": found, "failed": failed,
+        })  # fmt: skip
+    else:
+        click.echo(f"{method.kind} {method.name}: {failed or 'no'} of {len(found)} checks failed")
+        for one in found:
+            click.echo(f"  {'ok    ' if one.passed else 'FAILED'}  {one.check}: {one.text}")
+    return 1 if failed else 0
 
 
 @click.command(epilog="Example: feel321 build my-study --workers 2")

@@ -116,6 +116,8 @@ class Plan:
         The block in which strength is matched, where the session has one.
     questions : tuple of Question
         The question pages besides the trials.
+    methods : Mapping of str to str
+        The lab's own reducers and metrics, by name: digests of their code.
     sha256 : str
         Digest of the plan as it was stored; empty before that.
     """
@@ -136,6 +138,7 @@ class Plan:
     task_order: str = TASK_ORDERS[0]
     matching: MatchingBlock | None = None
     questions: tuple[Question, ...] = ()
+    methods: Mapping[str, str] = field(default_factory=dict)
     sha256: str = field(default="", compare=False)
 
     def to_frame(self) -> DataFrame:
@@ -179,6 +182,7 @@ def make_plan(
         task_order=design.task_order,
         matching=own.matching,
         questions=own.questions,
+        methods=stimuli.find_methods(),
     )
 
 
@@ -228,7 +232,7 @@ def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
     del entry["sha256"]
-    for name in ("threshold", "matching", "questions"):
+    for name in ("threshold", "matching", "questions", "methods"):
         if not entry[name]:
             del entry[name]  # so were plans stored before there were any
     _drop_unused(entry)

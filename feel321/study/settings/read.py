@@ -20,6 +20,7 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
+from feel321.stimuli.formats.own import find_format, read_own
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.names import MATCHES
@@ -78,16 +79,24 @@ def try_recordings(settings: Settings, folder: Path) -> tuple[list[Recording], l
     mistakes: list[str] = []
     for entry in settings.recordings:
         try:
-            recordings.append(_open_recording(entry, folder))
-        except (OSError, ValueError) as error:
+            recordings.append(_open_recording(entry, folder, settings.formats))
+        except (OSError, TypeError, ValueError) as error:
             mistakes.append(f"recording {entry.title!r}: {error}")
     return recordings, mistakes
 
 
-def _open_recording(entry: SceneTable | FileTable, folder: Path) -> Recording:
+def _open_recording(
+    entry: SceneTable | FileTable, folder: Path, formats: Mapping[str, str]
+) -> Recording:
     own = entry.model_dump(exclude={"name", "sample", "picture", "rotation", "scene", "file"})
     if isinstance(entry, SceneTable):
         recording = make_scene(entry.scene, **own)
+    elif method := find_format(folder / entry.file, folder=folder, declared=formats):
+        if given := [name for name, value in own.items() if value]:
+            raise ValueError(
+                f"{given[0]} is for feel321's formats, {method} reads this one; leave it out"
+            )
+        recording = read_own(method, folder / entry.file)
     else:
         recording = read_recording(folder / entry.file, **own)
     if entry.rotation is not None:
@@ -227,7 +236,14 @@ def make_identity(
         "calibration": calibration,
         "presenter": presenter,
         **identify_exploration(settings),
+        **_identify_methods(settings, folder),
     }
+
+
+def _identify_methods(settings: Settings, folder: Path) -> dict[str, Any]:
+    """Return the digests of the lab's own methods that the stimuli are made with, if there are any."""
+    found = {one.name: one.sha256 for one in make_recipe(settings, folder).methods}
+    return {"methods": found} if found else {}
 
 
 EXPLORABLE = ("realism", "similarity")

@@ -453,6 +453,7 @@ class Settings(kinds.TomlTable):
     stimuli: StimuliTable = StimuliTable()
     reducers: dict[str, ReducerTable] = Field(default_factory=dict)
     metrics: dict[str, MetricTable] = Field(default_factory=dict)
+    formats: dict[str, kinds.Words] = Field(default_factory=dict)
     rig: RigTable = RigTable()
     session: SessionTable = SessionTable()
     tasks: Tasks = Field(default_factory=dict)

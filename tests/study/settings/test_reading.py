@@ -78,7 +78,7 @@ def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
             entry = value["roughness"]
         if not place and name in {"reducers", "metrics"}:
             (entry,) = value.values()  # one of the lab's own
-        if isinstance(entry, dict) and name != "between":
+        if isinstance(entry, dict) and name not in {"between", "formats"}:
             yield from list_written(entry, f"{place}{name}.")
         else:
             yield place + name

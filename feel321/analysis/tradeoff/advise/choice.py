@@ -19,18 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.tradeoff.advise.measures import (
-    COVARIANCE,
-    MEAN,
-    PROJECTION,
-    Complexity,
-    Contender,
-    MountedSegment,
-    complete_scores,
-    find_complexity,
-    list_windows,
-    score_scene,
-)
+from feel321.analysis.tradeoff.advise import measures
 from feel321.analysis.tradeoff.advise.scene import (
     ALL_AXES,
     ANY,
@@ -68,13 +57,21 @@ TWO, THREE = "two_principal_axes", "three_axes"
 """What an actuator of several axes can play: the two leading principal axes, and the recording as it is."""
 
 
-def list_axes(axes: int, n_samples: int) -> Iterator[tuple[Complexity, Contender]]:
+def list_axes(
+    axes: int, n_samples: int
+) -> Iterator[tuple[measures.Complexity, measures.Contender]]:
     """List what an actuator of several axes can play instead of a reduced signal."""
     if axes > 1:
-        work = MEAN + COVARIANCE + 2 * PROJECTION
-        yield Complexity(TWO, 2, 3.0 * n_samples, inf, work, 0), Contender(TWO, _keep_two)
+        work = measures.MEAN + measures.COVARIANCE + 2 * measures.PROJECTION
+        yield (
+            measures.Complexity(TWO, 2, 3.0 * n_samples, inf, work, 0),
+            measures.Contender(TWO, _keep_two),
+        )
     if axes == ALL_AXES:
-        yield Complexity(THREE, 3, 0.0, 0.0, 0.0, 0), Contender(THREE, lambda samples, _: samples)
+        yield (
+            measures.Complexity(THREE, 3, 0.0, 0.0, 0.0, 0),
+            measures.Contender(THREE, lambda samples, _: samples),
+        )
 
 
 def _keep_two(samples: Samples, rate_hz: float) -> Samples:
@@ -134,7 +131,7 @@ def advise_scene(
     named = {cost.name: contender for cost, contender in listed.items()}
     gains_db = np.array([[contender.gain_db] for contender in named.values()])
     judge = partial(compare, gains_db=gains_db, tolerance=context.tolerance)
-    mounted, scores = score_scene(
+    mounted, scores = measures.score_scene(
         scene.recording, named, judge, any_mounting=context.mounting == ANY, seed=seed
     )
     shortfalls, best = judge(scores), np.fmax.reduce(scores[..., 1:3], axis=0)
@@ -144,7 +141,7 @@ def advise_scene(
         best_spectrum, best_time = best[decides].tolist()
         verdicts.append(Verdict(
             cost,
-            complete_scores(contender, mounted[decides], scores[row, decides]),
+            measures.complete_scores(contender, mounted[decides], scores[row, decides]),
             Shortfall(*shortfalls[row, decides].tolist()),
             in_budget=cost.latency_ms <= context.room_ms,
             rated=(ratings or {}).get(cost.name), needs_ratings=bool(ratings),
@@ -170,17 +167,21 @@ def _find_problem(recording: Recording) -> str:
 
 def _list_contenders(
     scene: AdviceScene, context: Context, reducers: Mapping[str, Reducer]
-) -> Iterator[tuple[Complexity, Contender]]:
+) -> Iterator[tuple[measures.Complexity, measures.Contender]]:
     n, rate_hz = scene.recording.n_samples, scene.recording.rate_hz
     for name, reducer in reducers.items():
-        for label, window_s in list_windows(name, reducer, longest_ms=context.room_ms):
-            cost = find_complexity(name, reducer, n_samples=n, rate_hz=rate_hz, window_s=window_s)
+        for label, window_s in measures.list_windows(name, reducer, longest_ms=context.room_ms):
+            cost = measures.find_complexity(
+                name, reducer, n_samples=n, rate_hz=rate_hz, window_s=window_s
+            )
             chosen = {} if label == name else {"window_s": window_s}
-            yield replace(cost, name=label), Contender(name, partial(reducer, **chosen))
+            yield replace(cost, name=label), measures.Contender(name, partial(reducer, **chosen))
     yield from list_axes(context.axes, n)
 
 
-def find_deciding(mounted: Sequence[MountedSegment], worst: Samples) -> tuple[int, list[bool]]:
+def find_deciding(
+    mounted: Sequence[measures.MountedSegment], worst: Samples
+) -> tuple[int, list[bool]]:
     """Find what decides: the worst mounting of the worst segment, or of that at the 90th percentile.
 
     worst: the shortfall in each mounted segment, NaN where it was not tried; returns also whether each segment passes.

@@ -1,0 +1,268 @@
+"""Whether a lab's own reducer or metric keeps the form that everything else relies on, one sentence per check.
+
+Reducers are tried on the lengths that public code fails on (1, 2, 3, even, odd), on silence, on signals twice and a
+thousandth as strong, twice and in a second process; their streaming form in blocks of any size against the offline
+form; a DFT321 (`dft321 = "whole"` or `"windowed"`, or a name with dft321 in it) against the golden vectors.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import pickle
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.stimuli.conform import FORMS, check_dft321
+from feel321.stimuli.guard import OwnMetric, OwnReducer
+from feel321.types import Samples
+
+if TYPE_CHECKING:
+    from feel321.extensions import Method
+
+RATE_HZ = 10_000.0
+LENGTHS = (1, 2, 3, 64, 97, 1000)
+LONG = 5000
+FLOAT32 = 1e-5
+"""Relative deviation that files of 32-bit floats allow."""
+ROUNDING = 1e-9
+BLOCKS = (0, 1, 7, 64, 500)
+
+_ELSEWHERE = (
+    "import pickle, sys; path, work = pickle.load(sys.stdin.buffer); sys.path[:] = path; "
+    "from feel321.stimuli.conformance import digest_result; print(digest_result(*pickle.loads(work)))"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Conformance:
+    """The result of one check."""
+
+    check: str
+    passed: bool
+    text: str
+
+
+def check_method(method: Method, *, quick: bool = False) -> list[Conformance]:
+    """Check a reducer or a metric; quick: without batches, streaming, golden vectors and the second process."""
+    found = []
+    for name, check in _list_checks(method, quick=quick).items():
+        try:
+            found.append(Conformance(name, passed=True, text=check()))
+        except (TypeError, ValueError) as error:
+            found.append(Conformance(name, passed=False, text=str(error)))
+            if name == "loads":
+                break
+    return found
+
+
+def _list_checks(method: Method, *, quick: bool) -> dict[str, Callable[[], str]]:
+    """List what is checked, in order."""
+    own: dict[str, Callable[[], str]] = {"loads": partial(_load, method)}
+    more: dict[str, Callable[[], str]] = {"second process": partial(_check_elsewhere, method)}
+    if method.kind == "reducer":
+        reducer = OwnReducer(method)
+        first = {
+            "shape": _check_shapes,
+            "silence": _check_silence,
+            "repeats": _check_repeats,
+            "scaling": _check_scaling,
+        }
+        then = {
+            "batches": _check_batches,
+            "streaming": _check_stream,
+            "DFT321": _check_dft321,
+            "speed": _time,
+        }
+        own |= {name: partial(check, reducer) for name, check in first.items()}
+        more |= {name: partial(check, reducer) for name, check in then.items()}
+    else:
+        metric = OwnMetric(method)
+        checks = {
+            "returns": _check_returns, "silence": _check_quiet, "repeats": _check_same,
+            "direction": _check_direction, "bounds": _check_bounds,
+        }  # fmt: skip
+        own |= {name: partial(check, metric) for name, check in checks.items()}
+    return own if quick else own | more
+
+
+def _make_signal(n: int = LONG, seed: int = 321) -> Samples:
+    scale = np.array([[1.0], [2.0], [0.5]])
+    return np.asarray(scale * np.random.default_rng(seed).standard_normal((3, n)))
+
+
+def _tolerance(method: Method) -> float:
+    return FLOAT32 if method.origin == "command" else ROUNDING
+
+
+def _compare(got: Samples, wanted: Samples, *, tolerance: float, what: str) -> None:
+    scale = float(np.abs(wanted).max(initial=0.0)) or 1.0
+    off = float(np.abs(got - wanted).max(initial=0.0)) / scale
+    if not off <= tolerance:
+        raise ValueError(f"{what}: off by {off:.2g} of the peak, more than {tolerance:g}")
+
+
+def _load(method: Method) -> str:
+    if method.origin == "command":
+        return "a command; it is run for every signal"
+    found = method.load()
+    if not callable(found):
+        raise TypeError(
+            f"{method}: must be a function, or a class with __call__, got {type(found).__name__}"
+        )
+    return f"{method.place}, sha256 {method.sha256[:12]}"
+
+
+def _check_shapes(reducer: OwnReducer) -> str:
+    for n in LENGTHS:
+        reducer(_make_signal(n), RATE_HZ)
+    return f"n finite real numbers for n = {', '.join(map(str, LENGTHS))}"
+
+
+def _check_silence(reducer: OwnReducer) -> str:
+    found = reducer(np.zeros((3, 64)), RATE_HZ)
+    single = np.zeros((3, 64))
+    single[1] = _make_signal(64)[0]
+    reducer(single, RATE_HZ)
+    if found.any():
+        raise ValueError(f"silence must stay silence, got a peak of {np.abs(found).max():.3g}")
+    return "silence stays silence, silent axes do no harm"
+
+
+def _check_repeats(reducer: OwnReducer) -> str:
+    first, second = (reducer(_make_signal(), RATE_HZ) for _ in range(2))
+    _compare(first, second, tolerance=0.0, what="two calls with the same signal differ")
+    return "the same twice"
+
+
+def _check_scaling(reducer: OwnReducer) -> str:
+    signal = _make_signal()
+    once = reducer(signal, RATE_HZ)
+    for factor in (2.0, 1e-3):
+        what = f"a signal {factor:g} times as strong must give an output {factor:g} times as strong"
+        scaled = reducer(factor * signal, RATE_HZ)
+        _compare(scaled, factor * once, tolerance=_tolerance(reducer.method), what=what)
+    return "twice the signal gives twice the output"
+
+
+def _check_batches(reducer: OwnReducer) -> str:
+    if not reducer.method.find_fact("batches", otherwise=False):
+        return "not claimed; signals are given one by one"
+    many = np.stack([_make_signal(97, seed) for seed in range(3)])
+    alone = np.stack([reducer(one, RATE_HZ) for one in many])
+    _compare(reducer(many, RATE_HZ), alone, tolerance=_tolerance(reducer.method), what="batches")
+    return "several signals at once, (..., 3, n), as one by one"
+
+
+def _check_stream(reducer: OwnReducer) -> str:
+    """Compare the streaming form, in blocks of many sizes, with the offline form."""
+    stream = reducer.open_stream(RATE_HZ)
+    if stream is None:
+        return "no streaming form"
+    signal, rng, parts, start = _make_signal(), np.random.default_rng(1), [], 0
+    while start < signal.shape[1]:
+        size = int(rng.choice(BLOCKS))
+        parts.append(stream.process(signal[:, start : start + size]))
+        start += size
+    parts.append(stream.flush())
+    got = np.concatenate(parts)[stream.latency_samples :]
+    _compare(
+        got, reducer(signal, RATE_HZ), tolerance=_tolerance(reducer.method),
+        what="the streaming form must give what the offline form gives, latency_samples later",
+    )  # fmt: skip
+    return f"as the offline form, {stream.latency_samples} samples later, in blocks of any size"
+
+
+def _check_dft321(reducer: OwnReducer) -> str:
+    form = reducer.method.find_fact("dft321", "whole" if "dft321" in reducer.method.name else None)
+    if form is None:
+        return "not claimed"
+    if form not in FORMS:
+        raise ValueError(f"dft321 must be one of {', '.join(FORMS)}, got {form!r}")
+    check_dft321(reducer, form=form)
+    return f"reproduces every golden vector ({form})"
+
+
+def _time(reducer: OwnReducer) -> str:
+    signal = _make_signal(100_000)
+    begun = time.perf_counter()
+    reducer(signal, RATE_HZ)
+    seconds = time.perf_counter() - begun
+    return f"{1e9 * seconds / signal.shape[1]:.0f} ns per sample, {signal.shape[1] / RATE_HZ / seconds:.0f} x real time"
+
+
+def _match_itself(metric: OwnMetric) -> tuple[float, float]:
+    """Match a signal, the same on all axes, with itself and with noise."""
+    axis, noise = _make_signal()[0], _make_signal(seed=7)[0]
+    same, other = (metric(np.array([axis] * 3), one, RATE_HZ) for one in (axis, noise))
+    return same, other
+
+
+def _check_returns(metric: OwnMetric) -> str:
+    for n in LENGTHS[2:]:
+        metric(_make_signal(n), _make_signal(n, 1)[0], RATE_HZ)
+    same, other = _match_itself(metric)
+    return f"a number: {same:.4g} for a signal against itself, {other:.4g} against noise"
+
+
+def _check_quiet(metric: OwnMetric) -> str:
+    metric(_make_signal(), np.zeros(LONG), RATE_HZ)
+    metric(np.zeros((3, LONG)), np.zeros(LONG), RATE_HZ)
+    return "silence gives a number too, or NaN"
+
+
+def _check_same(metric: OwnMetric) -> str:
+    noise = _make_signal(seed=7)[0]
+    first, second = (metric(_make_signal(), noise, RATE_HZ) for _ in range(2))
+    if first != second and not (math.isnan(first) and math.isnan(second)):
+        raise ValueError(f"two calls with the same signals differ: {first:.6g} and {second:.6g}")
+    return "the same twice"
+
+
+def _check_direction(metric: OwnMetric) -> str:
+    (same, other), higher = _match_itself(metric), metric.info.higher
+    if not (same >= other if higher == "better" else same <= other):
+        raise ValueError(
+            f"higher is declared {higher}, but a signal gives {same:.4g} against itself and {other:.4g} against noise; "
+            "declare the other direction"
+        )
+    return f"higher is {higher}: {same:.4g} against itself, {other:.4g} against noise"
+
+
+def _check_bounds(metric: OwnMetric) -> str:
+    axis, noise = _make_signal()[0], _make_signal(seed=7)[0]
+    for reduced in (axis, noise, -axis, 10 * axis, 1e-3 * noise):
+        metric(np.array([axis] * 3), reduced, RATE_HZ)
+    return f"from {metric.info.low:g} to {metric.info.high:g}"
+
+
+def digest_result(method: Method, seed: int) -> str:
+    """Digest what a method makes of a signal."""
+    signal = _make_signal(seed=seed)
+    if method.kind == "reducer":
+        return hashlib.sha256(OwnReducer(method)(signal, RATE_HZ).tobytes()).hexdigest()
+    return repr(OwnMetric(method)(signal, _make_signal(seed=seed + 1)[0], RATE_HZ))
+
+
+def _check_elsewhere(method: Method) -> str:
+    """Compare with a second process, as parallel builds do."""
+    if method.origin in {"command", "function"}:
+        return f"not tried: a {method.origin}"
+    work = pickle.dumps((sys.path, pickle.dumps((method, 5))))
+    done = subprocess.run(  # noqa: S603 - this very Python
+        [sys.executable, "-c", _ELSEWHERE], input=work, capture_output=True, check=False
+    )
+    if done.returncode:
+        last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+        raise ValueError(f"fails in a second process: {last}")
+    if done.stdout.decode().split()[-1] != digest_result(method, 5):
+        raise ValueError("a second process gives another result: random numbers need a fixed seed, and nothing may "
+                         "depend on the order of sets")  # fmt: skip
+    return "the same in a second process"
