@@ -6,6 +6,7 @@ Results have `to_frame` and `summary`; the other records are those that signals,
 from feel321.analysis.agreement import Alpha, Intraclass
 from feel321.analysis.association.classic import Dependent, RepeatedMeasures
 from feel321.analysis.association.correlate import Association, Difference
+from feel321.analysis.association.rivals import Ranking
 from feel321.analysis.contrasts.bradley_terry import BradleyTerry
 from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, ReducerDifference
 from feel321.analysis.contrasts.discrimination import Discrimination
@@ -35,6 +36,6 @@ __all__ = [
     "P1401", "Act", "Advice", "Alignment", "Alpha", "Association", "Audit", "BradleyTerry", "Chart", "Dependent",
     "Difference", "Discrimination", "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit",
     "Multiverse", "NonInferiority", "P1401Difference", "Page", "Part", "Place", "Primaries", "Primary", "Problems",
-    "RaterModel", "ReducerDifference", "Refined", "RepeatedMeasures", "Results", "RotationStatistics", "Screening",
-    "SessionEvent", "Signal", "Space", "Status", "Stress", "Table",
+    "Ranking", "RaterModel", "ReducerDifference", "Refined", "RepeatedMeasures", "Results", "RotationStatistics",
+    "Screening", "SessionEvent", "Signal", "Space", "Status", "Stress", "Table",
 ]  # fmt: skip

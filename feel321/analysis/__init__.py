@@ -8,6 +8,7 @@ type by a TypeError) that says what must be, what was got and what to do; what i
 from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate, tabulate_correlations
+from feel321.analysis.association.rivals import rank_metrics
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
 from feel321.analysis.contrasts.compare import (
     compare_reducers,
@@ -44,15 +45,16 @@ __all__ = [
     "compare_p1401", "compare_reducers", "contrast", "correlate", "discriminate", "equivalence", "fit_attributes",
     "fit_mixed", "fit_primary", "fit_space", "intraclass", "krippendorff_alpha", "noise_ceiling", "non_inferiority",
     "p1401", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram", "plot_spectrum",
-    "profile_reducers", "rater_model", "read_table", "refine_metric", "repeated_measures_correlation", "run_multiverse",
-    "screen_raters", "stress", "tabulate_correlations", "write_report",
+    "profile_reducers", "rank_metrics", "rater_model", "read_table", "refine_metric",
+    "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress", "tabulate_correlations",
+    "write_report",
 ]  # fmt: skip
 
 _RECORDS = (
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "Dependent", "Difference", "Discrimination",
     "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse", "NonInferiority",
-    "P1401", "P1401Difference", "Primaries", "Primary", "RaterModel", "Refined", "RepeatedMeasures", "Results",
-    "Screening", "Space",
+    "P1401", "P1401Difference", "Primaries", "Primary", "Ranking", "RaterModel", "Refined", "RepeatedMeasures",
+    "Results", "Screening", "Space",
 )  # fmt: skip
 
 _OLD = {

@@ -25,6 +25,7 @@ from feel321.analysis.report import (
     primary,
     raters,
     reducers,
+    rivals,
     robustness,
     standard,
 )
@@ -232,6 +233,7 @@ def list_versions() -> dict[str, str]:
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     primary.compute,
+    rivals.compute,
     association.compute_association,
     reducers.compute_levels,
     reducers.compute_profile,
@@ -433,7 +435,8 @@ def gather_results(
 ) -> Results:
     """Gather what ``results.json`` holds."""
     rows = table.rows
-    names = [*rows["scale"].unique(), *rows["level"].unique(), *table.metrics, *table.further]
+    names = [*rows["scale"].unique(), *rows["level"].unique()]
+    names += [*table.metrics, *table.further, *table.rivals]
     own = [format_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
     pictures = _gather(sections, "pictures")
     return Results(
