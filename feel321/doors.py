@@ -121,10 +121,17 @@ class Registry(Mapping[str, Entry]):
     KeyError: "colour must be one of red, green; got 'grene', did you mean 'green'?"
     """
 
-    __slots__ = ("_entries", "_what")
+    __slots__ = ("_entries", "_find", "_what")
 
-    def __init__(self, what: str, entries: Mapping[str, Entry]) -> None:
-        self._what, self._entries = what, dict(entries)
+    def __init__(
+        self,
+        what: str,
+        entries: Mapping[str, Entry],
+        *,
+        find: Callable[[str, Collection[str]], Entry] | None = None,
+    ) -> None:
+        """Take the entries, and how to find one that a lab adds, from what it is given as and the names taken."""
+        self._what, self._entries, self._find = what, dict(entries), find
 
     def __getitem__(self, name: str) -> Entry:
         """Return an entry."""
@@ -162,8 +169,13 @@ class Registry(Mapping[str, Entry]):
         """Return the entry of a name or of a dotted name ("package.module:name"), or what is given itself."""
         if not isinstance(given, str):
             return given
+        if given in self._entries:
+            return self._entries[given]
+        is_ours = given.startswith("feel321.")
+        if self._find is not None and not is_ours:
+            return self._find(given, self._entries)
         if ":" not in given:
-            return self._entries[check_name(given, self._entries, self._what)]
+            raise ValueError(refuse_name(given, self._entries, self._what))
         module, _, name = given.partition(":")
         try:
             entry: Entry = getattr(importlib.import_module(module), name)
@@ -190,8 +202,10 @@ class Registry(Mapping[str, Entry]):
 
 
 def name_of(method: object) -> str:
-    """Name a method of a registry: the name it was given by, or that of its function."""
-    return method if isinstance(method, str) else getattr(method, "__name__", repr(method))
+    """Name a method of a registry: the name it was given by, without its place, or that of its function."""
+    if isinstance(method, str):
+        return method.rpartition(":")[2]
+    return getattr(method, "__name__", repr(method))
 
 
 def forward_old_names(

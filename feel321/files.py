@@ -1,9 +1,12 @@
 """Files that are whole or absent: nobody ever meets half a table, plan or report. And one writer at a time."""
 
+import csv
+import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 LOOK_S = 0.2
 """How long a lock is waited for: `is_held` takes it for an instant, which must refuse nobody."""
@@ -12,6 +15,15 @@ LOOK_S = 0.2
 def write_text(path: Path, text: str) -> None:
     """Write a text file in one step, replacing the one that is there unless it holds just that."""
     write_bytes(path, text.encode())
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write a CSV table in one step; what a row holds besides the columns is left out."""
+    text = io.StringIO(newline="")
+    table = csv.DictWriter(text, columns, extrasaction="ignore")
+    table.writeheader()
+    table.writerows(rows)
+    write_text(path, text.getvalue())
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -22,6 +22,8 @@ from feel321.analysis.space import Alignment, Ellipses, Space
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.advise.page import Advice
+from feel321.analysis.tradeoff.benchmark.card import Card
+from feel321.analysis.tradeoff.benchmark.run import Benchmark
 from feel321.analysis.tradeoff.chart.compute import Chart
 from feel321.analysis.tradeoff.stress.page import Stress
 from feel321.protocols.trial import Page, Part
@@ -33,9 +35,47 @@ from feel321.study.session.ports import Act, Place
 from feel321.study.status import Status
 
 __all__ = [
-    "P1401", "Act", "Advice", "Alignment", "Alpha", "Association", "Audit", "BradleyTerry", "Chart", "Dependent",
-    "Difference", "Discrimination", "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit",
-    "Multiverse", "NonInferiority", "P1401Difference", "Page", "Part", "Place", "Primaries", "Primary", "Problems",
-    "Ranking", "RaterModel", "ReducerDifference", "Refined", "RepeatedMeasures", "Results", "RotationStatistics",
-    "Screening", "SessionEvent", "Signal", "Space", "Status", "Stress", "Table",
+    "P1401",
+    "Act",
+    "Advice",
+    "Alignment",
+    "Alpha",
+    "Association",
+    "Audit",
+    "Benchmark",
+    "BradleyTerry",
+    "Card",
+    "Chart",
+    "Dependent",
+    "Difference",
+    "Discrimination",
+    "Ellipses",
+    "Equivalence",
+    "Estimate",
+    "Further",
+    "Intraclass",
+    "MixedFit",
+    "Multiverse",
+    "NonInferiority",
+    "P1401Difference",
+    "Page",
+    "Part",
+    "Place",
+    "Primaries",
+    "Primary",
+    "Problems",
+    "Ranking",
+    "RaterModel",
+    "ReducerDifference",
+    "Refined",
+    "RepeatedMeasures",
+    "Results",
+    "RotationStatistics",
+    "Screening",
+    "SessionEvent",
+    "Signal",
+    "Space",
+    "Status",
+    "Stress",
+    "Table",
 ]  # fmt: skip

@@ -37,15 +37,15 @@ from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.space import align_spaces, fit_space
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import read_table
-from feel321.analysis.tradeoff.face import advise, chart, stress
+from feel321.analysis.tradeoff.face import advise, benchmark, chart, stress
 from feel321.doors import forward_old_names as _forward_old_names
 
 __all__ = [
-    "RULES", "Table", "advise", "align_spaces", "bradley_terry", "chart", "compare_dependent", "compare_metrics",
-    "compare_p1401", "compare_reducers", "contrast", "correlate", "discriminate", "equivalence", "fit_attributes",
-    "fit_mixed", "fit_primary", "fit_space", "intraclass", "krippendorff_alpha", "noise_ceiling", "non_inferiority",
-    "p1401", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram", "plot_spectrum",
-    "profile_reducers", "rank_metrics", "rater_model", "read_table", "refine_metric",
+    "RULES", "Table", "advise", "align_spaces", "benchmark", "bradley_terry", "chart", "compare_dependent",
+    "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate", "discriminate", "equivalence",
+    "fit_attributes", "fit_mixed", "fit_primary", "fit_space", "intraclass", "krippendorff_alpha", "noise_ceiling",
+    "non_inferiority", "p1401", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
+    "plot_spectrum", "profile_reducers", "rank_metrics", "rater_model", "read_table", "refine_metric",
     "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress", "tabulate_correlations",
     "write_report",
 ]  # fmt: skip

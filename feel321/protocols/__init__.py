@@ -7,6 +7,7 @@ from feel321.doors import forward_old_names as _forward_old_names
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.balance import Balance, measure_balance
 from feel321.protocols.order import ORDERS, make_order
+from feel321.protocols.questions import Question
 from feel321.protocols.tasks import PROTOCOLS, make_task, score_trial
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Flow, Item, Scale, Task, Trial, Trials
@@ -18,6 +19,7 @@ __all__ = [
     "Balance",
     "Flow",
     "Item",
+    "Question",
     "Scale",
     "Task",
     "Trial",

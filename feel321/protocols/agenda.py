@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
 from feel321.protocols.detection import THRESHOLD
+from feel321.protocols.questions import Question, list_pages
 from feel321.protocols.tasks import measure_chance
 from feel321.protocols.trial import ASIDE, MATCHING, Flow, Page, Trial
 
@@ -71,6 +72,8 @@ class Agenda:
         All trials of the plan: those of the main phase in their order, training and practice anywhere.
     flow : Flow
         The rules of the session.
+    questions : sequence of Question
+        The questions besides the trials; each is a page.
 
     Examples
     --------
@@ -83,10 +86,12 @@ class Agenda:
     'consent'
     """
 
-    def __init__(self, trials: Sequence[Trial], flow: Flow) -> None:
+    def __init__(
+        self, trials: Sequence[Trial], flow: Flow, questions: Sequence[Question] = ()
+    ) -> None:
         self._flow = flow
         self._trials = {trial.number: trial for trial in trials}
-        self._steps: deque[Page | Trial] = deque(_list_steps(trials, flow))
+        self._steps: deque[Page | Trial] = deque(_list_steps(trials, flow, questions))
         self._attempts: Counter[int] = Counter()
         self._spent: Counter[int] = Counter()
         self._lost: int | None = None
@@ -247,17 +252,20 @@ def _find_place(steps: Iterable[Page | Trial], trial: Trial) -> int:
     return in_block or in_section
 
 
-def _list_steps(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
+def _list_steps(
+    trials: Sequence[Trial], flow: Flow, questions: Sequence[Question]
+) -> Iterator[Page | Trial]:
     """List the steps of a session in which nothing goes wrong and no break is due."""
-    yield from (Page("welcome"), Page("consent"))
+    yield from (Page("welcome"), Page("consent"), *list_pages(questions, "before"))
     yield from _list_threshold([trial for trial in trials if trial.protocol == THRESHOLD], flow)
     yield from _list_matching([trial for trial in trials if trial.protocol == MATCHING], flow)
     main = [trial for trial in trials if trial.phase == "main"]
     sections = [list(section) for _, section in groupby(main, key=lambda trial: trial.protocol)]
+    rest = (*list_pages(questions, "between"), Page("rest", flow.rest_s))
     for place, section in enumerate(sections):
         protocol = section[0].protocol
         if place:
-            yield Page("rest", flow.rest_s)
+            yield from rest
         yield Page(f"instructions.{protocol}")
         for phase in ("training", "practice"):
             own = [t for t in trials if (t.protocol, t.phase) == (protocol, phase)]
@@ -268,8 +276,9 @@ def _list_steps(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
         half = (len(section) + 1) // 2 if len(sections) == 1 else len(section)
         yield from section[:half]
         if section[half:]:
-            yield Page("rest", flow.rest_s)
+            yield from rest
         yield from section[half:]
+    yield from list_pages(questions, "after")
     yield Page("end")
 
 

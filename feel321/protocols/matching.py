@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from feel321.protocols.tasks import find_reference
+from feel321.protocols.arms import find_reference
 from feel321.protocols.trial import MATCHING, ORIGINAL, RATING_RANGE, Item, Judgement, Part, Trial
 
 FIRST, SECOND = "first", "second"

@@ -1,6 +1,7 @@
 """The rating tasks: what each compares and how it is scored, PROTOCOLS, the one list of them, and `make_task`.
 
-A new protocol is a `Protocol` in this module and its texts in `catalog/`.
+A new protocol is a `Protocol` in this module and its texts in `catalog/`. Triplets and preferences are described in
+`choosing`.
 
 Realism: one stimulus, from not at all real to like the real surface, which may be stroked first. Every stimulus is
 judged by itself, the recording's own vibration and the anchors among them.
@@ -42,25 +43,39 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import prod
-from types import MappingProxyType
 
 from feel321.doors import Registry, check_name
+from feel321.protocols.arms import (
+    EXPECTED,
+    Comparisons,
+    Items,
+    find_catch,
+    find_reference,
+    split_arms,
+)
 from feel321.protocols.balance import williams_square
+from feel321.protocols.choosing import (
+    ABX_CHOICES,
+    PAIR_CHOICES,
+    arrange_abx,
+    arrange_pair,
+    compare_abx,
+    compare_preferences,
+    compare_triplets,
+    score_abx,
+    score_pair,
+    teach_abx,
+)
 from feel321.protocols.trial import (
     ORIGINAL,
     RATING_RANGE,
     SURFACE,
     Comparison,
-    Item,
     Judgement,
     Part,
     Task,
     Trial,
-    select_items,
 )
-
-Items = Sequence[Item]
-Comparisons = tuple[Comparison, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +88,8 @@ class Protocol:
     the same order, perhaps with more known answers, then perhaps others. arrange: gives the arrangement whose turn
     (a whole number) it is, so that successive turns balance positions within a trial. score: turns an answer, with
     the ids of the parts by name, into 0 to 100 points. choices: parts to choose from; none where there is a slider.
-    sure_end: the end of its slider that means the same to everybody, for the simulated observer.
+    sure_end: the end of its slider that means the same to everybody, for the simulated observer. some_pairs: whether
+    a study may ask for some of its pairs only.
     """
 
     name: str
@@ -88,6 +104,7 @@ class Protocol:
     )
     choices: tuple[str, ...] = ()
     sure_end: float = RATING_RANGE[0]
+    some_pairs: bool = False
 
     @property
     def scale(self) -> str:
@@ -97,58 +114,6 @@ class Protocol:
     def make_lessons(self, items: Items, task: Task) -> Comparisons:
         """Make the comparisons of training."""
         return (self.teach or self.compare)(items, task)
-
-
-EXPECTED: Mapping[str, tuple[float, float]] = MappingProxyType({
-    "identical": (75.0, 100.0),
-    "hidden_reference": (55.0, 100.0),
-    "anchor": (0.0, 50.0),
-})
-"""Catch trials: kind -> lowest and highest rating to expect, where 100 points mean that nothing is missing.
-
-The reference against itself is *identical*, the recording judged by itself or against the real surface a *hidden
-reference*; *anchors* should be rated 50 or lower, the better of two as well, so none needs to be known by name. The
-limits say whether a task was understood, no more: the upper quarter of the scale is for what is as good as the
-reference. No answer is right for both a reference and an anchor, nor are two that differ by less than 5 points, so
-nobody passes who always answers the same. Raters are screened in the analysis, by the limits of BS.1534-3 (90 points).
-"""
-
-
-def find_catch(item: Item, reference: Item | None) -> str:
-    """Find the kind of catch trial that a stimulus makes beside its reference; empty for none."""
-    if item == reference:
-        return "identical"
-    if item.role == "reference" and reference is None:
-        return "hidden_reference"
-    return "anchor" if item.role == "anchor" else ""
-
-
-def find_reference(item: Item, items: Items, *, reference: str) -> Item:
-    """Find the reference of an item."""
-    if reference == ORIGINAL:
-        candidates = [other for other in items if other.role == "reference"]
-    else:
-        candidates = [o for o in items if o.reducer == reference and o.role == "test"]
-    # A set may render its references once, or once per level arm; the arm's own comes first.
-    own = [other for other in candidates if other.level == item.level] or candidates
-    if len(own) != 1:
-        raise ValueError(
-            f"recording {item.recording!r}, level {item.level!r} must have exactly one stimulus for the reference "
-            f"{reference!r}, got {len(own)}; build the stimulus set with it"
-        )
-    return own[0]
-
-
-def split_arms(items: Items) -> tuple[tuple[Item, ...], ...]:
-    """Split the stimuli of a recording into its level arms: they are compared with one another inside an arm only."""
-    levels = dict.fromkeys(item.level for item in items if item.role == "test")
-    if not levels:
-        recordings = ", ".join(dict.fromkeys(repr(item.recording) for item in items)) or "unknown"
-        raise ValueError(
-            f"recording {recordings} must have at least one stimulus to test, got none; "
-            "name reducers and build the stimulus set again"
-        )
-    return tuple(select_items(items, {"level": level}) for level in levels)
 
 
 def _compare_realism(items: Items, task: Task) -> Comparisons:
@@ -250,44 +215,6 @@ def _fill_page(reference: Part, judgements: Sequence[Judgement]) -> Comparison:
     return Comparison((reference, *parts), numbered)
 
 
-ABX_CHOICES = ("a", "b")
-WRONG, RIGHT = RATING_RANGE
-
-
-def _compare_abx(items: Items, task: Task) -> Comparisons:
-    """Compare every stimulus of a recording with the reference of its level arm."""
-    comparisons = []
-    for arm in split_arms(items):
-        reference = find_reference(arm[0], arm, reference=task.reference)
-        for item in (item for item in arm if item != reference):
-            catch = find_catch(item, reference)
-            expected = (RIGHT, RIGHT) if catch else None
-            judgement = Judgement("x", item.stimulus_id, reference.stimulus_id, expected)
-            comparisons.append(_arrange_abx(Comparison((), (judgement,), catch), 0))
-    return tuple(comparisons)
-
-
-def _teach_abx(items: Items, task: Task) -> Comparisons:
-    """Make the right answer of every comparison known: x was one of the two, however hard to distinguish."""
-    return tuple(
-        replace(c, judgements=tuple(replace(j, expected=(RIGHT, RIGHT)) for j in c.judgements))
-        for c in _compare_abx(items, task)
-    )
-
-
-def _arrange_abx(comparison: Comparison, turn: int) -> Comparison:
-    """Make one of the four arrangements: which stimulus is a, and which of the two comes again as x."""
-    (judgement,) = comparison.judgements
-    pair = (judgement.stimulus_id, judgement.reference_id)[:: -1 if turn % 2 else 1]
-    felt = zip((*ABX_CHOICES, "x"), (*pair, pair[turn // 2 % 2]), strict=True)
-    return replace(comparison, parts=tuple(Part(name, stimulus) for name, stimulus in felt))
-
-
-def _score_abx(judgement: Judgement, answer: float | str, parts: Mapping[str, str | None]) -> float:
-    chosen = check_name(str(answer), ABX_CHOICES, "answer")
-    return RIGHT if parts[chosen] == parts[judgement.part] else WRONG
-
-
 _STIMULUS = ("recording", "reducer", "level")
 _ALL = (
     Protocol("realism", _STIMULUS, _compare_realism),
@@ -318,19 +245,38 @@ _ALL = (
     Protocol(
         "abx",
         _STIMULUS,
-        _compare_abx,
+        compare_abx,
         references=(ORIGINAL, "reducer"),
-        teach=_teach_abx,
-        arrange=_arrange_abx,
-        score=_score_abx,
+        teach=teach_abx,
+        arrange=arrange_abx,
+        score=score_abx,
         choices=ABX_CHOICES,
+    ),
+    Protocol(
+        "triplet",
+        ("recording", "pair", "level"),
+        compare_triplets,
+        references=(ORIGINAL, SURFACE, "reducer"),
+        arrange=arrange_pair,
+        score=score_pair,
+        choices=PAIR_CHOICES,
+        some_pairs=True,
+    ),
+    Protocol(
+        "preference",
+        ("recording", "pair", "level"),
+        compare_preferences,
+        arrange=arrange_pair,
+        score=score_pair,
+        choices=PAIR_CHOICES,
+        some_pairs=True,
     ),
 )
 PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
 """Name -> protocol, the only list of names. Later ones are added, none renamed."""
 
 
-def make_task(
+def make_task(  # noqa: PLR0913 - the options that a task has
     name: str,
     *,
     timing: str | None = None,
@@ -338,6 +284,7 @@ def make_task(
     surface: bool = False,
     training: int = 0,
     practice: int = 0,
+    pairs: int | None = None,
 ) -> Task:
     """Make a task of a protocol.
 
@@ -353,6 +300,8 @@ def make_task(
         Whether the real surface is felt first.
     training, practice : int
         Number of trials with feedback, and of trials without feedback that do not count, before the first that does.
+    pairs : int or None
+        Number of pairs of each recording and level in a triplet or preference task, at least 1; None for all.
 
     Returns
     -------
@@ -386,14 +335,24 @@ def make_task(
     for key, count in {"training": training, "practice": practice}.items():
         if count < 0:
             raise ValueError(f"tasks.{name}.{key} must be a whole number from 0, got {count}")
-    return Task(name, timing, reference, surface, training, practice)
+    _check_pairs(protocol, pairs)
+    return Task(name, timing, reference, surface, training, practice, pairs)
+
+
+def _check_pairs(protocol: Protocol, pairs: int | None) -> None:
+    key = f"tasks.{protocol.name}.pairs"
+    if pairs is not None and not protocol.some_pairs:
+        having = " and ".join(name for name, other in PROTOCOLS.items() if other.some_pairs)
+        raise ValueError(f"{key} must not be set, got {pairs}: only {having} have it; leave it out")
+    if pairs is not None and pairs < 1:
+        raise ValueError(f"{key} must be a whole number from 1, got {pairs}")
 
 
 def _check_reference(protocol: Protocol, reference: str) -> None:
     key = f"tasks.{protocol.name}.reference"
     if not protocol.references:
         raise ValueError(
-            f"{key} must not be set, got {reference!r}: each stimulus is judged by itself; leave it out"
+            f"{key} must not be set, got {reference!r}: nothing is compared with a reference here; leave it out"
         )
     kind = reference if reference in {ORIGINAL, SURFACE} else "reducer"
     if not reference or kind not in protocol.references:
@@ -437,6 +396,15 @@ def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, fl
     protocol = PROTOCOLS[trial.protocol]
     parts = {part.name: part.stimulus_id for part in trial.parts}
     return {j.part: protocol.score(j, values[j.part], parts) for j in trial.judgements}
+
+
+def find_other(trial: Trial, judgement: Judgement) -> str | None:
+    """Find the stimulus that a choice was made against; None where no part that is judged can be chosen."""
+    protocol = PROTOCOLS.get(trial.protocol)
+    others = {*(protocol.choices if protocol else ())} - {judgement.part}
+    if protocol is None or judgement.part not in protocol.choices:
+        return None
+    return next(part.stimulus_id for part in trial.parts if part.name in others)
 
 
 def is_as_expected(trial: Trial, values: Mapping[str, float | str]) -> bool | None:

@@ -327,12 +327,14 @@ class Task:
         Whether the real surface is felt first, where the judgement is absolute.
     training, practice : int
         Number of trials with feedback, and of trials without feedback that do not count, before the first that does.
+    pairs : int or None
+        Number of pairs of each recording and level that are compared in a task that may have some only; None for all.
 
     Examples
     --------
     >>> from feel321 import protocols
-    >>> protocols.make_task("mushra")
-    Task(protocol='mushra', timing='free', reference='original', surface=False, training=0, practice=0)
+    >>> protocols.make_task("mushra").timing
+    'free'
     """
 
     protocol: str
@@ -341,6 +343,7 @@ class Task:
     surface: bool = False
     training: int = 0
     practice: int = 0
+    pairs: int | None = None
 
 
 # Factors in which participants differ, and the stimuli and tasks of each group.

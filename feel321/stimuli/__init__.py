@@ -8,7 +8,6 @@ from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.conform import check_dft321
 from feel321.stimuli.formats.read import read_recording, read_recordings
 from feel321.stimuli.match import (
-    METRICS,
     SpectralMatch,
     TemporalMatch,
     spectral_match,
@@ -17,21 +16,17 @@ from feel321.stimuli.match import (
     temporal_match,
     temporal_match_details,
 )
+from feel321.stimuli.metrics import METRIC_INFO, METRICS, match
 from feel321.stimuli.recording import Recording, Reduced
 from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer, reduce
-from feel321.stimuli.rotation import INVARIANTS, match, rotation_statistics
-from feel321.stimuli.sets.anchors import (
-    ANCHORS,
-    THRESHOLDS,
-    acceleration_threshold,
-    felt_level,
-    sensation_level_db,
-)
+from feel321.stimuli.rotation import INVARIANTS, rotation_statistics
+from feel321.stimuli.sets.anchors import ANCHORS, felt_level, sensation_level_db
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, check_stimuli, read_stimuli
 from feel321.stimuli.sets.recipe import LEVELS, Recipe
 from feel321.stimuli.spectra import Spectrogram, Spectrum, psd, spectrogram
 from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold
 from feel321.stimuli.wav import read_wav, write_wav
 
 __all__ = [
@@ -39,6 +34,7 @@ __all__ = [
     "INVARIANTS",
     "LEVELS",
     "METRICS",
+    "METRIC_INFO",
     "REDUCERS",
     "SCENES",
     "THRESHOLDS",

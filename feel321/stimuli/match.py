@@ -36,7 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.doors import Registry, check_name
+from feel321.doors import check_name
 from feel321.records import Result
 from feel321.stimuli.recording import (
     SAFE_PEAK,
@@ -47,7 +47,7 @@ from feel321.stimuli.recording import (
     largest,
     scale_down,
 )
-from feel321.types import Grid, Metric, Samples
+from feel321.types import Grid, Samples
 
 WEBER_FRACTION = 0.22
 """Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""
@@ -495,16 +495,6 @@ def axis_correlations(samples: Samples, reduced: Samples) -> Samples:
     scale = norms * np.where(norm > 0, norm, 1.0)
     return np.where(silent, np.nan, np.minimum(together / np.where(silent, 1.0, scale), 1.0))
 
-
-METRICS: Registry[Metric] = Registry(
-    "metric",
-    {
-        "spectral_match": spectral_match,
-        "temporal_match": temporal_match,
-        "spectral_match_bounded": spectral_match_bounded,
-    },
-)
-"""Name -> metric, called as `METRICS[name](acceleration, reduced, rate_hz)`."""
 
 PLANNED = ("spectral_match_bounded", "temporal_match")
 """The metrics of the primary analysis, unless a study declares others."""

@@ -1,4 +1,4 @@
-"""Matches by reducer and metric, metrics that no rotation of the sensor changes, and how the others vary over them.
+"""Metrics that no rotation of the sensor changes, and how the match metrics vary over rotations.
 
 Conventions as in `match`: acceleration (3, n_samples) and reduced (n_samples,), both finite; every counterpart is
 called alike, `INVARIANTS[name](acceleration, reduced, rate_hz)`, and `name` is the name of its metric in `METRICS`.
@@ -29,9 +29,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.doors import Registry, as_rng, name_of
+from feel321.doors import Registry, as_rng
 from feel321.stimuli.match import (
-    METRICS,
     OriginalSpectrum,
     WeberSmoothing,
     axis_correlations,
@@ -40,14 +39,12 @@ from feel321.stimuli.match import (
     mean_over_axes,
 )
 from feel321.stimuli.recording import (
-    Reduced,
     Signal,
     admit,
     as_pair,
     as_signal,
     check_acceleration,
     check_reduced,
-    coerce_real,
     scale_down,
 )
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -172,69 +169,6 @@ INVARIANTS: Registry[Metric] = Registry(
     {"spectral_match": spectral_match_energy_weighted, "temporal_match": temporal_match_invariant},
 )
 """Name of one of the paper's metrics -> its bounded, rotation-invariant counterpart."""
-
-
-def match(
-    recording: Signal,
-    reduced: ArrayLike | None = None,
-    *,
-    rate_hz: float | None = None,
-    reducers: str | Reducer | Iterable[str | Reducer] = "all",
-    metrics: str | Metric | Iterable[str | Metric] = "all",
-) -> DataFrame:
-    """Match a recording with one reduced signal, or with the output of each reducer.
-
-    Parameters
-    ----------
-    recording : Recording, or array_like of shape (3, n_samples)
-        Acceleration; plain samples need `rate_hz`.
-    reduced : array_like of shape (n_samples,), or Reduced, optional
-        A reduced signal; if left out, the outputs of `reducers`.
-    rate_hz : float, optional
-        Sampling rate of plain samples in Hz.
-    reducers : "all", or a list of str or callables
-        Names of `REDUCERS`, dotted names ("mylab.haptics:my321"), or functions f(acceleration, rate_hz);
-        or one function, or a mapping of names to functions.
-    metrics : "all", or a list of str or callables
-        Names of `METRICS`, dotted names, or functions f(acceleration, reduced, rate_hz).
-
-    Returns
-    -------
-    DataFrame
-        A row per reducer, a column per metric.
-
-    Examples
-    --------
-    >>> from feel321 import stimuli
-    >>> scene = stimuli.make_scene("bumps", duration_s=1)
-    >>> stimuli.match(scene, reducers=["say321", "dft321"], metrics=["spectral_match"]).round(2)
-             spectral_match
-    reducer
-    say321             0.49
-    dft321             1.00
-    >>> stimuli.match(scene, scene.acceleration[0]).columns.tolist()
-    ['spectral_match', 'temporal_match', 'spectral_match_bounded']
-    """
-    import pandas as pd
-
-    given, rate = as_pair(recording, reduced, rate_hz)
-    samples = check_acceleration(given)
-    measures = METRICS.choose(metrics)
-    if isinstance(reduced, str) or callable(reduced):
-        raise TypeError(
-            f"reduced must be a signal; for a reducer, write reducers=[{name_of(reduced)}]"
-        )
-    if reduced is None:
-        functions = REDUCERS.choose(reducers)
-        outputs = {name: function(samples, rate) for name, function in functions.items()}
-    else:
-        name = reduced.reducer if isinstance(reduced, Reduced) else "reduced"
-        outputs = {name: coerce_real(reduced, "reduced")}
-    rows = [
-        [measure(samples, output, rate) for measure in measures.values()]
-        for output in outputs.values()
-    ]
-    return pd.DataFrame(rows, pd.Index(outputs, name="reducer"), columns=list(measures))
 
 
 @dataclass(frozen=True, slots=True)

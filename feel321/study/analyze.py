@@ -15,14 +15,16 @@ from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.match import METRICS
+from feel321.stimuli.metrics import MATCHES
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
-from feel321.study.folder import StudyFolder, find_changes, require_study
+from feel321.study.answers import write_answers
+from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import describe_matches, write_matches
+from feel321.study.provenance import find_changes
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings
@@ -77,6 +79,7 @@ def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
     if not write_ratings(study, stimuli):
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
+    write_answers(study)
     further = measure_rotations(study, settings, stimuli)
     matched = describe_matches(write_matches(study, stimuli))
     return replace(further, notes=(*further.notes, *matched, *note_estimates(everybody)))
@@ -100,7 +103,7 @@ DIGITS = 9
 def measure_rotations(study: StudyFolder, settings: Settings, stimuli: StimulusSet) -> Further:
     """Compute mean and spread of the metrics over sensor orientations for every test stimulus."""
     recordings, mistakes = try_recordings(settings, study.path)
-    recipe = make_recipe(settings)
+    recipe = make_recipe(settings, study.path)
     try:
         digests = {recording.name: recording.sha256 for recording in recordings}
         problems = mistakes or find_changes(study.stimuli, recipe, digests)
@@ -138,7 +141,7 @@ def compute_rotations(
     table = pd.DataFrame(
         [found[stimulus.recording][reducers.index(stimulus.reducer)] for stimulus in tests],
         index=pd.Index([stimulus.stimulus_id for stimulus in tests], name="stimulus_id"),
-        columns=[f"{metric}_rotation_{kind}" for metric in METRICS for kind in ("mean", "sd")],
+        columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
     )
     note = (
         f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {n_turns} random "
@@ -170,7 +173,7 @@ def gather_recordings(
     if study.settings.is_file():
         settings = read_settings(study.settings)
         own, mistakes = try_recordings(settings, folder)
-        steps = make_recipe(settings).conditioning
+        steps = make_recipe(settings, folder).conditioning
     others = [make_scene(name) for name in SCENES] if scenes else []
     for path in _list_files(extra):
         try:

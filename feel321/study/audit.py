@@ -11,6 +11,7 @@ has noted every session that came beyond its opening.
 
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import pairwise
@@ -21,6 +22,7 @@ from typing import Any
 
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import INTERVALS, THRESHOLD
+from feel321.protocols.questions import PREFIX, find_question
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import ASIDE, MATCHING, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
@@ -114,7 +116,8 @@ class _Course:
     """A session, followed record by record."""
 
     def __init__(self, plan: Plan) -> None:
-        self._agenda = Agenda(plan.trials, plan.flow)
+        self._agenda = Agenda(plan.trials, plan.flow, plan.questions)
+        self._questions, self._asked = plan.questions, Counter[str]()
         self._flow = plan.flow
         self._trials = {trial.number: trial for trial in plan.trials}
         self._detection = recall_detection(plan, ())
@@ -218,6 +221,8 @@ class _Course:
                 self._attempt = events.Attempt(step, number)
             case events.PageRead():
                 self._check_page(event, step)
+            case events.QuestionAnswered():
+                self._check_answer(event)
             case events.SessionFinished():
                 if step is not None:
                     raise ValueError(f"finished after {agenda.done} of {agenda.total} trials")
@@ -226,6 +231,21 @@ class _Course:
                         f"finished with {event.trials} trials, {event.given_up} of them given up; "
                         f"the journal holds {agenda.done} and {agenda.given_up}"
                     )
+
+    def _check_answer(self, event: events.QuestionAnswered) -> None:
+        question = find_question(self._questions, f"{PREFIX}{event.question}")
+        if question is None:
+            raise ValueError(f"answers {event.question!r}, which the plan does not ask")
+        self._asked[event.question] += 1
+        if event.occasion != self._asked[event.question]:
+            raise ValueError(
+                f"answers {event.question!r} as occasion {event.occasion}, it is {self._asked[event.question]}"
+            )
+        if question.find_fault(event.value) or event.personal is not question.personal:
+            raise ValueError(
+                f"answers {event.question!r} as nobody can: the value must be one that the plan offers, and marked "
+                f"personal = {question.personal}"
+            )
 
     def _check_page(self, event: events.PageRead, step: Page | Trial | None) -> None:
         if event.key in ASIDE and event.key != self._aside:

@@ -1,22 +1,17 @@
-"""The folder of a study: its places, how it is begun and found, and whether its stimuli are up to date."""
+"""The folder of a study: its places, how it is begun and found, and what its stimuli were made of."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.files import create_text
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PARTICIPANT_ID
-
-if TYPE_CHECKING:
-    from feel321.stimuli.sets.recipe import Recipe
-
 
 SETTINGS_FILE = "study.toml"
 RIG_FILE = "rig.toml"
@@ -190,18 +185,21 @@ def read_bundled(name: str) -> str:
 
 
 MANIFEST_JSON = "manifest.json"
+METHODS = ("reducers", "metrics")
+"""Entries of it on the lab's own methods, and on further metrics; there where there are any."""
 
 
 @dataclass(frozen=True, slots=True)
 class Origin:
     """What `manifest.json` says.
 
-    recordings: name of each recording -> digest of its source.
+    recordings: name of each recording -> digest of its source; methods: the lab's own, and further metrics, by kind.
     """
 
     recipe: dict[str, Any]
     rows: list[dict[str, Any]]
     recordings: dict[str, str]
+    methods: dict[str, Any]
 
 
 def read_origin(folder: Path) -> Origin:
@@ -214,6 +212,7 @@ def read_origin(folder: Path) -> Origin:
             dict(details["recipe"]),
             rows,
             {row["recording"]: row["recording_sha256"] for row in rows},
+            {kind: details[kind] for kind in METHODS if kind in details},
         )
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise ValueError(
@@ -222,38 +221,8 @@ def read_origin(folder: Path) -> Origin:
         ) from None
 
 
-def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | None]) -> list[str]:
-    """Compare a built set with what the settings ask for; no recording is read for it.
-
-    recordings: name of each recording in the settings -> digest of its source.
-    """
-    origin = read_origin(folder)
-    wanted = json.loads(json.dumps(asdict(recipe)))
-    changes = list(_compare_recipes(origin.recipe, wanted))
-    if set(origin.recordings) != set(recordings):
-        built, named = (", ".join(sorted(names)) for names in (origin.recordings, recordings))
-        changes.append(f"recordings: built from {built}; the settings name {named}")
-    changes += [
-        f"recording {name!r}: is not the one that the set was built from"
-        for name, sha256 in recordings.items()
-        if sha256 is not None and origin.recordings.get(name, sha256) != sha256
-    ]
-    return [f"{folder}: {change}" for change in changes]
-
-
 def is_in_use(study: StudyFolder, stimuli_sha256: str) -> bool:
     """Check whether any plan or journal names a stimulus set."""
     # By the bare text, so that damaged files count too.
     files = study.sessions.glob("*/*.json*")
     return any(stimuli_sha256.encode() in path.read_bytes() for path in files if path.is_file())
-
-
-def _compare_recipes(
-    built: Mapping[str, Any], wanted: Mapping[str, Any], *, table: str = ""
-) -> Iterator[str]:
-    for key in sorted({*built, *wanted}):
-        old, new = built.get(key), wanted.get(key)
-        if isinstance(old, dict) and isinstance(new, dict):
-            yield from _compare_recipes(old, new, table=f"{key}.")
-        elif old != new:
-            yield f"{table}{key}: built with {json.dumps(old)}; the settings say {json.dumps(new)}"

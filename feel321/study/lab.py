@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.output import Check, Output
     from feel321.study.folder import StudyFolder
-    from feel321.study.screen.layout import Hand
+    from feel321.study.screen.view import Hand
     from feel321.study.session.journal import Clock, Journal
     from feel321.study.session.plan import Plan
     from feel321.study.session.ports import Place, Presenter
@@ -120,8 +120,8 @@ def open_lab(
     plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, lab: Lab
 ) -> Iterator[Presenter]:
     """Open the actuators and the screen, and close both whatever happens."""
-    from feel321.study.screen.layout import make_screen_texts
     from feel321.study.screen.presenter import ScreenPresenter
+    from feel321.study.screen.view import make_screen_texts
     from feel321.study.screen.window import open_screen
 
     clock = start_clock(journal.records.find_elapsed())
@@ -182,7 +182,7 @@ def _make_check(lab: Lab) -> Check | None:
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 
     recordings, _ = try_recordings(lab.settings, lab.study.path)
-    reduced = reduce_stimuli(lab.stimuli, recordings, make_recipe(lab.settings))
+    reduced = reduce_stimuli(lab.stimuli, recordings, make_recipe(lab.settings, lab.study.path))
     return DeliveryCheck(
         lab.stimuli,
         lab.rig,

@@ -7,8 +7,6 @@ participants; the interval is Student's, over participants.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,7 +14,7 @@ from dataclasses import dataclass
 from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
-from feel321.files import write_text
+from feel321.files import write_table
 from feel321.protocols.matching import SECOND, Matching
 from feel321.protocols.trial import MATCHING
 from feel321.study.session.codes import list_by_code
@@ -50,11 +48,7 @@ def write_matches(study: StudyFolder, stimuli: StimulusSet) -> list[dict[str, An
     rows = [row for folder in study.participants for row in read_matches(folder, stimuli)]
     path = study.path / MATCHES_FILE
     if rows or path.exists():
-        text = io.StringIO(newline="")
-        table = csv.DictWriter(text, COLUMNS)
-        table.writeheader()
-        table.writerows(rows)
-        write_text(path, text.getvalue())
+        write_table(path, COLUMNS, rows)
     return rows
 
 

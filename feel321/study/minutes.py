@@ -17,12 +17,13 @@ from feel321.protocols.agenda import SECONDS, Agenda
 from feel321.protocols.detection import name_tone
 from feel321.protocols.trial import Page
 from feel321.study.observer.participant import STROKE_S, UNHURRIED
-from feel321.study.session.events import PageRead, TrialRated, TrialShown
+from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
 from feel321.study.session.plan import make_trials, read_dossier, replay
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    from feel321.protocols.questions import Question
     from feel321.protocols.trial import Flow, Item, Trial
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
@@ -83,16 +84,17 @@ class Sitting:
     trials: Sequence[Trial]
     flow: Flow
     durations: Mapping[str, float]
+    questions: Sequence[Question] = ()
 
     @classmethod
     def plan(cls, course: Plan | Course, flow: Flow, durations: Mapping[str, float]) -> Sitting:
         """Take trials from a plan, and the duration of tones from its threshold block, if it has one."""
         if (block := course.threshold) is None:
-            return cls(course.trials, flow, durations)
+            return cls(course.trials, flow, durations, course.questions)
         # Silence before a tone is the block's own.
         tone_s = block.duration_s + block.gap_s - flow.gap_s
         tones = {name_tone(frequency): tone_s for frequency in block.frequencies_hz}
-        return cls(course.trials, flow, {**durations, **tones})
+        return cls(course.trials, flow, {**durations, **tones}, course.questions)
 
     def measure_felt(self, trial: Trial) -> float:
         """Compute how long it takes to feel every part of a trial once, in s."""
@@ -108,7 +110,7 @@ class Sitting:
         agenda: what is still to be done, all by default; clock_s: time since the session began. Every answer is taken
         as a good one, and as expected where any is.
         """
-        agenda = agenda or Agenda(self.trials, self.flow)
+        agenda = agenda or Agenda(self.trials, self.flow, self.questions)
         reached: dict[int, float] = {}
         while (step := agenda.ask()) is not None:
             reached.setdefault(agenda.done, clock_s)
@@ -196,6 +198,7 @@ def _list_readings(plan: Plan, records: Records) -> Iterator[float]:
     least_s = {"break": plan.flow.break_s, "rest": plan.flow.rest_s}
     for page in records.find(PageRead):
         yield max(0.0, page.stood_s - least_s.get(page.key, 0.0))
+    yield from (answered.stood_s for answered in records.find(QuestionAnswered))
 
 
 def find_left(

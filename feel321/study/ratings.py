@@ -3,14 +3,12 @@
 It may be deleted at any time: it is written anew, byte for byte the same, from what the journals hold.
 """
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from feel321.files import write_text
-from feel321.protocols.tasks import score_trial
+from feel321.files import write_table
+from feel321.protocols.tasks import find_other, score_trial
 from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.columns import RATING_COLUMNS
@@ -37,11 +35,7 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     was begun anew, is there and marked as rejected.
     """
     rows = [row for folder in study.participants for row in read_judgements(folder, stimuli)]
-    text = io.StringIO(newline="")
-    table = csv.DictWriter(text, RATING_COLUMNS)
-    table.writeheader()
-    table.writerows(rows)
-    write_text(study.ratings, text.getvalue())
+    write_table(study.ratings, RATING_COLUMNS, rows)
     return len(rows)
 
 
@@ -89,7 +83,8 @@ def _decode(
     *,
     levels: Mapping[str, float],
 ) -> dict[str, Any]:
-    stimulus, reference = by_code[row["stimulus_id"]], by_code.get(row["reference_id"])
+    stimulus = by_code[row["stimulus_id"]]
+    others = {name: by_code.get(row[name]) for name in ("reference_id", "other_id")}
     return row | {
         "participant": header.participant,
         "session": header.session,
@@ -97,7 +92,7 @@ def _decode(
         "recording": stimulus.recording,
         "reducer": stimulus.reducer,
         "level": stimulus.level,
-        "reference_id": reference.stimulus_id if reference else row["reference_id"],
+        **{name: other.stimulus_id if other else row[name] for name, other in others.items()},
         "simulated": _write_flag(header.identity["presenter"]["simulated"]),
         "sensation_level_db": levels.get(stimulus.stimulus_id, ""),
     }
@@ -145,6 +140,7 @@ def _judge(
             "underruns": sum(part.underruns for part in played),
             "rejected": _write_flag(rated.rejected or superseded),
             **_describe_delivered(felt[judgement.part].delivered),
+            "other_id": find_other(trial, judgement),
         }
 
 

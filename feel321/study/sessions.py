@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import read_scales
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.folder import StudyFolder, find_changes
 from feel321.study.ledger.progress import Anchor, check_anchors
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
+from feel321.study.provenance import find_changes
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.events import SessionFinished
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from feel321.protocols.trial import Scale
     from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.rig import Rig
+    from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
 
 MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], AbstractContextManager[Presenter]]
@@ -133,7 +134,7 @@ class _Keeper:
 def require_current_set(study: StudyFolder, settings: Settings) -> None:
     """Check that the stimulus set is the one of the settings; no recording is read for it."""
     named = dict.fromkeys(entry.title for entry in settings.recordings)
-    if changes := find_changes(study.stimuli, make_recipe(settings), named):
+    if changes := find_changes(study.stimuli, make_recipe(settings, study.path), named):
         raise ValueError(
             "\n".join(f"{change}; run feel321 build {quote(str(study.path))}" for change in changes)
         )
@@ -186,7 +187,7 @@ def plan_sessions(
 ) -> list[Plan]:
     """Give participants their numbers in the design, and plan their sessions."""
     numbers = claim_slots(room.ledger, participants, simulated=simulated, now=room.now)
-    design = make_design(settings)
+    design = make_design(settings, room.study.path)
     return [
         make_plan(design, room.stimuli, name, number=numbers[name], simulated=simulated)
         for name in participants

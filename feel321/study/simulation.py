@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 from feel321.study.observer.participant import (
     SPECTRAL,
     ObserverModel,
-    SimulatedObserver,
     Touch,
     expect_rating,
     identify_observer,
 )
 from feel321.study.observer.percepts import Percept, read_percepts
+from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import Journal, list_journals, read_journal
 from feel321.study.session.plan import TOMBSTONE_FILE, Plan
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.answers import write_answers
 from feel321.study.ledger.progress import write_roster
 from feel321.study.matches import write_matches
 from feel321.study.ratings import write_ratings
@@ -224,4 +225,5 @@ def simulate_study(
             warn(notice)
     write_roster(study)
     write_matches(study, stimuli)
+    write_answers(study)
     return write_ratings(study, stimuli)

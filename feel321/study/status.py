@@ -14,7 +14,7 @@ from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
 from feel321.protocols.order import TASK_ORDERS
-from feel321.protocols.tasks import is_as_expected
+from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
@@ -186,7 +186,8 @@ def _measure(task: str, what: str, sequences: Sequences, *, cycles: int) -> Even
 def _name_condition(trial: Trial) -> str:
     """Name the two stimuli that are compared, whichever comes first."""
     about = trial.judgements[0]
-    return "|".join(sorted({about.stimulus_id, about.reference_id or about.stimulus_id}))
+    other = find_other(trial, about) or about.reference_id or about.stimulus_id
+    return "|".join(sorted({about.stimulus_id, other}))
 
 
 @dataclass(frozen=True, slots=True)

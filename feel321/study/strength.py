@@ -13,16 +13,12 @@ import numpy as np
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.condition import condition
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.anchors import THRESHOLDS, acceleration_threshold, to_db
+from feel321.stimuli.sets.anchors import to_db
 from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
 from feel321.stimuli.sets.manifest import StimulusSet
-from feel321.stimuli.sets.recipe import (
-    GAIN_PER_RECORDING,
-    ONE_GAIN,
-    ORIGINAL,
-    Recipe,
-    find_headroom_cost,
-)
+from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, Recipe
+from feel321.stimuli.sets.render import find_headroom_cost
+from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold
 from feel321.study.actuator import render
 from feel321.study.actuator.mixer import ROUNDING
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
@@ -126,7 +122,7 @@ def describe_built(
     settings: Settings, recordings: Sequence[Recording], stimuli: StimulusSet
 ) -> list[str]:
     """Describe after a build by which gains stimuli are played, and how many of them cannot be felt."""
-    recipe = make_recipe(settings)
+    recipe = make_recipe(settings, stimuli.folder.parent)
     foreseen = foresee_stimuli(recordings, stimuli.folder, recipe=recipe)
     unfelt = filter(None, [find_unfelt(settings, stimuli)])
     return [*describe_gains(foreseen, recipe), *unfelt, *stimuli.warnings]

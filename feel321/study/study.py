@@ -167,6 +167,20 @@ class Contents:
         write_ratings(self.folder, self.stimuli())
         return pd.read_csv(self.folder.ratings)
 
+    def answers(self) -> DataFrame:
+        """Derive the answers to question pages from the journals; personal ones are marked so.
+
+        Returns
+        -------
+        DataFrame
+            One row per answer, as `answers.csv` holds them, which is written anew; empty where nothing was asked.
+        """
+        import pandas as pd
+
+        from feel321.study.answers import COLUMNS, write_answers
+
+        return pd.DataFrame(write_answers(self.folder), columns=list(COLUMNS))
+
     def table(self) -> Table:
         """Join ratings and metrics for the analysis.
 

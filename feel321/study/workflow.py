@@ -19,8 +19,9 @@ from feel321.study.actuator.certificate import Certificate, judge_certificates, 
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.findings import Problems
-from feel321.study.folder import StudyFolder, find_changes, is_in_use
+from feel321.study.folder import StudyFolder, is_in_use
 from feel321.study.minutes import measure_design
+from feel321.study.provenance import find_changes
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
 from feel321.study.sessions import list_rig_problems
@@ -45,7 +46,7 @@ def build_study(
     """Build the stimulus set of a study."""
     settings = read_settings(study.settings)
     recordings = open_recordings(settings, study.path)
-    recipe = make_recipe(settings)
+    recipe = make_recipe(settings, study.path)
     _protect_used_set(study, recipe, recordings)
     stimuli = build_stimuli(
         recordings, study.stimuli, recipe=recipe, workers=workers, progress=progress
@@ -122,7 +123,7 @@ def _try_recipe(
     study: StudyFolder, settings: Settings, recordings: Sequence[Recording]
 ) -> tuple[Recipe | None, list[str]]:
     try:
-        recipe = make_recipe(settings)
+        recipe = make_recipe(settings, study.path)
     except ValueError as error:
         return None, [f"{study.settings.name}: {error}"]
     return recipe, list(_check_recordings(recordings, recipe))
@@ -137,7 +138,7 @@ def _find_strength(
     rig: Rig | None,
 ) -> Problems:
     """Find out how strong stimuli are, how long a session takes, and, with a rig, how it brings them to the hand."""
-    recipe = make_recipe(settings)
+    recipe = make_recipe(settings, study.path)
     found = strength.find_strength(settings, foreseen, recipe)
     found = _add_minutes(found, settings, recordings, foreseen=foreseen)
     is_built = study.manifest.exists()  # then its files are examined themselves
@@ -212,7 +213,10 @@ def _check_set(
 
 def _check_plan(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that the tasks of every group find the stimuli that they need."""
-    (design, groups), stimuli = _keep_choosing(make_design(settings)), read_stimuli(study.stimuli)
+    (design, groups), stimuli = (
+        _keep_choosing(make_design(settings, study.path)),
+        read_stimuli(study.stimuli),
+    )
     problems: dict[str, None] = {}
     for number in range(1, groups + 1):
         try:
@@ -264,11 +268,13 @@ def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
 
 
 def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
-    from feel321.study.screen.layout import find_overflows, make_screen_texts
+    from feel321.study.screen.layout import find_overflows
+    from feel321.study.screen.view import make_screen_texts
 
     language = find_language(settings, study.path)
     try:
         texts, scales = read_study_texts(settings, study.path), read_scales(language)
+        questions = make_design(settings, study.path).questions
     except OSError as error:
         return [
             f"{error.filename}: {error.strerror}; put your texts there, or name a language of the catalogue"
@@ -277,7 +283,7 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
         return str(error).splitlines()
     return [
         f"texts in {language}: {problem}"
-        for problem in find_overflows(make_screen_texts(texts), scales.values())
+        for problem in find_overflows(make_screen_texts(texts), scales.values(), questions)
     ]
 
 

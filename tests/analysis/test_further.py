@@ -14,7 +14,7 @@ from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.write import describe_inputs
 from feel321.analysis.table.metrics import describe_further
 from feel321.analysis.table.reading import Further, Table, read_table
-from feel321.stimuli.match import METRICS
+from feel321.stimuli.metrics import MATCHES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -65,7 +65,7 @@ def test_every_metric_may_be_told_in_four_more_ways() -> None:
         "temporal_match": ["temporal_match_invariant"],
         "spectral_match_bounded": [],  # bounded, and no orientation changes it
     }
-    every = [[*(f"{metric}_{kind}" for kind in kinds), *own[metric]] for metric in METRICS]
+    every = [[*(f"{metric}_{kind}" for kind in kinds), *own[metric]] for metric in MATCHES]
     assert list(describe_further()) == list(chain(*every))
     meanings = [column.meaning for column in describe_further().values()]
     assert len(set(meanings)) == len(meanings)

@@ -16,7 +16,8 @@ from feel321.analysis.report.reducers import compute_contrasts
 from feel321.analysis.table import schema
 from feel321.protocols import PROTOCOLS
 from feel321.protocols.trial import SURFACE
-from feel321.stimuli.match import METRICS, PLANNED
+from feel321.stimuli.match import PLANNED
+from feel321.stimuli.metrics import MATCHES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -243,7 +244,7 @@ def test_records_are_found_in_results_and_with_a_warning_here() -> None:
 
 
 def test_names_of_other_packages_are_repeated_rightly() -> None:
-    assert list(schema.MATCHES) == list(METRICS)
+    assert list(schema.MATCHES) == list(MATCHES)
     assert schema.PLANNED == PLANNED
     assert list(schema.REDUCERS) == list(stimuli.REDUCERS)
     assert schema.SURFACE == SURFACE

@@ -34,7 +34,7 @@ sample = "the plastic"
 [stimuli]
 reducers = ["saz321", "mag321", "dft321"]
 [session]
-protocols = ["realism", "similarity", "dissimilarity", "mushra", "abx"]
+protocols = ["realism", "similarity", "dissimilarity", "mushra", "abx", "triplet", "preference"]
 [tasks.similarity]
 reference = "surface"
 [tasks.mushra]
@@ -66,6 +66,9 @@ def test_every_task_loads(lab: StudyFolder) -> None:
     assert counts["mushra"].to_dict() == {"anchor": 12, "reference": 12, "test": 12}
     assert counts["dissimilarity"].to_dict() == {"pair": 18, "reference": 6, "test": 18}
     assert counts["abx"].to_dict() == {"anchor": 12, "test": 18}
+    # Three pairs and two catch trials; with the recording itself six pairs.
+    assert counts["triplet"].to_dict() == {"pair": 3 * 2 * 5}
+    assert counts["preference"].to_dict() == {"pair": 3 * 2 * 8}
     assert table.notes[0].startswith("Stimuli as is were played with one gain for the whole set: ")
     assert table.notes[1:] == (
         "Scale 'mushra': 36 judgements were made against what 'dft321' made of the recording; the metrics compare with "
@@ -88,5 +91,5 @@ def test_every_task_has_its_place_in_the_report(lab: StudyFolder) -> None:
     assert '<td class="text">as is</td>' in page  # of ABX, where the level has a column of its own
     assert "as_is" not in page
     profiles = pd.read_csv(folder / "tables" / "profiles.csv")
-    assert set(profiles["scale"]) == set(PROTOCOLS)
+    assert set(profiles["scale"]) == set(PROTOCOLS) - {"triplet", "preference"}
     assert set(profiles.query("role == 'test'")["n_participants"]) == {3}

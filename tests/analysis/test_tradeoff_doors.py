@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -122,15 +123,21 @@ def half_diagonal(acceleration: np.ndarray, _: float) -> np.ndarray:
     return 0.5 * (x + y)
 
 
-def test_stress_takes_a_labs_own_reducers_in_every_form() -> None:
+def test_stress_takes_a_labs_own_reducers_in_every_form(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     few = {"takes": 2, "draws": 2}
     alone = analysis.stress(BUMPS, reducers=[half_diagonal], **few)
     assert alone.reducers == ("half_diagonal",)
     batched = {"half_diagonal": lambda a, _: 0.5 * (a[..., 0, :] + a[..., 1, :])}
     assert analysis.stress(BUMPS, reducers=batched, **few) == alone
-    dotted = "feel321.stimuli.reducers.axes:mag321"
-    mixed = analysis.stress(reducers=["mag321", dotted], **few)
-    assert mixed.reducers == ("mag321", dotted)
+    (tmp_path / "mylab_stress.py").write_text(
+        "from feel321.stimuli.reducers.axes import mag321\n"
+        "def length(acceleration, rate_hz):\n    return mag321(acceleration, rate_hz)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    mixed = analysis.stress(reducers=["mag321", "mylab_stress:length"], **few)
+    assert mixed.reducers == ("mag321", "length")
     first, second = (
         [replace(one, reducer="") for one in mixed.cells if one.reducer == name]
         for name in mixed.reducers

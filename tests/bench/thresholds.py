@@ -20,7 +20,8 @@ from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.observer.participant import ObserverModel, SimulatedObserver
+from feel321.study.observer.participant import ObserverModel
+from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
 from feel321.study.session.plan import Design, Stale, make_plan, open_session
 from feel321.study.thresholds import is_usable, read_thresholds

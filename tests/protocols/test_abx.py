@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.tasks import ABX_CHOICES, PROTOCOLS, make_task
+from feel321.protocols.choosing import ABX_CHOICES
+from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import list_languages, read_scales
 
 if TYPE_CHECKING:

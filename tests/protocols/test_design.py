@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from feel321.protocols.balance import measure_balance, williams_square
 from feel321.protocols.order import ORDERS, arrange_sections, make_order, order_tasks
-from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.tasks import PROTOCOLS, find_other, make_task
 from feel321.protocols.trial import Item
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ def list_items(n_recordings: int, n_stimuli: int) -> list[Item]:
 def name_comparison(trial: Trial) -> tuple[str, str, tuple[str, ...]]:
     """What is compared, whatever its arrangement."""
     about = {name for j in trial.judgements for name in (j.stimulus_id, j.reference_id) if name}
+    about |= {str(find_other(trial, trial.judgements[0]))} - {"None"}
     return trial.protocol, trial.recording, tuple(sorted(about))
 
 
@@ -76,7 +77,7 @@ def count_neighbours(rows: Iterable[Sequence[str]]) -> Counter[tuple[str, str]]:
     return Counter(pair for row in rows for pair in pairwise(row))
 
 
-@given(orders, numbers, repeat_counts, st.integers(1, 4), st.integers(2, 5), seeds)
+@given(orders, numbers, repeat_counts, st.integers(1, 4), st.integers(3, 5), seeds)
 def test_every_order_is_a_permutation_of_what_is_to_be_judged(
     name: str, number: int, repeats: int, n_recordings: int, n_stimuli: int, seed: int
 ) -> None:
@@ -87,7 +88,9 @@ def test_every_order_is_a_permutation_of_what_is_to_be_judged(
         (t.protocol for t in trials), key=list(PROTOCOLS).index
     )
     counts = Counter((name_comparison(t), t.repeat) for t in trials)
-    per_recording = 2 * n_stimuli + n_stimuli * (n_stimuli - 1) // 2 + 1 + 1 + n_stimuli - 1
+    pairs = n_stimuli * (n_stimuli - 1) // 2
+    per_recording = 2 * n_stimuli + pairs + 1 + 1 + n_stimuli - 1
+    per_recording += pairs - (n_stimuli - 1) + pairs  # triplets leave the original out
     assert set(counts.values()) == {1}
     assert len(counts) == repeats * n_recordings * per_recording
     assert {repeat for _, repeat in counts} == set(range(1, repeats + 1))

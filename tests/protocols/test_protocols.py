@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.protocols.tasks import EXPECTED, PROTOCOLS, make_task, measure_chance
+from feel321.protocols.arms import EXPECTED
+from feel321.protocols.tasks import PROTOCOLS, make_task, measure_chance
 from feel321.protocols.texts import list_languages, read_scales
 from feel321.protocols.trial import RATING_RANGE, SURFACE, TIMINGS, Judgement, Trial
 
@@ -49,8 +50,27 @@ def describe(task: Task) -> str:
 
 
 def draw_comparisons(task: Task, drawn: Drawn, make_items: MakeItems) -> tuple[Comparison, ...]:
-    names = (*drawn["reducers"], "original", *drawn["anchors"])
-    return PROTOCOLS[task.protocol].compare(make_items("tap", names, drawn["levels"]), task)
+    return PROTOCOLS[task.protocol].compare(
+        make_items("tap", list_names(task, drawn), drawn["levels"]), task
+    )
+
+
+def list_names(task: Task, drawn: Drawn) -> tuple[str, ...]:
+    """The stimuli of a set; a triplet has two reducers to choose from besides the one that may be the reference."""
+    reducers = (
+        drawn["reducers"]
+        if task.protocol != "triplet"
+        else REDUCERS[: max(3, len(drawn["reducers"]))]
+    )
+    return (*reducers, "original", *drawn["anchors"])
+
+
+def find_winner(comparison: Comparison) -> str | None:
+    """The stimulus that must be chosen, if any must."""
+    (judgement,) = comparison.judgements
+    felt = {part.name: part.stimulus_id for part in comparison.parts}
+    assert felt["a"] == judgement.stimulus_id
+    return felt["ab"[judgement.expected[0] == 0]] if judgement.expected else None
 
 
 every_task = pytest.mark.parametrize("task", all_tasks(), ids=describe)
@@ -58,7 +78,15 @@ few = settings(max_examples=25)  # there are 54 sets
 
 
 def test_registry_lists_every_protocol_under_its_own_name() -> None:
-    assert list(PROTOCOLS) == ["realism", "similarity", "dissimilarity", "mushra", "abx"]
+    assert list(PROTOCOLS) == [
+        "realism",
+        "similarity",
+        "dissimilarity",
+        "mushra",
+        "abx",
+        "triplet",
+        "preference",
+    ]
     assert all(name == protocol.name == protocol.scale for name, protocol in PROTOCOLS.items())
     with pytest.raises(TypeError, match="does not support item assignment"):
         PROTOCOLS["realism"] = PROTOCOLS["abx"]  # type: ignore[index] - that it is refused is the point
@@ -151,6 +179,8 @@ def test_arranging_moves_what_is_felt_and_changes_nothing_else(
     def gist(comparison: Comparison) -> tuple[list[str], set[str | None], Counter[object], str]:
         pairs: Counter[object] = Counter(
             (frozenset({judgement.stimulus_id, judgement.reference_id}), judgement.expected)
+            if judgement.part not in PROTOCOLS[task.protocol].choices
+            else (judgement.reference_id, find_winner(comparison))
             for judgement in comparison.judgements
         )
         felt = {part.stimulus_id for part in comparison.parts}
@@ -181,7 +211,7 @@ def test_a_catch_is_where_something_is_expected(
 def test_training_shows_what_is_judged_and_all_that_is_known_of_it(
     task: Task, drawn: Drawn, make_items: MakeItems
 ) -> None:
-    names = (*drawn["reducers"], "original", *drawn["anchors"])
+    names = list_names(task, drawn)
     judged = draw_comparisons(task, drawn, make_items)
     taught = PROTOCOLS[task.protocol].make_lessons(make_items("tap", names, drawn["levels"]), task)
     for comparison, lesson in zip(judged, taught, strict=False):
@@ -197,7 +227,7 @@ def test_a_guess_is_right_on_every_slider_or_by_one_choice_of_all(make_items: Ma
     chances = {}
     for name, protocol in PROTOCOLS.items():
         *_, last = protocol.compare(
-            make_items("tap", ("dft321", "original", "low", "mid")), make_task(name)
+            make_items("tap", ("sax321", "dft321", "original", "low", "mid")), make_task(name)
         )
         chances[name] = measure_chance(
             Trial(1, 0, 0, name, name, "replay", "tap", last.parts, last.judgements, "training")
@@ -208,15 +238,19 @@ def test_a_guess_is_right_on_every_slider_or_by_one_choice_of_all(make_items: Ma
         "dissimilarity": 0.25,
         "mushra": 0.25 * 0.5**2,
         "abx": 0.5,
+        "triplet": 0.5,
+        "preference": 0.5,
     }
 
 
-@pytest.mark.parametrize("name", [name for name in PROTOCOLS if name != "abx"])
+@pytest.mark.parametrize(
+    "name", [name for name, protocol in PROTOCOLS.items() if not protocol.choices]
+)
 def test_a_slider_gives_its_points(name: str) -> None:
     assert PROTOCOLS[name].score(Judgement("test", "tap"), 62.5, {"test": "tap"}) == 62.5
 
 
-@pytest.mark.parametrize("name", ["dissimilarity", "mushra", "abx"])
+@pytest.mark.parametrize("name", ["dissimilarity", "mushra", "abx", "triplet", "preference"])
 def test_a_recording_without_anything_to_test_is_refused(name: str, make_items: MakeItems) -> None:
     with pytest.raises(
         ValueError,

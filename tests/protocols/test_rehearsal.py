@@ -40,14 +40,23 @@ def test_each_task_has_its_training_then_its_practice_and_never_more_than_there_
     training: int, practice: int, seed: int
 ) -> None:
     trials = rehearse(*PROTOCOLS, training=training, practice=practice, seed=seed)
-    n_comparisons = {"realism": 18, "similarity": 18, "dissimilarity": 21, "mushra": 3, "abx": 15}
+    n_comparisons = {
+        "realism": 18,
+        "similarity": 18,
+        "dissimilarity": 21,
+        "mushra": 3,
+        "abx": 15,
+        "triplet": 15,
+        "preference": 24,
+    }
     asked = {"training": training, "practice": practice}
     expected = {
         (name, phase): min(n, asked[phase]) for name, n in n_comparisons.items() for phase in asked
     }
     # Anchors are felt in training only.
     expected["dissimilarity", "training"] = min(21 + 6, training)
-    expected["abx", "training"] = min(15, 2 * training)  # half of the guesses are right
+    for name in ("abx", "triplet", "preference"):  # half of the guesses are right
+        expected[name, "training"] = min(n_comparisons[name], 2 * training)
     assert Counter((t.protocol, t.phase) for t in trials) == Counter(expected)
     assert list(dict.fromkeys((t.protocol, t.phase) for t in trials)) == [
         key for key, n in expected.items() if n

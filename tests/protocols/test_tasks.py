@@ -37,7 +37,8 @@ def test_what_is_asked_for_is_what_the_task_says() -> None:
         (
             "loudness",
             {},
-            "protocol must be one of realism, similarity, dissimilarity, mushra, abx; got 'loudness'",
+            "protocol must be one of realism, similarity, dissimilarity, mushra, abx, triplet, preference; got "
+            "'loudness'",
         ),
         ("mushra", {"timing": "strict"}, "tasks.mushra.timing must be one of free; got 'strict'"),
         (
@@ -48,7 +49,8 @@ def test_what_is_asked_for_is_what_the_task_says() -> None:
         (
             "realism",
             {"reference": "original"},
-            "tasks.realism.reference must not be set, got 'original': each stimulus is judged by itself; leave it out",
+            "tasks.realism.reference must not be set, got 'original': nothing is compared with a reference "
+            "here; leave it out",
         ),
         (
             "abx",
@@ -74,6 +76,13 @@ def test_what_is_asked_for_is_what_the_task_says() -> None:
         ("abx", {"surface": True}, "nothing is judged by itself here; leave it out"),
         ("abx", {"training": -1}, "tasks.abx.training must be a whole number from 0, got -1"),
         ("abx", {"practice": -2}, "tasks.abx.practice must be a whole number from 0, got -2"),
+        ("preference", {"reference": "original"}, "nothing is compared with a reference here"),
+        ("triplet", {"pairs": 0}, "tasks.triplet.pairs must be a whole number from 1, got 0"),
+        (
+            "abx",
+            {"pairs": 3},
+            "tasks.abx.pairs must not be set, got 3: only triplet and preference have it; leave it out",
+        ),
     ],
 )
 def test_what_a_protocol_does_not_have_is_refused(

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.protocols.choosing import ABX_CHOICES, PAIR_CHOICES
 from feel321.protocols.detection import INTERVALS, THRESHOLD
-from feel321.protocols.tasks import ABX_CHOICES, PROTOCOLS, make_task
+from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import (
     CATALOG,
     MODEL,
@@ -33,6 +34,8 @@ ENDS = {
         "dissimilarity": ("Identical", "Completely different"),
         "mushra": ("Not at all", "Just like the reference"),
         "abx": ("Wrong", "Right"),
+        "triplet": ("B", "A"),
+        "preference": ("B", "A"),
         "threshold": ("Wrong", "Right"),
         "matching": ("Weaker", "Stronger"),
     },
@@ -42,6 +45,8 @@ ENDS = {
         "dissimilarity": ("Identisch", "Völlig verschieden"),
         "mushra": ("Überhaupt nicht", "Genau wie die Referenz"),
         "abx": ("Falsch", "Richtig"),
+        "triplet": ("B", "A"),
+        "preference": ("B", "A"),
         "threshold": ("Falsch", "Richtig"),
         "matching": ("Schwächer", "Stärker"),
     },
@@ -86,6 +91,8 @@ def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
     )
     assert {name: scale.choices for name, scale in scales.items() if scale.choices} == {
         "abx": ABX_CHOICES,
+        "triplet": PAIR_CHOICES,
+        "preference": PAIR_CHOICES,
         THRESHOLD: INTERVALS,
     }
     assert {name: len(scale.anchors) for name, scale in scales.items() if scale.anchors} == {
@@ -226,7 +233,7 @@ def test_the_mark_that_some_editors_put_first_is_no_mistake(own: Path, english: 
 
 def test_all_gaps_of_an_own_file_are_told_at_once(own: Path, english: str) -> None:
     text = re.sub(r"(?s)\[pages\.rest\].*?(?=\[pages)", "", english)
-    text = text.replace('"Fair", ', "").replace('choices = ["a", "b"]', 'choices = ["a", "c"]')
+    text = text.replace('"Fair", ', "").replace('choices = ["a", "b"]', 'choices = ["a", "c"]', 1)
     text = text.replace("Not yet played: {parts}", "{part}").replace("[keys]", '[keys]\nfly = "F"')
     own.write_text(text.replace('title = "Welcome back"', "title = 5"), encoding="utf-8")
     with pytest.raises(ValueError, match="is missing") as caught:

@@ -1,4 +1,4 @@
-"""The matches of the bundled scenes in docs/metrics.md are what the code computes."""
+"""The matches of the bundled scenes in docs/metrics.md and docs/rivals.md are what the code computes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import pytest
 
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
+from feel321.stimuli.metrics import match
 from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rivals.catalog import RIVALS
 from feel321.stimuli.synthesis import SCENES, make_scene
 
 COLUMNS = ["sax321", "say321", "saz321", "soc321", "mag321", "pca321", "dft321", "dft321_windowed"]
@@ -41,3 +43,16 @@ def test_the_rows_of_a_scene_are_computed(name: str) -> None:
     cells = zip(paper.split("|"), bounded.split("|"), strict=True)
     numbers = [[float(match) for match in [*pair.split("/"), one]] for pair, one in cells]
     assert np.array(numbers) == pytest.approx(np.array(matches(name)), abs=HALF_A_DIGIT)
+
+
+def test_the_page_of_rivals_names_each_and_its_numbers_are_computed() -> None:
+    text = PAGE.with_name("rivals.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \|(.*)\|$", text, re.MULTILINE)
+    described, numbers = rows[: len(RIVALS)], rows[-len(RIVALS) :]
+    assert [name for name, _ in described] == [name for name, _ in numbers] == list(RIVALS)
+    for name, row in described:
+        assert ("**" in row) == (RIVALS[name].info.higher == "better")
+    reducers = ["saz321", "mag321", "dft321", "dft321_windowed"]
+    found = match(make_scene("bumps", duration_s=1), reducers=reducers, metrics=list(RIVALS))
+    shown = [[float(cell) for cell in row.split("|")] for _, row in numbers]
+    assert pytest.approx(found.to_numpy(), abs=HALF_A_DIGIT) == np.array(shown).T

@@ -67,7 +67,9 @@ def test_plain_samples_need_a_rate_and_a_window_needs_a_reducer_that_has_one(
 def test_a_match_is_a_table_of_reducers_and_metrics(scene: Recording) -> None:
     table = stimuli.match(scene)
     assert table.index.tolist() == list(stimuli.REDUCERS)
-    assert table.columns.tolist() == list(stimuli.METRICS)
+    assert table.columns.tolist() == list(stimuli.METRICS)[:3]
+    every = stimuli.match(scene, reducers=["pca321"], metrics="all")
+    assert every.columns.tolist() == list(stimuli.METRICS) == list(stimuli.METRIC_INFO)
     for name, row in table.iterrows():
         reduced = stimuli.reduce(scene, str(name))
         for metric, value in row.items():

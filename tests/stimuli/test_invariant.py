@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from feel321 import stimuli
 from feel321.stimuli.match import (
-    METRICS,
     WeberSmoothing,
     energy_spectrum,
     linear_grid,
@@ -15,6 +14,7 @@ from feel321.stimuli.match import (
     temporal_match,
     temporal_match_details,
 )
+from feel321.stimuli.metrics import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import (
     INVARIANTS,
@@ -48,7 +48,7 @@ def smoothed(acceleration: np.ndarray, reduced: np.ndarray) -> tuple[np.ndarray,
 
 def test_every_metric_has_a_counterpart_of_its_name() -> None:
     # Invariant itself.
-    assert list(INVARIANTS) == [name for name in METRICS if name != "spectral_match_bounded"]
+    assert list(INVARIANTS) == [name for name in MATCHES if name != "spectral_match_bounded"]
     for counterpart in INVARIANTS.values():
         assert isinstance(counterpart(noise(3, 400), noise(400), RATE), float)
 

@@ -22,6 +22,7 @@ from feel321.study.workflow import build_study
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from feel321.protocols.questions import Question
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.study.session.journal import Clock
     from feel321.study.session.ports import Place
@@ -179,6 +180,14 @@ class ScriptedPresenter:
         self.log.append(f"page {page.key} {place.done}/{place.total}")
         waiting = self.pages.get(page.key)
         return waiting.pop(0) if waiting else Confirm(self.pass_time(), {}, page.least_s)
+
+    def show_question(self, question: Question, place: Place) -> Confirm | Pause | Abort:
+        self.log.append(f"ask {question.name} {place.attempt}")
+        waiting = self.pages.get(question.key)
+        if waiting:
+            return waiting.pop(0)
+        value = question.choices[0] if question.choices else question.low or "a word"
+        return Confirm(self.pass_time(), {question.name: value}, 2.0)
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         if self.shown >= self.stop_after:

@@ -18,8 +18,10 @@ from feel321.analysis.table.reading import Further
 from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition, list_steps
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.match import METRICS, spectral_match
+from feel321.stimuli.match import spectral_match
+from feel321.stimuli.metrics import MATCHES, METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rivals.catalog import RIVALS
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.study import cli
@@ -140,7 +142,7 @@ def test_reduce_writes_what_the_reducer_gives_and_match_reads_it(
     matches = json.loads(capsys.readouterr().out)
     assert matches["spectral_match"] == pytest.approx(facts["spectral_match"], abs=1e-4)
     assert matches["temporal_match"] == pytest.approx(facts["temporal_match"], abs=1e-4)
-    for metric in METRICS:
+    for metric in MATCHES:
         direct = METRICS[metric](
             bumps.acceleration, REDUCERS[name](bumps.acceleration, 10000.0), 10000.0
         )
@@ -259,6 +261,27 @@ def test_reduce_never_writes_over_the_recording_or_its_sidecar(
     assert (tmp_path / "raw.json").read_text(encoding="utf-8") == '{"unit": "g"}'
 
 
+def test_match_compares_by_rivals_when_asked(
+    recording: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    output = tmp_path / "out.wav"
+    assert main(["reduce", str(recording), "--reducer", "say321", "-o", str(output)]) == 0
+    capsys.readouterr()
+    assert main(["match", str(recording), str(output), "--rivals", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    bumps = condition(make_scene("bumps", duration_s=0.5), Conditioning())
+    assert list(facts["rivals"]) == list(RIVALS)
+    for name, value in facts["rivals"].items():
+        direct = METRICS[name](bumps.acceleration, bumps.acceleration[1], 10000.0)
+        assert value == pytest.approx(direct, abs=1e-4)
+    assert main(["match", str(recording), str(output), "--rivals"]) == 0
+    shown = capsys.readouterr().out
+    assert f"level difference {facts['rivals']['level_difference']:.4f} dB (lower is" in shown
+    assert "envelope correlation 0." in shown
+    assert main(["match", str(recording), str(output), "--json"]) == 0
+    assert "rivals" not in json.loads(capsys.readouterr().out)
+
+
 def test_what_is_undefined_is_null_in_json(tmp_path: Path, capsys: Capture) -> None:
     path, output = tmp_path / "silent.csv", tmp_path / "o.wav"
     np.savetxt(path, np.zeros((500, 3)), delimiter=",", header="x_g,y_g,z_g", comments="")
@@ -269,8 +292,8 @@ def test_what_is_undefined_is_null_in_json(tmp_path: Path, capsys: Capture) -> N
     assert main(["match", *arguments[:1], str(output), *arguments[1:]]) == 1
     shown, blamed = capsys.readouterr()
     facts = json.loads(shown, parse_constant=pytest.fail)
-    assert [facts[name] for name in METRICS] == [None, None, None]
-    assert set(facts["reasons"]) == set(METRICS)
+    assert [facts[name] for name in MATCHES] == [None, None, None]
+    assert set(facts["reasons"]) == set(MATCHES)
     assert blamed.splitlines()[-1].startswith(
         "feel321: silent: spectral_match: the recording has no energy from 20 to"
     )

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.sets.anchors import THRESHOLDS
 from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.stimuli.sets.recipe import Measured, Recipe
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.render import Measured
 from feel321.stimuli.synthesis import make_scene
+from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import write_wav
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import read_rig

@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 
 from feel321.protocols.threshold import PROCEDURES, USUAL, estimate_threshold, resume
-from feel321.stimuli.sets.anchors import acceleration_threshold, sensation_level_db
+from feel321.stimuli.sets.anchors import sensation_level_db
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.thresholds import acceleration_threshold
 from feel321.study.audit import audit_study
 from feel321.study.folder import create_study
 from feel321.study.ledger.progress import ROSTER_FILE
-from feel321.study.observer.participant import ObserverModel, SimulatedObserver
+from feel321.study.observer.participant import ObserverModel
+from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.ratings import write_ratings
 from feel321.study.sensation import LOW_RATE_HZ, find_shift
 from feel321.study.session.journal import read_journal

@@ -22,7 +22,7 @@ from feel321.analysis.report.section import (
 )
 from feel321.analysis.table.schema import ERROR, SOURCE
 from feel321.analysis.words import COUNT
-from feel321.stimuli.match import METRICS
+from feel321.stimuli.metrics import MATCHES
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -66,7 +66,7 @@ LEVELS = TableForm(
 def compute(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - called as all sections are
     """Compare the metrics of what was delivered with those intended, and describe the level errors."""
     rows = table.rows[table.rows["role"] == "test"]
-    names = [name for name in METRICS if name in rows and name + SUFFIX in rows]
+    names = [name for name in MATCHES if name in rows and name + SUFFIX in rows]
     errors = rows[rows[ERROR].notna()] if ERROR in rows else rows[:0]
     if not names and errors.empty:
         return Section(key=KEY, title=TITLE)

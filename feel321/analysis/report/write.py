@@ -34,7 +34,8 @@ from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.section import Picture, Section, number_pictures, render_template
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.items import find_sources, format_recordings
-from feel321.analysis.table.reading import ROSTER_FILE, Further, Table, find_tables, read_table
+from feel321.analysis.table.reading import Further, Table, find_tables, read_table
+from feel321.analysis.table.roster import ROSTER_FILE
 from feel321.analysis.words import (
     Claim,
     Line,

@@ -27,6 +27,7 @@ from feel321.analysis.arrays import Values, check_columns, read_numbers
 from feel321.analysis.table.schema import APART, NAMING, NO, YES
 from feel321.doors import as_names, check_name
 from feel321.records import Result
+from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
+
+OTHER = "other_id"
+"""Column of the second stimulus of a choice."""
 
 SPOKEN = ("stimulus", "item")
 """Other names of the column ``stimulus_id``."""
@@ -49,11 +53,11 @@ class Table(Result):
     Parameters
     ----------
     rows : DataFrame
-        One row per judgement: participant, stimulus_id, reference_id and reference_reducer (may be empty), source,
-        recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and response_time_s if
-        there are any, one column per metric and further metric, rms_m_s2 if there is one, and one per label of the
-        participants. The role is the one that the stimulus had in that judgement; matched is whether the metrics
-        describe that judgement; a dissimilarity is about the stimulus compared with the reference.
+        One row per judgement: participant, stimulus_id, reference_id, reference_reducer and other_id (which may be
+        empty), source, recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and
+        response_time_s if there are any, one column per metric and further metric, rms_m_s2 if there is one, and one
+        per label of the participants. The role is the one that the stimulus had in that judgement; matched is whether
+        the metrics describe that judgement; a dissimilarity is about the stimulus compared with the reference.
     metrics : tuple of str
         The metrics that the primary analysis is about, as they were declared.
     notes : tuple of str
@@ -65,6 +69,8 @@ class Table(Result):
         no comparison was asked for.
     info : Mapping of str to MetricInfo
         What each metric declares of itself: which way it points, its bounds, label and unit.
+    stimuli : DataFrame, indexed by stimulus_id, optional
+        Every stimulus of the manifest, rated or not: source, recording, reducer, level, role and metrics.
 
     Examples
     --------
@@ -88,6 +94,7 @@ class Table(Result):
     further: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
     info: Mapping[str, MetricInfo] = field(default_factory=dict)
+    stimuli: DataFrame | None = None
 
     def select(self, scale: str | None = None, *, level: str | None = None) -> Table:
         """Select the ratings of one scale or level.
@@ -537,3 +544,9 @@ def _number_items(rows: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     number = np.asarray(rows.groupby(keys, observed=True).ngroup(), dtype=np.intp)
     named = rows[keys].iloc[np.unique(number, return_index=True)[1]]
     return number, tuple("/".join(map(str, key)) for key in named.itertuples(index=False))
+
+
+def order_reducers(names: Iterable[str]) -> list[str]:
+    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
+    found = set(names)
+    return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from feel321.analysis.table import schema
-from feel321.stimuli.match import METRICS
-from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.metrics import MATCHES, METRIC_INFO
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -32,13 +31,6 @@ TENTH = 0.1
 
 ROUNDING = 1e-9
 """Share of a bound by which a value may pass it: files hold rounded numbers."""
-
-KNOWN: Mapping[str, MetricInfo] = {
-    "spectral_match": MetricInfo("spectral match", high=1.0),
-    "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
-    "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
-}
-"""What feel321's own metrics declare."""
 
 KINDS: Mapping[str, tuple[str, str]] = {
     "rotation_mean": ("mean of the {} over random orientations of the sensor", ""),
@@ -61,7 +53,7 @@ def describe_further() -> dict[str, schema.ColumnInfo]:
         f"{metric}_{kind}": schema.ColumnInfo(
             meaning.format(metric.replace("_", " ")), kind="metric"
         )
-        for metric in METRICS
+        for metric in MATCHES
         for kind, (meaning, of) in KINDS.items()
         if not of or metric in of.split()
     }
@@ -75,7 +67,7 @@ def describe_explored(metrics: Sequence[str]) -> dict[str, schema.ColumnInfo]:
     >>> list(describe_explored(["spectral_match_bounded", "temporal_match"]))[:1]
     ['spectral_match']
     """
-    own = {name: schema.ColumnInfo(KNOWN[name].label, kind="metric") for name in METRICS}
+    own = {name: schema.ColumnInfo(METRIC_INFO[name].label, kind="metric") for name in MATCHES}
     return {
         name: column for name, column in (own | describe_further()).items() if name not in metrics
     }
@@ -118,7 +110,7 @@ def gather_info(
 ) -> tuple[dict[str, MetricInfo], frozenset[str]]:
     """Find what each metric declares; also name those whose bounds a study or a manifest states."""
     stated = {**_read_declared(manifest), **(declared or {})}
-    known = {**KNOWN, **stated}
+    known = {**METRIC_INFO, **stated}
     found = {name: known.get(name, MetricInfo(name)) for name in names}
     return found, frozenset(name for name in names if name in stated)
 
@@ -180,12 +172,6 @@ def format_bounds(info: MetricInfo) -> str:
     if math.isfinite(info.high):
         return f"{info.high:g} or less"
     return f"{info.low:g} or more" if math.isfinite(info.low) else "any number"
-
-
-def order_reducers(names: Iterable[str]) -> list[str]:
-    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
-    found = set(names)
-    return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
 
 
 class Step(NamedTuple):

@@ -25,6 +25,7 @@ SHORT = 10
 SPACE = (
     "Where a map of the dissimilarities can be made, it is shown under The space of what was felt."
 )
+VOTES = "They are evaluated under Choices between two stimuli."
 
 
 def list_names(names: Sequence[str]) -> str:
@@ -95,7 +96,8 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
 def note_gaps(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
     """Say which stimuli nobody rated, and which scales have no test stimulus."""
     apart = rows["scale"].isin(schema.APART)
-    rated = {*rows[STIMULUS].unique(), *rows.loc[apart, "reference_id"].unique()}
+    both = ("reference_id", "other_id")
+    rated = {*rows[STIMULUS].unique(), *(n for key in both for n in rows.loc[apart, key].unique())}
     if unrated := [str(name) for name in manifest.index if name not in rated]:
         yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {list_names(unrated)}."
     tested = set(rows.loc[rows[ROLE] == TEST, "scale"].unique())
@@ -146,3 +148,6 @@ def note_apart(rows: DataFrame) -> Iterator[str]:
             f"{lead.format(schema.ANSWERED, n)} they are right (100) or wrong (0). The profile holds the "
             "percentage correct; guessing gives 50."
         )
+    for scale in schema.CHOSEN:
+        if n := counts.get(scale, 0):
+            yield f"{lead.format(scale, n)} one of two stimuli was chosen. {VOTES}"

@@ -27,8 +27,8 @@ import numpy as np
 
 from feel321.analysis.table import metrics as metrics_of
 from feel321.analysis.table import notes as remarks
-from feel321.analysis.table import schema
-from feel321.analysis.table.items import ROLE, STIMULUS, TEST, Table, leave_rejected
+from feel321.analysis.table import roster, schema
+from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.doors import as_names, as_path, describe
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import MetricInfo, PathLike
@@ -41,15 +41,16 @@ __all__ = ["Further", "Table", "read_table"]
 RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
 
-ROSTER_FILE = "participants.csv"
-RIG = {"rig": "rig", "calibration": "certificate of calibration"}
-"""Columns on what the participants felt the stimuli on, and what they are in words."""
-ROSTER = frozenset({
-    "number", "simulated", "state", "sessions", "done", "total", "first_utc", "last_utc", "training_passed", *RIG,
-})  # fmt: skip
-"""Columns on the progress of a participant; all others, but for the participant's name, are labels."""
-
-JUDGEMENT = ("participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id")
+JUDGEMENT = (
+    "participant",
+    "session",
+    "protocol",
+    "scale",
+    "block",
+    STIMULUS,
+    "reference_id",
+    OTHER,
+)
 """What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
 repeats are counted instead, so does what it was judged against."""
 
@@ -149,10 +150,11 @@ def read_table(
         *remarks.note_lacking(rows, planned),
     ]
     rows, explored, compared, lacking = _select_columns(rows, planned, rivals)
-    rows, more_notes = _join_labels(rows, judged.given)
-    rows, on_rigs = _join_rigs(rows, judged.given)
+    rows, more_notes = roster.join_labels(rows, judged.given)
+    rows, on_rigs = roster.join_rigs(rows, judged.given)
     notes += [*lacking, *more_notes, *on_rigs]
-    return Table(rows, planned, tuple(notes), explored, compared, known)
+    columns = ["source", *ECHOED, ROLE, *dict.fromkeys([*planned, *explored, *compared])]
+    return Table(rows, planned, tuple(notes), explored, compared, known, stimuli[columns])
 
 
 def _select_columns(
@@ -164,8 +166,8 @@ def _select_columns(
     explored = tuple(name for name in known if tests[name].notna().all())
     compared, lacking = _leave_incomplete(tests, [*planned, *rivals] if rivals else ())
     selected = rows[[
-        "participant", STIMULUS, "reference_id", "reference_reducer", "source", *ECHOED, ROLE, "matched", "scale",
-        "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
+        "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
+        "scale", "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
         *dict.fromkeys([*planned, *explored, *compared]),
     ]]  # fmt: skip
     return selected.reset_index(drop=True), explored, compared, lacking
@@ -229,8 +231,10 @@ def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[
     schema.refuse_lines(
         unclear, what, must=f"be 100 (right) or 0 (wrong) on scale '{schema.ANSWERED}'"
     )
-    if "reference_id" not in sheet:
-        sheet["reference_id"] = ""
+    for name in ("reference_id", OTHER):
+        if name not in sheet:
+            sheet[name] = ""
+    _check_choices(sheet, what)
     notes += [*_check_doubles(sheet, what), *remarks.note_scales(sheet)]
     if "underruns" in sheet and len(broken := sheet.loc[sheet["underruns"] > 0, "participant"]):
         notes.append(
@@ -238,9 +242,25 @@ def _read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[
             "(underruns): they count; mark them as rejected to leave them out."
         )
     if "repeat" not in sheet:
-        alike = ["participant", STIMULUS, "reference_id", "scale"]
+        alike = ["participant", STIMULUS, "reference_id", OTHER, "scale"]
         sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
     return sheet, notes
+
+
+def _check_choices(sheet: DataFrame, what: str) -> None:
+    """Refuse choices that name no second stimulus, or no winner, and a second stimulus where nothing is chosen."""
+    is_choice = sheet["scale"].isin(schema.CHOSEN)
+    scales = " or ".join(map(repr, schema.CHOSEN))
+    unclear = sheet.loc[
+        is_choice & ~sheet["rating"].isin([schema.LOWEST, schema.HIGHEST]), "rating"
+    ]
+    must = f"be 100 (stimulus_id was chosen) or 0 ({OTHER} was chosen) on scale {scales}"
+    schema.refuse_lines(unclear, what, must=must)
+    same = (sheet[OTHER] == "") | (sheet[OTHER] == sheet[STIMULUS])
+    must = f"name the second of the two stimuli on scale {scales}"
+    schema.refuse_lines(sheet.loc[is_choice & same, OTHER], what, must=must)
+    idle = sheet.loc[~is_choice & (sheet[OTHER] != ""), OTHER]
+    schema.refuse_lines(idle, what, must=f"be empty but on scale {scales}")
 
 
 def _leave_rejected(sheet: DataFrame, what: str) -> tuple[DataFrame, list[str]]:
@@ -314,7 +334,7 @@ def _read_manifest(
         what,
         must=f"be one of {', '.join(schema.ROLES)}",
     )
-    _refuse_doubled(sheet, STIMULUS, what)
+    schema.refuse_doubled(sheet, STIMULUS, what)
     _read_metrics(sheet, planned, what, rivals=rivals)
     for name in (schema.AMPLITUDE, schema.GAIN, schema.SENSATION):
         if name not in {*planned, *rivals}:
@@ -395,11 +415,6 @@ def _list_numeric(source: Path | DataFrame) -> str:
     return f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
 
 
-def _refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
-    doubled = sheet.loc[sheet[name].duplicated(), name]
-    schema.refuse_lines(doubled, what, must="be listed once", do="keep one of the lines")
-
-
 def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Series:
     """Find what every stimulus's recording was made from."""
     if "source" not in sheet:
@@ -418,9 +433,15 @@ def _read_sources(sheet: DataFrame, sources: Mapping[str, str], what: str) -> Se
 
 def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, names: tuple[str, str]) -> None:
     what, listed = names
-    strangers = ratings.loc[~ratings[STIMULUS].isin(manifest.index), STIMULUS]
-    must = f"be a stimulus of {listed}"
-    schema.refuse_lines(strangers, what, must=must, do="is it the manifest of these stimuli?")
+    must, do = f"be a stimulus of {listed}", "is it the manifest of these stimuli?"
+    for name in (STIMULUS, OTHER):
+        strangers = ratings.loc[
+            ~ratings[name].isin([*manifest.index, *[""] * (name == OTHER)]), name
+        ]
+        schema.refuse_lines(strangers, what, must=must, do=do)
+    arms = (ratings[name].map(manifest["recording"]) for name in (STIMULUS, OTHER))
+    foreign = ratings.loc[(ratings[OTHER] != "") & (next(arms) != next(arms)), OTHER]
+    schema.refuse_lines(foreign, what, must="be of the same recording as stimulus_id")
     for name in [name for name in ECHOED if name in ratings]:
         of_stimulus = ratings[STIMULUS].map(manifest[name])
         differing = ratings.loc[ratings[name] != of_stimulus, name]
@@ -445,10 +466,11 @@ def _turn_pairs(ratings: DataFrame, manifest: DataFrame, what: str) -> DataFrame
 def _find_roles(rows: DataFrame, manifest: DataFrame) -> Series:
     """Find the role that each stimulus had in its judgement."""
     is_same = rows[STIMULUS] == rows["reference_id"]
+    is_choice = rows["scale"].isin(schema.CHOSEN)
     roles = rows[ROLE].mask(is_same & (rows[ROLE] == TEST), "reference")
     is_pair = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "") & ~is_same
     return roles.mask(
-        is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), schema.PAIR
+        is_choice | is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), schema.PAIR
     )
 
 
@@ -484,60 +506,7 @@ def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
         yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
 
 
-# Labels of participants and further metrics.
-
-
-def _join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
-    """Add a column for each label of the participants, from the table beside the ratings."""
-    path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
-    if path is None or not path.is_file():
-        return rows, []
-    known = ROSTER | {*rows, "participant"}
-    names = [name for name in schema.read_header(path) if name and name not in known]
-    if not names:
-        return rows, []
-    columns = {"participant": schema.ColumnInfo("who", needed=True)} | dict.fromkeys(
-        names, schema.ColumnInfo("a label")
-    )
-    sheet, _ = schema.read_sheet(path, path.name, columns)
-    _refuse_doubled(sheet, "participant", path.name)
-    labels = sheet.set_index("participant")
-    joined = rows.join(labels, on="participant").fillna(dict.fromkeys(labels, ""))
-    notes = []
-    for name in names:
-        groups = joined.groupby(name)["participant"].nunique()
-        sizes = ", ".join(
-            f"{remarks.list_names([str(group)]) if group else 'unknown'} {count}"
-            for group, count in groups.items()
-        )
-        notes.append(
-            f"Participants differ in {remarks.list_names([name])} ({ROSTER_FILE}; participants: {sizes}): "
-            "no test compares them."
-        )
-    return joined, notes
-
-
-def _join_rigs(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
-    """Add the participants' rig and certificate, from the table beside the ratings, where they differ."""
-    path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
-    if path is None or not path.is_file():
-        return rows, []
-    header = schema.read_header(path)
-    columns = {"participant": schema.ColumnInfo("who", needed=True)}
-    columns |= {name: schema.ColumnInfo("a rig") for name in RIG if name in header}
-    sheet, _ = schema.read_sheet(path, path.name, columns)
-    sheet = sheet[sheet["participant"].isin(rows["participant"])].set_index("participant")
-    notes = []
-    for name in (name for name in sheet if len(sheet[name].unique()) > 1):
-        rows = rows.join(sheet[name], on="participant").fillna({name: ""})
-        sizes = ", ".join(
-            f"{key or 'unknown'} {n}" for key, n in sheet[name].value_counts().items()
-        )
-        notes.append(
-            f"Participants differ in {RIG[str(name)]} ({ROSTER_FILE}; participants: {sizes}): see Robustness to other "
-            "choices."
-        )
-    return rows, notes
+# Further metrics.
 
 
 def _join_further(

@@ -33,7 +33,10 @@ LARGEST = 1e12
 """No metric is larger in size; squares of much larger numbers are no numbers any more."""
 
 PAIRED, ANSWERED = "dissimilarity", "abx"
-APART = (PAIRED, ANSWERED)
+CHOSEN = ("triplet", "preference")
+"""Scales on which one of two stimuli was chosen: 100 for the one named first, 0 for the other."""
+
+APART = (PAIRED, ANSWERED, *CHOSEN)
 """Scales that enter no association: a metric describes one stimulus, and is larger or smaller."""
 
 ROLES = ("test", "reference", "anchor")
@@ -97,6 +100,9 @@ RATINGS: Mapping[str, ColumnInfo] = {
     ERROR: ColumnInfo("level of the vibration delivered, over that asked for", "dB", kind="error"),
     SOURCE: ColumnInfo("what the delivered metrics rest on: sensor, certificate, or nothing"),
     SENSATION: ColumnInfo("level over the participant's own threshold", "dB", used=False),
+    "other_id": ColumnInfo(
+        "the other stimulus of a choice (triplet, preference), felt after stimulus_id"
+    ),
 }
 """One row per judgement."""
 
@@ -241,6 +247,12 @@ def refuse_lines(bad: Series, what: str, *, must: str, do: str = "") -> None:
     got = shorten(first) if isinstance(first, str) else f"{first:g}"
     advice = f"; {do}" if do else ""
     raise ValueError(f"{what}, {place} {named}{more}: {bad.name} must {must}, got {got}{advice}")
+
+
+def refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
+    """Refuse a table that lists something twice."""
+    doubled = sheet.loc[sheet[name].duplicated(), name]
+    refuse_lines(doubled, what, must="be listed once", do="keep one of the lines")
 
 
 def shorten(text: str) -> str:

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import Registry, check_name, name_of
+from feel321.stimuli.guard import find_reducer
 from feel321.stimuli.recording import (
     SAFE_PEAK,
     Recording,
@@ -70,6 +71,7 @@ REDUCERS: Registry[Reducer] = Registry(
             axes.pca321_matched_windowed,
         )
     },
+    find=find_reducer,
 )
 """Name -> reducer, in the order of the paper, simplest first; later ones follow. The only list of names."""
 

@@ -1,4 +1,4 @@
-"""Haptic anchors, and the detection threshold of vibration that they are made from.
+"""Haptic anchors, and the sensation level of vibrations.
 
 Audio's anchors are low-passed at 3.5 and 7 kHz; below 1 kHz that is no change at all. Here the energy of the recording
 is put where the recording has least of it: a hum of two just noticeable bands (22 %), one at the quietest frequency of
@@ -11,19 +11,7 @@ What correlates with an axis by chance is taken out, so the temporal match of bo
 played at the sensation level of their recording, so that strength does not mark them. `check_stimuli`
 refuses a set in which an anchor does not score below every test stimulus of its recording on both metrics.
 
-Two threshold curves, by how the vibration reaches the skin. Both are for sinusoids; neither is a digitised table.
-
-`contactor`: a model of a small contactor on the fingertip or palm. The Pacinian channel's displacement threshold is
-U-shaped, falling by 12 dB per octave up to about 250 Hz and rising as steeply above, with a minimum near 0.1 µm [3]_
-[4]_. In acceleration that is flat below about 200 Hz and rises by 24 dB per octave above 300 Hz.
-
-`grasped_stylus`: a stylus held like a pen and vibrating along its length [5]_. Published in the text of that paper
-(peak displacement, means of 10 people): 26 µm at 10 Hz, 8.5 µm at 20 Hz, a mean slope of -13 dB per octave from 10 to
-160 Hz, and a minimum of 0.06 µm at 320 Hz; straight lines in dB over octaves join these points. The values were taken
-from a published account of the paper, not from the paper itself. Above 320 Hz no value is given in words: there the
-curve rises by 12 dB per octave, as the contactor's does. That part is an assumption.
-
-Detection of brief vibration sums energy over about 200 ms [6]_, so the level of a stimulus is that of its loudest
+Detection of brief vibration sums energy over about 200 ms [3]_, so the level of a stimulus is that of its loudest
 200 ms: silence before and after changes nothing.
 
 References
@@ -33,96 +21,25 @@ References
 .. [2] E. Muschter et al., "Perceptual quality assessment of compressed vibrotactile signals through comparative
    judgment", IEEE Transactions on Haptics 14(2), 2021 (hidden reference and anchors for vibrotactile signals).
    doi:10.1109/TOH.2021.3077191
-.. [3] S. J. Bolanowski, G. A. Gescheider, R. T. Verrillo, C. M. Checkosky, "Four channels mediate the mechanical
-   aspects of touch", JASA 84(5), 1988. doi:10.1121/1.397184
-.. [4] R. T. Verrillo, "Effect of contactor area on the vibrotactile threshold", JASA 35(12), 1963.
-   doi:10.1121/1.1918868
-.. [5] A. Israr, S. Choi, H. Z. Tan, "Detection threshold and mechanical impedance of the hand in a pen-hold posture",
-   IEEE/RSJ International Conference on Intelligent Robots and Systems, 2006, 472-477.
-.. [6] R. T. Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37(5), 1965. doi:10.1121/1.1909458
+.. [3] R. T. Verrillo, "Temporal summation in vibrotactile sensitivity", JASA 37(5), 1965. doi:10.1121/1.1909458
 """
 
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from feel321.doors import Registry
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, WEBER_FRACTION, OriginalSpectrum
 from feel321.stimuli.recording import Recording, Signal, as_samples
+from feel321.stimuli.thresholds import CONTACTOR, acceleration_threshold
 from feel321.types import Samples
-
-MOST_SENSITIVE_HZ = 250.0
-LEAST_DISPLACEMENT_M = 1e-7
-
-STYLUS_HZ = (10.0, 20.0, 160.0, 320.0)
-STYLUS_M = (26e-6, 8.5e-6, 26e-6 * 10 ** (-13 * 4 / 20), 0.06e-6)
-"""Corners of the stylus's curve; the third is four octaves of the mean slope below the first."""
 
 WINDOW_S = 0.2
 """Energy is summed over this time."""
 
 EDGE_OCTAVES = 0.5
 """In short windows the felt range ends gradually, or a brief vibration at 20 Hz would lose half its energy."""
-
-
-def _contactor(frequency_hz: Samples) -> Samples:
-    ratio = frequency_hz / MOST_SENSITIVE_HZ
-    return np.asarray(LEAST_DISPLACEMENT_M * (ratio**-2 + ratio**2) / 2)
-
-
-def _grasped_stylus(frequency_hz: Samples) -> Samples:
-    """Join the corners by straight lines in dB over octaves; -12 dB per octave below the first, +12 above the last."""
-    ends = (STYLUS_HZ[0] / 1000, *STYLUS_HZ, STYLUS_HZ[-1] * 1000)
-    levels = (STYLUS_M[0] * 1000**2, *STYLUS_M, STYLUS_M[-1] * 1000**2)
-    return np.asarray(np.exp(np.interp(np.log(frequency_hz), np.log(ends), np.log(levels))))
-
-
-CONTACTOR = "contactor"
-
-THRESHOLDS: Registry[Callable[[Samples], Samples]] = Registry(
-    "threshold", {CONTACTOR: _contactor, "grasped_stylus": _grasped_stylus}
-)
-"""Name of a detection threshold curve -> peak displacement in m by frequency in Hz: the only list of names."""
-
-
-def displacement_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTOR) -> Samples:
-    """Smallest displacement felt, by frequency.
-
-    Examples
-    --------
-    >>> float(displacement_threshold(250.0))
-    1e-07
-    """
-    frequency = np.asarray(frequency_hz, dtype=np.float64)
-    if not (frequency > 0).all():
-        raise ValueError(f"frequency_hz must be above 0 Hz, got {frequency.min()}")
-    return THRESHOLDS.find(threshold)(frequency)
-
-
-def acceleration_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTOR) -> Samples:
-    """Smallest acceleration felt, by frequency.
-
-    Parameters
-    ----------
-    frequency_hz : array_like
-        Frequencies in Hz, above 0.
-    threshold : str
-        Name of `THRESHOLDS`: `"contactor"` or `"grasped_stylus"`.
-
-    Returns
-    -------
-    ndarray of float64
-        Peak acceleration in m/s².
-
-    Examples
-    --------
-    >>> from feel321 import stimuli
-    >>> stimuli.acceleration_threshold([50.0, 250.0, 1000.0]).round(2)
-    array([ 0.12,  0.25, 31.71])
-    """
-    frequency = np.asarray(frequency_hz, dtype=np.float64)
-    return (2 * np.pi * frequency) ** 2 * displacement_threshold(frequency, threshold=threshold)
 
 
 def felt_level(

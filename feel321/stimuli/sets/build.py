@@ -27,13 +27,13 @@ from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.sets.anchors import sensation_level_db, to_db
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
-from feel321.stimuli.sets.recipe import (
+from feel321.stimuli.sets.recipe import Recipe, check_names, describe_recipe
+from feel321.stimuli.sets.render import (
     Draft,
     Measured,
-    Recipe,
-    check_names,
     choose_gains,
     list_drafts,
+    list_methods,
     measure_recording,
     part_path,
     render_recording,
@@ -46,6 +46,9 @@ Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
 PARTS = ".parts"
 FINISHED = "finished"
+
+THREADS = 2
+"""Of a process: transforms release the interpreter, and each file waits for the disk. A lab's own code gets one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,10 +69,8 @@ def read_history(folder: Path) -> History:
 
     try:
         details = json.loads((folder / "manifest.json").read_bytes())
-        known = [
-            {name: cell for name, cell in row.items() if cell is not None}
-            for row in details["stimuli"]
-        ]
+        further = list(details.get("metrics", {}))
+        known = [_fold_row(row, further) for row in details["stimuli"]]
         whole = TypeAdapter(tuple[list[Stimulus], dict[str, str], dict[str, Measured]])
         given = (known, details["keys"], details["measured"])
         stimuli, keys, measured = whole.validate_python(given)
@@ -81,6 +82,13 @@ def read_history(folder: Path) -> History:
         if PurePath(row.file).name == row.file == f"{row.stimulus_id}.wav"
     }
     return History(own, keys, measured)
+
+
+def _fold_row(row: Mapping[str, Any], further: Sequence[str]) -> dict[str, Any]:
+    """Return a row of `manifest.json` as the fields of a Stimulus: what is null is left to their defaults."""
+    metrics = {name: math.nan if row[name] is None else row[name] for name in further}
+    own = {name: cell for name, cell in row.items() if cell is not None and name not in metrics}
+    return own | {"metrics": metrics}
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,14 +197,15 @@ def _build(
     jobs: list[Job] = [
         (render_recording, (r, wanted[r.name]), {"recipe": recipe, "parts": parts}) for r in new
     ]
-    for found in _run_jobs(jobs, workers=workers):
+    threads = 1 if recipe.methods else THREADS
+    for found in _run_jobs(jobs, workers=workers, threads=threads):
         measured.update(found)
         move(next(done), total)
     orders = _place(wanted, measured, recipe)
     how = {"recipe": recipe, "folder": folder, "history": history}
     written: dict[str, Stimulus] = {}
     jobs = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
-    for rows in _run_jobs(jobs, workers=workers):
+    for rows in _run_jobs(jobs, workers=workers, threads=threads):
         written.update((row.stimulus_id, row) for row in rows)
         move(next(done), total)
     in_order = [order for recording in recordings for order in orders[recording.name]]
@@ -329,6 +338,10 @@ def _write(order: Foreseen, recording: Recording, *, recipe: Recipe, parts: Path
         recording_sha256=recording.sha256,
         spectral_match_bounded=order.measured.spectral_match_bounded,
         sensation_level_db=sensation if np.isfinite(sensation) else math.nan,
+        metrics={
+            name: math.nan if value is None else value
+            for name, value in order.measured.metrics.items()
+        },
     )
 
 
@@ -337,7 +350,8 @@ def _list_details(
 ) -> dict[str, Any]:
     """List the other entries of `manifest.json`: enough to rebuild the set and to find what has changed."""
     return {
-        "recipe": asdict(recipe),
+        "recipe": describe_recipe(recipe),
+        **list_methods(recipe),
         "conditioning": {r.name: list_steps(recipe.conditioning, r.rate_hz) for r in recordings},
         "versions": {"feel321": __version__, **versions()},
         "sensation_levels_db": {
@@ -352,11 +366,10 @@ def _list_details(
     }
 
 
-def _run_jobs(jobs: Sequence[Job], *, workers: int) -> Iterator[Any]:
+def _run_jobs(jobs: Sequence[Job], *, workers: int, threads: int) -> Iterator[Any]:
     """Yield results as they are done; in this process where one worker is enough."""
     if workers == 1 or len(jobs) <= 1:
-        # Two at a time: transforms release the interpreter, and each file waits for the disk.
-        with ThreadPoolExecutor(2) as pool:
+        with ThreadPoolExecutor(threads) as pool:
             yield from pool.map(lambda job: job[0](*job[1], **job[2]), jobs)
         return
     from joblib import Parallel

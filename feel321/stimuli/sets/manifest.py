@@ -13,7 +13,7 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -49,6 +49,8 @@ class Stimulus:
         As the other matches; NaN in a set that an earlier version built.
     sensation_level_db : float
         How strong it is felt; NaN for silence, and in a set that an earlier version built.
+    metrics : Mapping of str to float
+        Further metrics, each a column of its own; NaN where nothing could be compared.
     """
 
     stimulus_id: Annotated[str, "name, unique in the set"]
@@ -88,11 +90,13 @@ class Stimulus:
         float,
         "dB over the detection threshold of the recipe, as it will be played, in its loudest 200 ms",
     ] = math.nan
+    metrics: Mapping[str, float] = field(default_factory=dict)
 
 
 COLUMN_UNITS: dict[str, str] = {
     name: hint.__metadata__[0]
     for name, hint in get_type_hints(Stimulus, include_extras=True).items()
+    if name != "metrics"
 }
 COLUMNS = tuple(COLUMN_UNITS)
 FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]
@@ -166,7 +170,7 @@ class StimulusSet(Result):
         """
         import pandas as pd
 
-        return pd.DataFrame([asdict(row) for row in self])
+        return pd.DataFrame([flatten_row(row) for row in self])
 
     def read(self, stimulus_id: str) -> tuple[Samples, int]:
         """Read the samples of a stimulus.
@@ -192,23 +196,39 @@ def write_manifest(
     """Write `manifest.json`, then `manifest.csv`, each whole or not at all."""
     rows = [describe_row(stimulus) for stimulus in stimuli]
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, COLUMNS, lineterminator="\r\n")
+    writer = csv.DictWriter(text, (*COLUMNS, *stimuli[0].metrics), lineterminator="\r\n")
     writer.writeheader()
     writer.writerows(rows)
     built = StimulusSet(
         folder, tuple(stimuli), hashlib.sha256(text.getvalue().encode()).hexdigest()
     )
     warned = {"warnings": built.warnings} if built.warnings else {}
-    whole = {"columns": COLUMN_UNITS, "stimuli": rows, **details, **warned}
+    own = {name: describe_facts(entry) for name, entry in details.get("metrics", {}).items()}
+    whole = {"columns": COLUMN_UNITS | own, "stimuli": rows, **details, **warned}
     write_text(folder / "manifest.json", json.dumps(whole, indent=1, sort_keys=True) + "\n")
     write_text(folder / "manifest.csv", text.getvalue())
     return built
 
 
+def flatten_row(stimulus: Stimulus) -> dict[str, Any]:
+    """Return a row with its further metrics as columns."""
+    row = asdict(stimulus)
+    del row["metrics"]
+    return row | dict(stimulus.metrics)
+
+
 def describe_row(stimulus: Stimulus) -> dict[str, Any]:
     """Return a row as CSV and JSON hold it: a number that is not known is an empty cell, or null."""
-    row = asdict(stimulus)
-    return row | {name: None for name in FURTHER if math.isnan(row[name])}
+    row = flatten_row(stimulus)
+    return row | {name: None for name in (*FURTHER, *stimulus.metrics) if math.isnan(row[name])}
+
+
+def describe_facts(facts: Mapping[str, Any]) -> str:
+    """Describe a further metric as the meaning and unit of its column."""
+    low, high = (facts.get(end) for end in ("low", "high"))
+    ends = f", {'-inf' if low is None else low} to {'inf' if high is None else high}"
+    unit = f" in {facts['unit']}" if facts.get("unit") else ""
+    return f"{facts['label']}{unit}{ends}; higher is {facts['higher']}"
 
 
 def read_stimuli(folder: PathLike) -> StimulusSet:
@@ -263,22 +283,27 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
 
 def _read_row(row: dict[str, str], place: str) -> Stimulus:
     wrong = [name for name in COLUMNS if row.get(name) is None and name not in {*FURTHER} - {*row}]
-    wrong += [str(name) for name in row if name not in COLUMNS]
+    further = {name: cell for name, cell in row.items() if name not in COLUMNS}
+    wrong += [str(name) for name, cell in further.items() if not (name and isinstance(cell, str))]
     if wrong:
         raise ValueError(
-            f"{place}: wrong or missing columns {', '.join(wrong)}; they must be {', '.join(COLUMNS)}"
+            f"{place}: wrong or missing columns {', '.join(wrong)}; they must be {', '.join(COLUMNS)}, and numbers of "
+            "further metrics"
         )
     try:
         values = {
-            name: _READ_AS[name](cell) for name, cell in row.items() if cell or name not in FURTHER
+            name: _READ_AS[name](row[name])
+            for name in COLUMNS
+            if row.get(name) or name not in FURTHER
         }
+        metrics = {name: float(cell) if cell else math.nan for name, cell in further.items()}
     except ValueError as error:
         raise ValueError(f"{place}: {error}; build the set again") from None
     if Path(values["file"]).name != values["file"]:
         raise ValueError(
             f"{place}: file must be a name in the set's own folder, got {values['file']!r}"
         )
-    return Stimulus(**values)
+    return Stimulus(**values, metrics=metrics)
 
 
 def check_stimuli(folder: PathLike) -> list[str]:

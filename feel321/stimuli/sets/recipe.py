@@ -1,8 +1,4 @@
-"""The recipe of a stimulus set, and a recording rendered by it: condition, reduce, match, resample, fade, gain.
-
-What is rendered is kept in a *parts* folder, one WAV in m/s² and one note of what was measured per stimulus, under a
-key made from everything that went into it. A build that was killed finds its parts again; a finished build throws them
-away.
+"""The recipe of a stimulus set: which reducers, levels, anchors and further metrics, for which rig.
 
 - `as_is`: one physical gain, so that energy which a reducer lost is felt as loss.
 - `equal_intensity`: every stimulus at the same sensation level, that of its loudest 200 ms, so that a high rating
@@ -13,24 +9,19 @@ or, with a gain per recording, of each recording with its reductions, reference 
 the differences between recordings, but then the highest peak of any recording decides how strong all others are.
 """
 
-import hashlib
-import json
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
-import numpy as np
-
-from feel321 import __version__
 from feel321.doors import as_names, check_name, describe
-from feel321.stimuli.condition import Conditioning, condition, fade, make_plain, resample
-from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
-from feel321.stimuli.recording import Recording, check_rate, digest_samples, largest
+from feel321.extensions import Method, find_method, is_given
+from feel321.stimuli.condition import Conditioning, make_plain
+from feel321.stimuli.recording import check_rate
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS, CONTACTOR, THRESHOLDS, loudest_levels, to_db
-from feel321.stimuli.wav import write_wav
-from feel321.types import Samples
+from feel321.stimuli.sets.anchors import ANCHORS
+from feel321.stimuli.sets.manifest import COLUMNS
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
 
 LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
@@ -61,8 +52,9 @@ class Recipe:
         Acceleration that the rig gives for a file's full scale, m/s².
     conditioning : Conditioning
         Steps before reduction.
-    reducers : sequence of str
-        Names of `REDUCERS`.
+    reducers : sequence of str or callable
+        Names of `REDUCERS`, or a lab's own, as "mylab.haptics:my321", "methods/my321.py:my321" or functions;
+        their short names are kept.
     levels : sequence of str
         Names of `LEVELS`.
     anchors : bool
@@ -80,6 +72,10 @@ class Recipe:
         Raised-cosine fade at both ends in s.
     threshold : str
         Detection threshold curve for sensation levels, a name of `THRESHOLDS`.
+    metrics : sequence of str or callable
+        Further columns of the manifest: names of `METRICS`, or a lab's own; the three matches are always there.
+    methods : sequence of Method
+        The lab's own reducers and metrics, once they are found.
 
     Examples
     --------
@@ -90,7 +86,7 @@ class Recipe:
 
     full_scale_m_s2: float = 100.0
     conditioning: Conditioning = field(default_factory=Conditioning)
-    reducers: Sequence[str] = DEFAULT_REDUCERS
+    reducers: Sequence[Any] = DEFAULT_REDUCERS
     levels: Sequence[str] = ("as_is",)
     anchors: bool = True
     reference: str = ORIGINAL
@@ -99,24 +95,66 @@ class Recipe:
     gain: float | str = ONE_GAIN
     fade_s: float = 0.01
     threshold: str = CONTACTOR
+    metrics: Sequence[Any] = ()
+    methods: Sequence[Method] = ()
 
     def __post_init__(self) -> None:
-        """Refuse unknown names and numbers out of range."""
+        """Find the lab's own methods; refuse unknown names and numbers out of range."""
         make_plain(self)
-        for what, known in (("reducers", REDUCERS), ("levels", LEVELS)):
-            names = as_names(getattr(self, what), what)
-            object.__setattr__(self, what, names)
-            for name in names:
-                check_name(name, known, what.removesuffix("s"))
-            if not names or len(set(names)) < len(names):
+        self._find_methods()
+        object.__setattr__(self, "levels", as_names(self.levels, "levels"))
+        for name in self.levels:
+            check_name(name, LEVELS, "level")
+        for what in ("reducers", "levels", "metrics"):
+            names = getattr(self, what)
+            if (not names and what != "metrics") or len(set(names)) < len(names):
                 raise ValueError(f"{what} must be one or more names, each once; got {names}")
+        if always := [name for name in self.metrics if name in COLUMNS]:
+            raise ValueError(
+                f"metrics must name further ones, got {always[0]!r}, which every set has; leave it out"
+            )
         if not isinstance(self.conditioning, Conditioning):
             raise TypeError(
                 f"conditioning must be a Conditioning, got {describe(self.conditioning)}"
             )
         self._check_numbers()
-        check_name(self.reference, (ORIGINAL, NO_REFERENCE, *REDUCERS), "reference")
         check_name(self.threshold, THRESHOLDS, "threshold")
+
+    def _find_methods(self) -> None:
+        """Put short names in the place of the lab's own methods, and keep the methods that are used."""
+        known = {(one.kind, one.name): one for one in self.methods}
+        used = {}
+
+        def find(kind: str, given: object, taken: Collection[str]) -> str:
+            own = known.get((kind, given)) if isinstance(given, str) else None
+            method = own or find_method(kind, given, taken=taken)
+            used[kind, method.name] = method
+            return method.name
+
+        def is_own(kind: str, given: object, ours: Collection[str]) -> bool:
+            if not isinstance(given, str):
+                return True
+            return given not in ours and ((kind, given) in known or is_given(kind, given))
+
+        references = (ORIGINAL, NO_REFERENCE, *REDUCERS)
+        taken = (*references, *ANCHORS)
+        reducers = [
+            find("reducer", one, taken)
+            if is_own("reducer", one, REDUCERS)
+            else check_name(one, REDUCERS, "reducer")
+            for one in as_names(self.reducers, "reducers")
+        ]
+        reference = self.reference
+        if is_own("reducer", reference, references):
+            reference = find("reducer", reference, taken)
+        metrics = [
+            find("metric", one, COLUMNS) if is_own("metric", one, COLUMNS) else one
+            for one in as_names(self.metrics, "metrics")
+        ]
+        found = {"reducers": tuple(reducers), "reference": reference, "metrics": tuple(metrics)}
+        for name, value in (found | {"methods": tuple(used.values())}).items():
+            object.__setattr__(self, name, value)
+        check_name(reference, references + tuple(one.name for one in used.values()), "reference")
 
     def _check_numbers(self) -> None:
         low, high = RIG_RATES_HZ
@@ -139,6 +177,14 @@ class Recipe:
             raise ValueError(f"fade_s must be 0 s or more, got {self.fade_s}")
 
 
+def describe_recipe(recipe: Recipe) -> dict[str, Any]:
+    """Return what `manifest.json` records of a recipe, but for the lab's own methods."""
+    own = {one.name: getattr(recipe, one.name) for one in fields(recipe) if one.name != "methods"}
+    if not recipe.metrics:  # as it was before there were any
+        del own["metrics"]
+    return own | {"conditioning": asdict(recipe.conditioning)}
+
+
 def check_names(names: Sequence[str]) -> None:
     """Refuse names of recordings that are there twice, or cannot be part of a file name on every system."""
     if not names:
@@ -156,238 +202,3 @@ def check_names(names: Sequence[str]) -> None:
                 f"recording name {name!r} is there twice; give one of them another name"
             )
         seen.add(name.casefold())
-
-
-ROUNDING = 1e-9
-"""A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
-
-
-@dataclass(frozen=True, slots=True)
-class Draft:
-    """A stimulus before its level: what is made of which recording, and the key it is remembered by."""
-
-    recording: str
-    reducer: str
-    role: str
-    key: str
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """Measurements of a rendered stimulus at unit gain.
-
-    peak: largest magnitude in m/s²; levels: name of a threshold curve -> largest root mean square
-    in any 200 ms, in multiples of the threshold.
-    """
-
-    peak: float
-    levels: dict[str, float]
-    spectral_match: float
-    temporal_match: float
-    spectral_match_bounded: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Scale:
-    """The conditioned recording that its stimuli are measured against."""
-
-    recording: Recording
-    spectrum: OriginalSpectrum
-    played: Samples
-    levels: dict[str, float]
-
-
-def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
-    """List the stimuli that a recipe makes of one recording: tests, the hidden reference, anchors."""
-    wanted = [(name, "test") for name in recipe.reducers]
-    if recipe.reference != NO_REFERENCE:
-        wanted.append((recipe.reference, "reference"))
-    if recipe.anchors:
-        wanted += [(name, "anchor") for name in ANCHORS]
-    # The samples, not the file: the same file read in another unit or at another rate is another recording.
-    basis = {"version": __version__, "recording": digest_samples(recording)}
-    # What determines a file besides its gain; anchors are made as strong as their recording, by the threshold.
-    settings = ("rate_hz", "fade_s", "full_scale_m_s2", "threshold")
-    basis |= versions() | asdict(recipe.conditioning)
-    basis |= {name: getattr(recipe, name) for name in settings}
-    keys = [json.dumps({**basis, "reducer": reducer}, sort_keys=True) for reducer, _ in wanted]
-    return tuple(
-        Draft(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())
-        for (reducer, role), key in zip(wanted, keys, strict=True)
-    )
-
-
-def versions() -> dict[str, str]:
-    """Versions of the software whose arithmetic decides the samples."""
-    from importlib.metadata import version
-
-    return {name: version(name) for name in ("numpy", "scipy", "soxr")}
-
-
-def render_recording(
-    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe, parts: Path
-) -> dict[str, Measured]:
-    """Render those drafts of one recording that are not in the parts folder yet; key -> measurements."""
-    measured = {c.key: found for c in drafts if (found := _read_part(parts, c.key)) is not None}
-    new = [c for c in drafts if c.key not in measured]
-    for draft, samples, note in _render(recording, new, recipe):
-        path = part_path(parts, draft.key)
-        write_wav(path, samples, recipe.rate_hz)
-        # A note that a killed build left unfinished does not count, so it may be written as it comes.
-        whole = json.dumps({"bytes": path.stat().st_size, **asdict(note)})
-        path.with_suffix(".json").write_text(whole, encoding="utf-8")
-        measured[draft.key] = note
-    return measured
-
-
-def measure_recording(
-    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe
-) -> dict[str, Measured]:
-    """Measure drafts of one recording as `render_recording` does, without writing anything."""
-    return {draft.key: note for draft, _, note in _render(recording, drafts, recipe)}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reduction:
-    """What a stimulus was made from, at the recording's rate, as its metrics saw it.
-
-    acceleration: of the conditioned recording, shape (3, n); samples: its reduction, (n,), or itself, (3, n), in m/s²;
-    factor: m/s² that are played at unit gain per m/s² of the samples.
-    """
-
-    acceleration: Samples
-    rate_hz: float
-    samples: Samples
-    factor: float
-
-
-def reduce_again(
-    recording: Recording, reducers: Collection[str], recipe: Recipe
-) -> dict[str, Reduction]:
-    """Make again what stimuli of one recording were made from, by reducer; `original` and anchors are among them."""
-    scale = _make_scale(condition(recording, recipe.conditioning), recipe)
-    ready, found = scale.recording, {}
-    for name in reducers:
-        samples, played = _play(name, scale, recipe)
-        factor = 1.0
-        if name in ANCHORS:  # made as strong as its recording
-            own = _for_the_rig(samples, ready.rate_hz, recipe)
-            factor = float(np.linalg.norm(played) / np.linalg.norm(own))
-        found[name] = Reduction(ready.acceleration, ready.rate_hz, samples, factor)
-    return found
-
-
-def part_path(parts: Path, key: str) -> Path:
-    """Path of a rendered stimulus, in m/s², until the set is complete."""
-    return parts / f"{key}.wav"
-
-
-def _read_part(parts: Path, key: str) -> Measured | None:
-    """Read a part's note, which is written after its samples; a part that is damaged or has none does not count."""
-    path = part_path(parts, key)
-    try:
-        note = json.loads(path.with_suffix(".json").read_bytes())
-        return Measured(**note) if path.stat().st_size == note.pop("bytes") else None
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
-        return None
-
-
-def _render(
-    recording: Recording, wanted: Sequence[Draft], recipe: Recipe
-) -> Iterator[tuple[Draft, Samples, Measured]]:
-    """Make drafts one after the other: each with its samples for the rig in m/s², and what was measured."""
-    if not wanted:
-        return
-    try:
-        scale = _make_scale(condition(recording, recipe.conditioning), recipe)
-        for draft in wanted:
-            samples, played = _play(draft.reducer, scale, recipe)
-            yield draft, played, _measure(samples, played, scale=scale, rate_hz=recipe.rate_hz)
-    except ValueError as error:
-        raise ValueError(f"recording {recording.name!r}: {error}") from None
-
-
-def _make_scale(conditioned: Recording, recipe: Recipe) -> _Scale:
-    spectrum = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
-    if spectrum.reason:
-        raise ValueError(f"{spectrum.reason}; nothing can be felt or matched, leave it out")
-    played = _for_the_rig(conditioned.acceleration, conditioned.rate_hz, recipe)
-    return _Scale(conditioned, spectrum, played, loudest_levels(played, recipe.rate_hz, THRESHOLDS))
-
-
-def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples]:
-    """Make a stimulus, at its recording's rate and for the rig; there, anchors are as strong as the recording."""
-    recording = scale.recording
-    if reducer == ORIGINAL:
-        return recording.acceleration, scale.played
-    if reducer not in ANCHORS:
-        samples = REDUCERS[reducer](recording.acceleration, recording.rate_hz)
-        return samples, _for_the_rig(samples, recording.rate_hz, recipe)
-    seed = [int(recording.sha256[:16], 16), *reducer.encode()]
-    samples = ANCHORS[reducer](recording, np.random.default_rng(seed))
-    played = _for_the_rig(samples, recording.rate_hz, recipe)
-    own = loudest_levels(played, recipe.rate_hz, [recipe.threshold])[recipe.threshold]
-    return samples, scale.levels[recipe.threshold] / own * played
-
-
-def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
-    # An offset (mag321 makes one) cannot be felt and only heats the coil; the metrics are taken before it is removed.
-    vibration = samples - samples.mean(axis=-1, keepdims=True)
-    played = resample(vibration, rate_hz, to_hz=recipe.rate_hz)
-    return fade(played, recipe.rate_hz, fade_s=recipe.fade_s)
-
-
-def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, rate_hz: float) -> Measured:
-    # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
-    levels = {
-        name: level if level > ROUNDING * scale.levels[name] else 0.0
-        for name, level in loudest_levels(rendered, rate_hz, THRESHOLDS).items()
-    }
-    if samples.ndim > 1:  # the original itself, matched channel by channel
-        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0)
-    spectral, bounded = scale.spectrum.match_both(samples)
-    temporal = mean_over_axes(axis_correlations(scale.recording.acceleration, samples))
-    return Measured(largest(rendered), levels, float(spectral), float(temporal), float(bounded))
-
-
-def choose_gains(
-    measured: Mapping[str, Measured], recipe: Recipe, *, recordings: Mapping[str, Collection[str]]
-) -> dict[tuple[str, str], float]:
-    """Choose the gain of every stimulus, (level, key) -> gain, from what was measured on the keys of each recording."""
-    per_recording = recipe.gain == GAIN_PER_RECORDING
-    together = recordings.values() if per_recording else [set().union(*recordings.values())]
-    choose = {"as_is": _keep_levels, "equal_intensity": _equalise_levels}
-    return {
-        (level, key): gain
-        for keys in together
-        for level in recipe.levels
-        for key, gain in choose[level]({key: measured[key] for key in keys}, recipe).items()
-    }
-
-
-def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
-    """Find the recording with the highest peak, and by how many dB a common gain is lower for it."""
-    first, *others = sorted(peaks, key=lambda name: -peaks[name])
-    return first, to_db(peaks[first] / peaks[others[0]]) if others and peaks[others[0]] else 0.0
-
-
-def _keep_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
-    loudest = max(note.peak for note in notes.values())
-    room = recipe.headroom * recipe.full_scale_m_s2
-    automatic = room / loudest if loudest else 1.0
-    return dict.fromkeys(notes, automatic if isinstance(recipe.gain, str) else recipe.gain)
-
-
-def _equalise_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
-    levels = {key: note.levels[recipe.threshold] for key, note in notes.items()}
-    if silent := sum(level == 0.0 for level in levels.values()):
-        raise ValueError(
-            f"equal_intensity: {silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong as "
-            "the others; leave out this level, or the reducer or recording that is silent"
-        )
-    common = (
-        recipe.headroom
-        * recipe.full_scale_m_s2
-        / max(note.peak / levels[key] for key, note in notes.items())
-    )
-    return {key: common / level for key, level in levels.items()}

@@ -34,7 +34,8 @@ from feel321.stimuli.match import (
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import StimulusSet
-from feel321.stimuli.sets.recipe import Recipe, Reduction, reduce_again
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.render import Reduction, reduce_again
 from feel321.study.actuator.calibration import Band, find_inside
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.mixer import Frames

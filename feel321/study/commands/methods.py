@@ -31,6 +31,7 @@ class MethodTask:
     extra: tuple[Path, ...]
     output: Path
     seed: int
+    given_output: Path | None = None
 
     def gather(self, *, conditioned: bool = True) -> tuple[Recording, ...]:
         """Gather the recordings, conditioned or as they came from the sensor."""
@@ -57,6 +58,7 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
         @click.option(
             "-o",
             "--output",
+            "--out",
             "target",
             type=shared.FILE,
             help=f"Folder of the results.  [default: STUDY/{output}]",
@@ -82,24 +84,102 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
             check_target(output_folder)
             if seed is None:
                 seed = read_settings(study.settings).study.seed if study.settings.is_file() else 0
-            verb(task=MethodTask(study, scenes, extra, output_folder, seed), **own)
+            verb(task=MethodTask(study, scenes, extra, output_folder, seed, target), **own)
 
         return ask_then_do
 
     return give
 
 
-@click.command(epilog="Example: feel321 chart my-study --scenes")
+@click.command(
+    epilog="Examples: feel321 chart my-study --scenes; feel321 chart --benchmark --method mylab:my321 --out cards"
+)
 @comparison_options("chart")
 @click.option(
     "--full/--quick",
     help="Whole recordings, 200 orientations, signals up to 10^7 samples; takes many times as long.  [default: quick]",
 )
-def chart(*, task: MethodTask, full: bool, as_json: bool) -> None:
+@shared.flag(
+    "--benchmark",
+    "Instead, put methods through the fixed battery and write a JSON card for each; --recordings: the folder of public "
+    "recordings that are its second part.",
+)
+@click.option(
+    "--method",
+    "methods",
+    multiple=True,
+    metavar="NAME",
+    help="With --benchmark: a reducer, or your own as package.module:function; repeatable.  [default: all reducers]",
+)
+@click.option(
+    "--leaderboard", "cards", type=shared.FILE, metavar="DIR",
+    help="Instead, make a leaderboard, one static page, of the cards in a folder.",
+)  # fmt: skip
+def chart(
+    *,
+    task: MethodTask,
+    full: bool,
+    as_json: bool,
+    benchmark: bool,
+    methods: tuple[str, ...],
+    cards: Path | None,
+) -> None:
     """Plot the speed of every reducer against its accuracy.
 
     Writes a page to explore, figures for print, CSV and JSON. Times are measured on this machine: leave it idle.
     """
+    if (full or task.scenes) and (benchmark or cards):
+        raise click.UsageError(
+            "--benchmark and --leaderboard go without --full and --scenes: the battery is fixed"
+        )
+    if methods and not benchmark:
+        raise click.UsageError("--method goes with --benchmark; add it")
+    if cards is not None and benchmark:
+        raise click.UsageError("--leaderboard goes without --benchmark; make the cards first")
+    if cards is not None:
+        _make_leaderboard(cards, task.given_output, as_json=as_json)
+    elif benchmark:
+        _run_benchmark(task, methods, as_json=as_json)
+    else:
+        _draw_chart(task, full=full, as_json=as_json)
+
+
+def _make_leaderboard(cards: Path, output: Path | None, *, as_json: bool) -> None:
+    from feel321.analysis.tradeoff.benchmark.leaderboard import read_leaderboard
+
+    board = read_leaderboard(cards)
+    for line in board.damaged:
+        shared.warn(line)
+    page = board.write(output or cards)
+    shared.print_results(page.parent, as_json=as_json)
+    if not board.cards:
+        raise ValueError(f"{cards}: no card can be read; measure the methods again")
+
+
+def _run_benchmark(task: MethodTask, methods: tuple[str, ...], *, as_json: bool) -> None:
+    from feel321.analysis.tradeoff.benchmark.run import run_benchmark
+    from feel321.stimuli.reducers.registry import REDUCERS
+
+    if len(task.extra) > 1:
+        raise click.UsageError(
+            f"--recordings must be one folder with --benchmark, got {len(task.extra)}"
+        )
+    with shared.show_progress("benchmark") as progress:
+        done = run_benchmark(
+            REDUCERS.choose(methods or "all"), folder=next(iter(task.extra), None),
+            progress=progress,
+        )  # fmt: skip
+    paths = done.write(task.given_output or task.study.path / "benchmark")
+    if as_json:
+        shared.print_json([card.model_dump() for card in done.cards])
+    else:
+        for path in paths:
+            click.echo(path)
+    if done.failures:
+        raise ValueError("\n".join(done.failures))
+
+
+def _draw_chart(task: MethodTask, *, full: bool, as_json: bool) -> None:
     from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
     from feel321.study.analyze import find_ratings
 

@@ -123,8 +123,11 @@ def reduce(  # noqa: PLR0913 - one per option
 @shared.recording_argument
 @click.argument("reduced", metavar="REDUCED.wav", type=shared.FILE)
 @raw_option
+@shared.flag(
+    "--rivals", "Compare by the rivals of the match metrics too: level, spectra, envelopes."
+)
 @shared.json_option
-def match(*, recording: Recording, reduced: Path, raw: bool, as_json: bool) -> None:
+def match(*, recording: Recording, reduced: Path, raw: bool, rivals: bool, as_json: bool) -> None:
     """Match a reduced WAV file, in m/s^2, against its recording.
 
     The recording is conditioned as the JSON file beside the WAV says; without one, as for a study: offset removed, 20
@@ -136,7 +139,10 @@ def match(*, recording: Recording, reduced: Path, raw: bool, as_json: bool) -> N
     _check_pair(recording, samples, rate_hz=rate_hz, name=reduced.name)
     steps, source = _find_steps(recording, reduced.with_suffix(".json"), raw=raw)
     facts = _list_steps(recording, steps) | {"conditioning_from": source}
-    facts |= _match(_condition(recording, steps), samples)
+    ready = _condition(recording, steps)
+    facts |= _match(ready, samples)
+    if rivals:
+        facts |= _compare_by_rivals(ready, samples)
     if as_json:
         shared.print_json(facts)
     else:
@@ -285,8 +291,18 @@ def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
     }
 
 
+def _compare_by_rivals(recording: Recording, samples: Samples) -> dict[str, Any]:
+    """Rival metrics by name, and why one is not known."""
+    from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+
+    measured = measure_batch(recording.acceleration, samples, recording.rate_hz)
+    values = {name: float(value) for name, value in measured.items()}
+    missing = {name: RIVALS[name].reason for name, value in values.items() if math.isnan(value)}
+    return {"rivals": values, "rivals_reasons": missing}
+
+
 def _print_matches(facts: dict[str, Any]) -> None:
-    from feel321.stimuli.match import METRICS
+    from feel321.stimuli.metrics import MATCHES
 
     steps = ", ".join(facts["steps"]) or "none, as it was measured"
     source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
@@ -297,7 +313,7 @@ def _print_matches(facts: dict[str, Any]) -> None:
     )
     silent = ", ".join("xyz"[axis] for axis in facts["silent_axes"]) or "none"
     details = {"spectral_match": compared, "temporal_match": f"silent axes: {silent}"}
-    for name in METRICS:
+    for name in MATCHES:
         detail = f" ({details[name]})" if name in details else ""
         value = (
             f"none: {facts['reasons'][name]}"
@@ -305,3 +321,14 @@ def _print_matches(facts: dict[str, Any]) -> None:
             else f"{facts[name]:.4f}{detail}"
         )
         click.echo(f"{name.replace('_', ' ')} {value}")
+    for name, value in facts.get("rivals", {}).items():
+        _print_rival(name, value, reason=facts["rivals_reasons"].get(name))
+
+
+def _print_rival(name: str, value: float, *, reason: str | None) -> None:
+    from feel321.stimuli.metrics import METRIC_INFO
+
+    info = METRIC_INFO[name]
+    sense = "higher is better" if info.higher == "better" else "lower is better"
+    unit = f" {info.unit}" if info.unit else ""
+    click.echo(f"{info.label} " + (f"none: {reason}" if reason else f"{value:.4f}{unit} ({sense})"))

@@ -3,8 +3,6 @@
 The chain inside a journal cannot show that whole lines are missing at its end; whoever kept an anchor can.
 """
 
-import csv
-import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -12,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from feel321.files import write_text
+from feel321.files import write_table, write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.rigs import find_rig_use
@@ -253,17 +251,15 @@ def write_roster(study: StudyFolder, everybody: Sequence[Progress] | None = None
         if progress.problem:
             raise ValueError(progress.problem)
     factors = dict.fromkeys(factor for progress in everybody for factor in progress.groups)
-    text = io.StringIO(newline="")
     measured = dict.fromkeys(name for progress in everybody for name in progress.thresholds)
     columns = [*PARTICIPANT_COLUMNS, *factors, *LAST_PARTICIPANT_COLUMNS, *measured]
-    table = csv.DictWriter(text, columns, extrasaction="ignore")
-    table.writeheader()
+    rows = []
     flags = {True: "true", False: "false", None: ""}
     for progress in everybody:
         row = {name: getattr(progress, name) for name in Progress.__slots__}
         row |= {**progress.groups, **progress.thresholds}
         row["sessions"] = len(progress.anchors)
         row |= {name: flags[row[name]] for name in ("simulated", "training_passed")}
-        table.writerow(row)
-    write_text(study.path / ROSTER_FILE, text.getvalue())
+        rows.append(row)
+    write_table(study.path / ROSTER_FILE, columns, rows)
     return study.path / ROSTER_FILE

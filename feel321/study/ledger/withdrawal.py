@@ -13,6 +13,7 @@ from sqlalchemy import Engine
 
 from feel321.files import hold_lock, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.answers import ANSWERS_FILE, write_answers
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import progress, slots
 from feel321.study.matches import MATCHES_FILE, write_matches
@@ -143,6 +144,7 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
     tables: dict[Path, Callable[[], object]] = {
         study.ratings: lambda: write_ratings(study, read_stimuli(study.stimuli)),
         study.path / progress.ROSTER_FILE: lambda: progress.write_roster(study),
+        study.path / ANSWERS_FILE: lambda: write_answers(study),
         study.path / MATCHES_FILE: lambda: write_matches(study, read_stimuli(study.stimuli)),
     }
     for path, write in tables.items():

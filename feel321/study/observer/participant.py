@@ -1,4 +1,4 @@
-"""Simulated participants: what stimuli feel like to them, how they answer, and the presenter that answers for them.
+"""Simulated participants: what stimuli feel like to them, how they answer, and what they remember.
 
 A stimulus is a point with five coordinates: its spectral match (the one that the model names, cut to 0..1), its
 temporal match, and the three of its `Percept`. The original and the real surface are the point where nothing is lost.
@@ -9,6 +9,7 @@ temporal match, and the three of its `Percept`. The original and the real surfac
   different as what is weaker by the same number of dB. A match is known to the original only: by its weight, stimuli
   lie on a line, not in a space, and two that match equally well feel the same.
 - *Similarity* is the top of the scale less the distance from the reference: what is identical is worth full marks.
+- Of two, the one *more like the reference* is at the smaller distance from it, and the *preferred* one feels more real.
 
 Answer of a careful one: sure + gain * (percept - sure) + bias + shift + noise, cut to 0..100. Sure is the end of the
 slider that means the same to everybody: the bottom, or the top (identical) where similarity is asked for. The shift is
@@ -36,37 +37,32 @@ import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from itertools import accumulate
+from math import ceil, floor
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
+from zlib import crc32
 
 from feel321.protocols.detection import ASKED, INTERVALS, THRESHOLD
 from feel321.protocols.matching import DB_PER_POINT, FIRST, MIDDLE, SECOND
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.threshold import predict_correct
-from feel321.protocols.trial import (
-    MATCHING,
-    RATING_RANGE,
-    SURFACE,
-    Judgement,
-    Page,
-    Part,
-    Scale,
-    Trial,
-)
-from feel321.stimuli.sets.anchors import CONTACTOR, THRESHOLDS, acceleration_threshold, to_db
+from feel321.protocols.trial import MATCHING, RATING_RANGE, SURFACE, Judgement, Scale, Trial
+from feel321.stimuli.sets.anchors import to_db
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold
 from feel321.study.observer.percepts import Percept, compare_percepts
 from feel321.study.session.events import TrialRated
-from feel321.study.session.ports import Act, Confirm, Feel, Move, Place, Playback, Scaled, Tone
 from feel321.study.settings.fields import one_of
 from feel321.study.settings.schema import ObserverTable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     import numpy as np
 
+    from feel321.protocols.questions import Answer, Question
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.session.journal import Record
+    from feel321.study.session.ports import Place, Scaled, Tone
 
 # Simulated raters: careful ones, each with their own way of using a slider, and bad ones.
 
@@ -149,10 +145,8 @@ class Rater:
            chapter 9. ISBN 0-8058-4230-6
         """
         names = list(distances)
-        guess, lapsed = names[rng.integers(len(names))], rng.random() < self.lapse_rate
-        if self.kind == STRAIGHT_LINER:
-            return names[int(self.favourite * len(names))]
-        if self.kind == RANDOM_CLICKER or lapsed:
+        guess, is_blind = self._guess(names, rng)
+        if is_blind:
             return guess
         asked, *felt = rng.normal(0, self.noise_sd * growth, len(names) + 1)
         away = {
@@ -162,6 +156,24 @@ class Rater:
         nearest = min(names, key=away.__getitem__)
         # Where two are exactly as near, no difference was felt.
         return guess if away[guess] == away[nearest] else nearest
+
+    def prefer(
+        self, percepts: Mapping[str, float], *, growth: float, rng: np.random.Generator
+    ) -> str:
+        """Choose the candidate that feels most real, from their percepts in points, each remembered with noise."""
+        names = list(percepts)
+        guess, is_blind = self._guess(names, rng)
+        noise = rng.normal(0, self.noise_sd * growth, len(names))
+        felt = {name: percepts[name] + own for name, own in zip(names, noise, strict=True)}
+        most = max(names, key=felt.__getitem__)
+        return guess if is_blind or felt[guess] == felt[most] else most
+
+    def _guess(self, names: Sequence[str], rng: np.random.Generator) -> tuple[str, bool]:
+        """Draw a choice that rests on nothing felt, and whether it is the one that is made."""
+        guess, lapsed = names[int(rng.integers(len(names)))], rng.random() < self.lapse_rate
+        if self.kind == STRAIGHT_LINER:
+            return names[int(self.favourite * len(names))], True
+        return guess, self.kind == RANDOM_CLICKER or lapsed
 
     def detect(self, chance: float, right: str, *, rng: np.random.Generator) -> str:
         """Choose the interval that vibrated; chance: share of right answers of a careful participant."""
@@ -336,12 +348,20 @@ def find_percept(experience: Experience, judgement: Judgement, *, touch: Touch) 
 def measure_distances(
     experience: Experience, judgement: Judgement, choices: Sequence[str], *, touch: Touch
 ) -> dict[str, float]:
-    """Compute how far each candidate is from the part asked about, in points."""
-    asked = experience.find(judgement.part)
+    """Compute how far each candidate is from the part asked about, or from the reference of a choice, in points."""
+    of_reference = judgement.part in choices
+    asked = (
+        experience.find_reference(judgement) if of_reference else experience.find(judgement.part)
+    )
     return {name: touch.measure_distance(experience.find(name), asked) for name in choices}
 
 
-# What they answer and remember, alone or as a presenter.
+# What they answer and remember.
+
+STROKE_S = 3.0  # duration of a stroke over the real surface
+
+SIMULATED_TEXT = "simulated"
+"""The answer of simulated participants to a question that asks for a text."""
 
 FATIGUE_TRIALS = 100  # trials for which the size of fatigue is given
 
@@ -400,7 +420,10 @@ class Participant:
         growth = 1 + model.fatigue_noise * tired
         values: dict[str, float | str] = {}
         for judgement in trial.judgements:
-            if scale.choices:
+            if judgement.part in scale.choices and judgement.reference_id is None:
+                percepts = {name: self.touch.feel(experience.find(name)) for name in scale.choices}
+                values[judgement.part] = self.rater.prefer(percepts, growth=growth, rng=rng)
+            elif scale.choices:
                 distances = measure_distances(
                     experience, judgement, scale.choices, touch=self.touch
                 )
@@ -414,6 +437,21 @@ class Participant:
                     rng=rng,
                 )
         return values, len(values) * self.rater.draw_time(rng)
+
+    def answer_question(self, question: Question, *, occasion: int) -> tuple[Answer, float]:
+        """Answer a question page with anything that is an answer, and the time that this took in s."""
+        rng = self._draw_from(0, 2, crc32(question.name.encode()), occasion)
+        value: Answer = SIMULATED_TEXT
+        if question.choices:
+            value = question.choices[rng.integers(len(question.choices))]
+        elif question.kind == "number":
+            low, high = question.low, question.high
+            low = (0.0 if high is None else min(0.0, high - 1)) if low is None else low
+            high = low + 100.0 if high is None else high
+            value = (
+                low if ceil(low) > floor(high) else float(rng.integers(ceil(low), floor(high) + 1))
+            )
+        return value, self.rater.draw_time(rng)
 
     def find_threshold(self, frequency_hz: float) -> float:
         """Find the participant's own detection threshold, RMS at the hand in dB re 1 m/s²."""
@@ -468,84 +506,6 @@ class Participant:
         import numpy as np
 
         return np.random.default_rng([self._seed, self._number, trial, attempt, *places])
-
-
-STROKE_S = 3.0  # duration of a stroke over the real surface
-
-
-class SimulatedObserver(Participant):
-    """A presenter that needs no screen and no actuator: it answers by itself."""
-
-    _confirmed: Experience | None = None
-    _missed: tuple[str, ...] = ()
-
-    def show_page(self, page: Page, place: Place) -> Confirm:  # noqa: ARG002 - the port's form
-        """Read a page for as long as it must be shown."""
-        self._pass_time(page.least_s)
-        return Confirm(self._time_s, {}, page.least_s)
-
-    def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
-        """Begin a trial."""
-        self.before, self._confirmed = self._confirmed or self.before, None
-        self._points: dict[str, Location] = {}
-        self._tones: dict[str, Tone] = {}
-        self._levels_db: dict[str, float] = {}
-        self._shown_s = self._time_s
-        felt = Experience(trial, self._points, self._tones, self._levels_db)
-        self._acts = self._list_acts(felt, scale, place)
-
-    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
-        """Feel a stimulus."""
-        if isinstance(stimulus, Scaled):
-            self._levels_db.setdefault(part.name, feel_level(stimulus))
-            return self._pass_playback(gap_s, stimulus.duration_s)
-        if isinstance(stimulus, Tone):
-            self._tones[part.name] = stimulus
-            return self._pass_playback(gap_s, stimulus.duration_s)
-        self._points[part.name] = self.touch.locate(stimulus)
-        return self._pass_playback(gap_s, stimulus.duration_s)
-
-    def prompt(self, part: Part) -> Playback:
-        """Stroke the real surface."""
-        self._points[part.name] = REAL
-        return self._pass_playback(0.0, STROKE_S)
-
-    def wait(self) -> Act:
-        """Feel what can be felt at will, then confirm."""
-        return next(self._acts)
-
-    def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
-        """Feel what was not felt before the same answer is given again."""
-        self._missed = parts if reason == "not_felt" else ()
-        self._confirmed = None
-
-    def _list_acts(self, experience: Experience, scale: Scale, place: Place) -> Iterator[Act]:
-        trial = experience.trial
-        if trial.timing == "free":
-            for part in trial.parts:
-                yield Feel(self._time_s, part.name)
-        values, response_s = self.answer(experience, scale, place)
-        asked_s = self._time_s
-        self._pass_time(response_s)
-        if trial.protocol == MATCHING:
-            # As early as the trial: an attempt that is broken off takes none of a simulated participant's time.
-            yield Move(self._shown_s, SECOND, float(values[SECOND]))
-            yield Feel(self._time_s)
-        while True:
-            if trial.phase == "main":
-                self._confirmed = experience
-            yield Confirm(self._time_s, values, round(self._time_s - asked_s, 3))
-            for name in self._missed:
-                yield Feel(self._time_s, name)
-
-    def _pass_playback(self, gap_s: float, duration_s: float) -> Playback:
-        self._pass_time(gap_s)
-        onset_s = self._time_s
-        self._pass_time(duration_s)
-        return Playback(requested_s=onset_s, onset_s=onset_s)
-
-    def _pass_time(self, duration_s: float) -> None:
-        self._time_s = round(self._time_s + duration_s, 3)  # read in whole ms
 
 
 def feel_level(scaled: Scaled) -> float:

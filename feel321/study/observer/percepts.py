@@ -82,7 +82,8 @@ def sense(acceleration: NDArray[np.float64], rate_hz: float) -> Sensation:
     from scipy import fft
 
     from feel321.stimuli.match import WEBER_FRACTION, WeberSmoothing, log_grid
-    from feel321.stimuli.sets.anchors import acceleration_threshold, felt_level
+    from feel321.stimuli.sets.anchors import felt_level
+    from feel321.stimuli.thresholds import acceleration_threshold
 
     n = acceleration.shape[-1]
     # Lengths with large prime factors cost ten times as much.

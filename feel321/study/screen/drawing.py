@@ -128,15 +128,18 @@ def find_font_files() -> tuple[Path, Path]:
 
 def measure(words: str, size: float, *, bold: bool = False) -> float:
     """Measure the width of a line of text; size: height of its letters (em); both in pixels."""
-    return _measure_em(words, bold=bold) * size * SLACK
+    kerned, unkerned = _measure_em(words, bold=bold)
+    return max(kerned * SLACK, unkerned) * size
 
 
 @cache
-def _measure_em(words: str, *, bold: bool) -> float:
+def _measure_em(words: str, *, bold: bool) -> tuple[float, float]:
+    """Measure a line with letters pushed together where they may be, and without, as the window's text engine does."""
     font = _open_font(bold=bold)
     font.set_text(words, 0.0)
     width, _ = font.get_width_height()
-    return float(width) / 64 / 1000
+    advances = sum(font.load_char(ord(letter)).linearHoriAdvance for letter in words)
+    return float(width) / 64 / 1000, advances / 65536 / 1000
 
 
 @cache

@@ -52,11 +52,13 @@ REPEAT_S = 0.003  # shortest time between two presses: X repeats held keys faste
 class InputEvent:
     """Something that was done to the window; x, y: pixels from its upper left corner.
 
+    text: letters were typed, which are in key; `backspace` takes one back, again and again while it is held.
+
     closed: it was closed, or is gone. hidden: it is still there, but nobody sees what is asked. unfocused: keys go to
     another window from now on; those that are down are released there.
     """
 
-    kind: Literal["press", "release", "click", "drag", "closed", "hidden", "unfocused"]
+    kind: Literal["press", "release", "text", "click", "drag", "closed", "hidden", "unfocused"]
     time_s: float
     key: str = ""
     x: float = 0.0

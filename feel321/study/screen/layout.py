@@ -1,142 +1,37 @@
-"""What is on the screen, as a view, and where it stands: pure geometry, a view in and boxes of pixels out."""
+"""Screens as pure geometry: a view in, boxes of pixels out; pages, and texts that are too long for a screen."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterable
 
-from feel321.protocols.texts import PageText
-from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
-from feel321.stimuli.sets.manifest import Stimulus
-from feel321.study.keys import USUAL, KeysTable, label_key, label_keys, label_prompts
-from feel321.study.screen.drawing import GROUND, INK, Box, Photo, Sheet, Target, Text, measure
-from feel321.study.session.ports import Place, Scaled, Tone
-
-# The three hues are Okabe and Ito's, which every kind of colour vision can distinguish; none of them is the only sign
-# of anything.
-PANEL, LINE, DIM = "#20252d", "#4a515c", "#b3b8c0"
-BLUE, ORANGE = "#56b4e9", "#e69f00"
-
-BODY, SMALL, QUESTION, TITLE = 3.0, 2.8, 4.0, 5.6
-"""Sizes of letters (em) in units; at 1 m nothing may be smaller than 2.2 % of the screen's height."""
-
-LAST_PAGE = "end"  # the page after which there is nothing
-
-
-@dataclass(frozen=True, slots=True)
-class View:
-    """Everything that is on the screen in one frame.
-
-    kind: "page" to read, one "slider", "rows" with a slider for each vibration, or a "choice" between parts; state:
-    "reading" a page, "feeling" a vibration or awaiting it, "stroking" the real surface, "answering".
-    """
-
-    kind: str
-    state: str
-    screen: int
-    place: Place
-    page: Page | None = None
-    trial: Trial | None = None
-    scale: Scale | None = None
-    playing: str = ""
-    felt: frozenset[str] = frozenset()
-    markers: Mapping[str, float] = field(default_factory=dict)
-    selected: str = ""
-    chosen: str = ""
-    typed: str = ""
-    loops: bool = False
-    left_s: int = 0
-    notice: str = ""
-    picture: Path | None = None
-    sample: str = ""
-
-    @property
-    def can_answer(self) -> bool:
-        """Whether the answer can be changed: once all was felt, or at once where parts are felt at will."""
-        if self.trial is None:
-            return False
-        has_felt = self.felt.issuperset(part.name for part in self.trial.parts)
-        return self.state == "answering" or self.trial.timing == "free" or has_felt
-
-    def can_rate(self, part: str) -> bool:
-        """Whether a part's own marker can be moved: where each part has one, once it was felt to its end."""
-        return self.can_answer and (self.kind != "rows" or part in self.felt)
-
-    @property
-    def is_done(self) -> bool:
-        """Whether all was felt and all is answered."""
-        if self.trial is None or not self.felt.issuperset(part.name for part in self.trial.parts):
-            return False
-        return bool(self.chosen) or self.markers.keys() >= set(self.trial.judged)
-
-    @property
-    def can_leave(self) -> bool:
-        """Whether there is anything to pause or to end: not on the last page."""
-        return self.page is None or self.page.key != LAST_PAGE
-
-
-class Hand:
-    """Watches the screen frame by frame and may press keys; this one does nothing."""
-
-    def watch(self, view: View) -> None:
-        """Look at what is on the screen."""
-
-    def feel(self, part: Part, stimulus: Stimulus | Tone | Scaled) -> None:
-        """Feel what is played."""
-
-
-@dataclass(frozen=True, slots=True)
-class ScreenTexts:
-    """What participants read besides the scales, in their language; keys: what they do, in words and as they are."""
-
-    pages: Mapping[str, PageText]
-    refusals: Mapping[str, str]
-    prompts: Mapping[str, str]
-    parts: Mapping[str, str]
-    keys: Mapping[str, str]
-    own_keys: KeysTable = USUAL
-
-    def name_part(self, name: str) -> str:
-        """Find the word for a part."""
-        return self.parts.get(name, name)
-
-
-def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> ScreenTexts:
-    """Pick the screen's texts from those of a language, with the names of the lab's own keys."""
-    pages = {key: PageText(key, **entry) for key, entry in tables["pages"].items()}
-    lines, parts = tables["keys"], tables["parts"]
-    prompts = label_prompts(keys, tables["prompts"], lines)
-    labelled = label_keys(keys, lines)
-    labelled["loop"] = f"{label_key(keys.loop[0], {})}  {LOOP}"
-    return ScreenTexts(pages, tables["refusals"], prompts, parts, labelled, keys)
-
-
-HINTS = {
-    "slider": ("move", "coarse_rows", "digits"),
-    "rows": ("feel", "loop", "choose", "move", "coarse_rows"),
-    "choice": ("pick",),
-}
-"""The keys that have no button, by kind of screen."""
+from feel321.protocols.questions import Question
+from feel321.protocols.trial import Page, Scale
+from feel321.study.screen.asking import add_question, find_question_overflows
+from feel321.study.screen.drawing import Box, Sheet, Text, measure
+from feel321.study.screen.rating import LABEL_LINES, add_trial, count_label_lines
+from feel321.study.screen.view import (
+    BODY,
+    DIM,
+    LINE,
+    LINES,
+    ORANGE,
+    PANEL,
+    QUESTION,
+    SMALL,
+    TITLE,
+    Button,
+    ScreenTexts,
+    View,
+    add_buttons,
+    split_key,
+)
+from feel321.study.session.ports import Place
 
 COLUMN = 108.0  # width of a page's text, in units: some 65 letters
-BELOW = 1.5  # free space under a picture, in units
 
 TEXT_SIZES = (1.1 * BODY, BODY, SMALL)
 """Sizes of a page's text in units, the first that fits; below the last nobody could read it at 1 m."""
 
 TIGHTEST = (1920, 1080)
 """The screen that has the least room for its letters: as wide as it needs to be, and no higher."""
-
-LINES = 3  # most lines of a question
-
-ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
-"""Heights of what stands over a slider's track, of the track, and of what is free under it, in units."""
-
-ROW = 6.6  # largest height of a row, in units
-LABEL = 0.45  # largest width of a slider's label, as a share of the track
-LABEL_LINES = 2  # most lines of a slider's label
-
-FELT, LOOP = "✓", "⟳"
 
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
@@ -151,14 +46,18 @@ def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
         sheet.write(sheet.find_strip("top"), words, SMALL, color=DIM, align="right")
     if view.notice:
         _add_notice(sheet, view.notice)
-    if view.page is not None:
+    if view.question is not None:
+        add_question(sheet, view, view.question, texts=texts)
+    elif view.page is not None:
         _add_page(sheet, view, view.page, texts=texts)
-    elif view.trial is not None and view.scale is not None:
-        _TrialLayout(sheet, view, texts, view.trial, view.scale).add()
+    elif view.trial is not None:
+        add_trial(sheet, view, texts)
     return sheet
 
 
-def find_overflows(texts: ScreenTexts, scales: Iterable[Scale]) -> list[str]:
+def find_overflows(
+    texts: ScreenTexts, scales: Iterable[Scale], questions: Iterable[Question] = ()
+) -> list[str]:
     """Find texts that are too long for a screen."""
     problems = []
     for key in texts.pages:
@@ -184,10 +83,12 @@ def find_overflows(texts: ScreenTexts, scales: Iterable[Scale]) -> list[str]:
             f"scale {scale.name!r}: its {name} must take at most {most} lines, got {count}; shorten it"
             for name, count, most in (
                 ("question", question, LINES),
-                ("longer label", _count_label_lines(scale, sheet), LABEL_LINES),
+                ("longer label", count_label_lines(scale, sheet), LABEL_LINES),
             )
             if count > most
         ]
+    for asked in questions:
+        problems += find_question_overflows(asked, Sheet(*TIGHTEST))
     return problems
 
 
@@ -206,19 +107,19 @@ def _add_notice(sheet: Sheet, words: str) -> None:
 
 def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> None:
     _add_text(sheet, view, page, texts=texts)
-    leave = [_Button(texts.keys["leave"], "pause")] if view.can_leave else []
+    leave = [Button(texts.keys["leave"], "pause")] if view.can_leave else []
     if page.by == "experimenter":
         strip, words = sheet.find_strip("buttons"), texts.prompts["experimenter"]
         sheet.write(strip, words, SMALL, color=DIM, align="right")
-        _add_buttons(sheet, leave, [])
+        add_buttons(sheet, leave, [])
         return
     key, share = texts.keys["confirm"], 0.0
     if view.left_s:
         # The number stands where the key's name will: a key that does nothing yet is not named.
-        key = f"{texts.prompts['wait'].format(seconds=view.left_s)}  {_split_key(key)[1]}"
+        key = f"{texts.prompts['wait'].format(seconds=view.left_s)}  {split_key(key)[1]}"
         share = max(1 - view.left_s / page.least_s, 0.0) if page.least_s else 0.0
-    go_on = _Button(key, "confirm", is_main=True, is_ready=not view.left_s, share=share)
-    _add_buttons(sheet, leave, [go_on])
+    go_on = Button(key, "confirm", is_main=True, is_ready=not view.left_s, share=share)
+    add_buttons(sheet, leave, [go_on])
 
 
 def _add_text(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> None:
@@ -244,328 +145,3 @@ def _add_text(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> No
     for block, block_height in zip(blocks, heights, strict=True):
         sheet.write(Box(left, top, width, 0), block, size)
         top += block_height + gap
-
-
-# Buttons, and keys that have none.
-
-
-@dataclass(frozen=True, slots=True)
-class _Button:
-    """A button; share: how much of the time until it is ready has gone by, from 0 to 1.
-
-    explains: whether it can be clicked before it is ready, to learn what is missing.
-    """
-
-    text: str
-    name: str
-    is_main: bool = False
-    is_ready: bool = True
-    share: float = 0.0
-    explains: bool = False
-
-
-def _split_key(text: str) -> tuple[str, str]:
-    """Split "Esc twice  pause" into the key and what it does."""
-    key, _, action = text.partition("  ")
-    return key, action[:1].upper() + action[1:]
-
-
-def _add_buttons(sheet: Sheet, left: Sequence[_Button], right: Sequence[_Button]) -> None:
-    """Put buttons at both ends of their strip."""
-    strip, gap = sheet.find_strip("buttons"), 2 * sheet.unit
-    widths = {}
-    for button in (*left, *right):
-        key, action = _split_key(button.text)
-        words = sheet.measure(action, SMALL, bold=True) + sheet.measure(key, SMALL)
-        widths[button] = words + 6.5 * sheet.unit
-    start = strip.right - sum(widths[button] for button in right) - gap * (len(right) - 1)
-    for place, buttons in ((strip.left, left), (start, right)):
-        for button in buttons:
-            box = Box(place, strip.top, widths[button], strip.height)
-            _add_button(sheet, button, box)
-            if button.is_ready or button.explains:
-                sheet.targets.append(Target(box, button.name))
-            place = box.right + gap  # noqa: PLW2901 - walks along the strip
-
-
-def _add_button(sheet: Sheet, button: _Button, box: Box) -> None:
-    """Draw a button: what it does, then the key that does the same."""
-    unit, (key, action) = sheet.unit, _split_key(button.text)
-    is_filled = button.is_main and button.is_ready
-    action_color = INK if button.is_ready or button.share else DIM
-    key_color = INK if button.share else DIM
-    left = box.left + 2.5 * unit
-    words = Box(left, box.top, sheet.measure(action, SMALL, bold=True), box.height)
-    cap = Box(words.right + 1.5 * unit, box.top, sheet.measure(key, SMALL), box.height)
-    fill, line = (BLUE, "") if is_filled else (PANEL, LINE)
-    sheet.fill(box, fill, line=line, round_px=1.2 * unit, line_px=0.25 * unit)
-    if button.share:
-        gone = Box(box.left, box.top, box.width * button.share, box.height)
-        sheet.fill(gone, LINE, round_px=1.2 * unit)
-    sheet.write(words, action, SMALL, color=GROUND if is_filled else action_color, bold=True)
-    sheet.write(cap, key, SMALL, color=GROUND if is_filled else key_color)
-
-
-def _add_hints(sheet: Sheet, texts: Sequence[str]) -> None:
-    """Write in one line what keys do that have no button."""
-    unit, strip = sheet.unit, sheet.find_strip("hints")
-    words = []
-    for text in texts:
-        key, _, action = text.partition("  ")
-        words += [(key, True, 1.0 * unit), (action, False, 4.5 * unit)]
-    widths = [sheet.measure(word, SMALL, bold=bold) for word, bold, _ in words]
-    left = (sheet.width - sum(widths) - sum(gap for *_, gap in words[:-1])) / 2
-    for (word, bold, gap), width in zip(words, widths, strict=True):
-        sheet.write(Box(left, strip.top, width, strip.height), word, SMALL, color=DIM, bold=bold)
-        left += width + gap
-
-
-# Trials: what is felt, what is asked, and where it is answered.
-
-
-def _count_label_lines(scale: Scale, sheet: Sheet) -> int:
-    """Count the lines that the longer label of a slider takes."""
-    width = LABEL * _find_slider_width(sheet)
-    labels = (scale.low_label, scale.high_label)
-    return max(len(sheet.wrap(label, width, BODY)) for label in labels)
-
-
-def _find_slider_width(sheet: Sheet) -> float:
-    """Compute how wide a slider is that stands alone, in pixels."""
-    return min(110 * sheet.unit, sheet.find_strip("body").width - 8 * sheet.unit)
-
-
-def _add_track(sheet: Sheet, track: Box, *, is_ready: bool) -> None:
-    """Draw a line with ends; none of its places stands out but these."""
-    color = DIM if is_ready else LINE
-    thick = max(2.0, 0.45 * sheet.unit)
-    middle = track.top + track.height / 2
-    sheet.fill(Box(track.left, middle - thick / 2, track.width, thick), color)
-    top, height = track.top + track.height * 0.15, track.height * 0.7
-    for x in (track.left, track.right):
-        sheet.fill(Box(x - thick / 2, top, thick, height), color)
-
-
-def _add_marker(sheet: Sheet, track: Box, value: float | None, *, color: str) -> None:
-    """Draw a marker, if there is one."""
-    if value is not None:
-        low, high = RATING_RANGE
-        x = track.left + (value - low) / (high - low) * track.width
-        width = track.height * 0.36
-        box = Box(x - width / 2, track.top, width, track.height)
-        sheet.fill(box, color, round_px=width / 2)
-
-
-def _label_anchors(sheet: Sheet, track: Box, scale: Scale, *, top: float) -> None:
-    """Write the words between the ends of a scale where they belong."""
-    count = len(scale.anchors)
-    for place, word in enumerate(scale.anchors):
-        width = sheet.measure(word, SMALL)
-        x = track.left + track.width * (place / (count - 1) if count > 1 else 0.5)
-        box = Box(x - width / 2, top, width, sheet.find_height(1, SMALL))
-        sheet.write(box, word, SMALL, color=DIM, align="center")
-
-
-def _add_bands(sheet: Sheet, grid: Box, scale: Scale) -> None:
-    """Cut a list of sliders into equal bands, each with its word above: ITU-R BS.1534-3, attachment 1."""
-    count, unit = len(scale.anchors), sheet.unit
-    height = sheet.find_height(1, SMALL)
-    for place, word in enumerate(scale.anchors):
-        left, width = grid.left + place * grid.width / count, grid.width / count
-        sheet.write(Box(left, grid.top, width, height), word, SMALL, color=DIM, align="center")
-        if place:
-            sheet.fill(Box(left - 0.1 * unit, grid.top, 0.2 * unit, grid.height), LINE)
-
-
-@dataclass(frozen=True, slots=True)
-class _TrialLayout:
-    """Puts a trial on a sheet."""
-
-    sheet: Sheet
-    view: View
-    texts: ScreenTexts
-    trial: Trial
-    scale: Scale
-
-    def add(self) -> None:
-        sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        body = sheet.find_strip("body")
-        is_rows, top = view.kind == "rows", body.top
-        if not is_rows:
-            self.add_parts(top)
-            top += 10.5 * unit
-        lines = sheet.wrap(self.find_question(), body.width, QUESTION, bold=True)
-        box = Box(body.left, top, body.width, 0)
-        sheet.write(box, lines, QUESTION, bold=True, align="center")
-        top += sheet.find_height(len(lines), QUESTION) + (1.5 if is_rows else 3.0) * unit
-        box = Box(body.left, top, body.width, body.bottom - top)
-        if view.picture and not is_rows:
-            below = self.find_slider_height() if view.kind == "slider" else 0.0
-            height = max(box.height - below - BELOW * unit, box.height / 3)
-            sheet.items.append(Photo(Box(box.left, top, box.width, height), view.picture))
-            top += height + BELOW * unit
-            box = Box(box.left, top, box.width, body.bottom - top)
-        {"rows": self.add_rows, "choice": self.add_choice}.get(view.kind, self.add_slider)(box)
-        _add_buttons(sheet, [_Button(self.texts.keys["pause"], "pause")], self.list_buttons())
-        if view.can_answer:
-            _add_hints(sheet, [self.texts.keys[key] for key in HINTS[view.kind]])
-
-    def find_question(self) -> str:
-        if self.view.state != "stroking":
-            return self.scale.question
-        prompt = self.texts.prompts["surface" if self.view.sample else "surface_unnamed"]
-        return prompt.format(sample=self.view.sample)
-
-    def list_buttons(self) -> list[_Button]:
-        keys, state = self.texts.keys, self.view.state
-        is_open = state == "answering" or self.view.loops
-        is_ready = state == "stroking" or (is_open and self.view.is_done)
-        confirm = _Button(
-            keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=is_open
-        )
-        if state == "feeling":
-            return [_Button(keys["stop"], "stop"), confirm]
-        if self.trial.timing == "strict":
-            return [confirm]
-        return [_Button(keys["again"], "again", is_ready=state == "answering"), confirm]
-
-    def add_parts(self, top: float) -> None:
-        sheet, unit = self.sheet, self.sheet.unit
-        # A reference that is stroked is called by what it is.
-        names = {
-            part.name: self.texts.name_part("surface" if part.surface else part.name)
-            for part in self.trial.parts
-        }
-        # Wide enough that a tick stands apart from the name, which stays in the middle.
-        width = max(sheet.measure(name, BODY, bold=True) for name in names.values()) + 14 * unit
-        left = (sheet.width - len(names) * width - (len(names) - 1) * 2 * unit) / 2
-        can_feel = self.view.state == "answering" and self.trial.timing != "strict"
-        for part, name in names.items():
-            box = Box(left, top, width, 7 * unit)
-            self.add_part(box, part, name, size=BODY)
-            if can_feel:
-                sheet.targets.append(Target(box, "feel", part))
-            left += width + 2 * unit
-
-    def add_part(self, box: Box, part: str, name: str, *, size: float) -> None:
-        """Draw a part: filled while it is on, ticked once it was felt."""
-        sheet, size_px = self.sheet, size * self.sheet.unit
-        is_on, is_felt = part == self.view.playing, part in self.view.felt
-        ink = GROUND if is_on else INK if is_felt else DIM
-        tick = sheet.measure(FELT, size, bold=True)
-        fill, line = (BLUE, "") if is_on else (PANEL, LINE)
-        sheet.fill(box, fill, line=line, round_px=size_px / 2.5, line_px=size_px / 12)
-        inner = Box(box.left + 1.6 * tick, box.top, box.width - 3.2 * tick, box.height)
-        sheet.write(inner, name, size, color=ink, bold=True, align="center")
-        if self.view.loops and is_on:
-            left = Box(box.left + 0.5 * tick, box.top, tick, box.height)
-            sheet.write(left, LOOP, size, color=ink, bold=True)
-        if is_felt:
-            right = Box(box.right - 1.5 * tick, box.top, tick, box.height)
-            sheet.write(right, FELT, size, color=ink, bold=True)
-
-    def find_slider_height(self) -> float:
-        """Compute the height of a slider with the number over it and the words under it, in pixels."""
-        lines = 1 + bool(self.scale.anchors) + _count_label_lines(self.scale, self.sheet)
-        return (ABOVE + TRACK + UNDER) * self.sheet.unit + self.sheet.find_height(lines, BODY)
-
-    def add_slider(self, box: Box) -> None:
-        sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        part, width = self.trial.judgements[0].part, _find_slider_width(sheet)
-        # Number, track and labels together stand in the middle of what is left.
-        top = box.top + max(0.0, box.height - self.find_slider_height()) / 2
-        track = Box((sheet.width - width) / 2, top + ABOVE * unit, width, TRACK * unit)
-        is_ready, value = view.can_answer, view.markers.get(part)
-        _add_track(sheet, track, is_ready=is_ready)
-        self.label_ends(track)
-        if view.typed or value is not None:
-            at = 0.5 if view.typed or value is None else value / RATING_RANGE[1]
-            words = f"{view.typed}_" if view.typed or value is None else f"{value:.0f}"
-            number, size = sheet.measure("100_", QUESTION, bold=True), QUESTION * unit
-            left = track.left + at * track.width - number / 2
-            over = Box(left, track.top - 1.9 * size, number, sheet.find_height(1, QUESTION))
-            sheet.write(over, words, QUESTION, bold=True, align="center")
-        _add_marker(sheet, track, value, color=BLUE if is_ready else LINE)
-        if is_ready:
-            sheet.targets.append(Target(track.grow(2 * unit), "mark", part, track))
-
-    def label_ends(self, track: Box) -> None:
-        """Write the numbers and words of both ends under the track, and what stands in between."""
-        sheet, scale = self.sheet, self.scale
-        step, top = sheet.find_height(1, BODY), track.bottom + UNDER * sheet.unit
-        if scale.anchors:
-            _label_anchors(sheet, track, self.scale, top=top)
-            top += step
-        width = LABEL * track.width
-        for number, label, align, left in (
-            (RATING_RANGE[0], scale.low_label, "left", track.left),
-            (RATING_RANGE[1], scale.high_label, "right", track.right - width),
-        ):
-            box = Box(left, top, width, step)
-            sheet.write(box, f"{number:.0f}", SMALL, color=DIM, align=align)
-            lines = sheet.wrap(label, width, BODY)
-            sheet.write(Box(left, top + step, width, step), lines, BODY, align=align)
-
-    def add_rows(self, box: Box) -> None:
-        """Set the reference beside the words of the scale, and under them a row for each vibration."""
-        sheet, unit = self.sheet, self.sheet.unit
-        rated = [judgement.part for judgement in self.trial.judgements]
-        names = {part.name: self.texts.name_part(part.name) for part in self.trial.parts}
-        width = max(sheet.measure(name, SMALL, bold=True) for name in names.values()) + 9 * unit
-        step = sheet.find_height(1, SMALL)
-        left, head = box.left + width + 6 * unit, 2 * step + 1.2 * unit
-        track = Box(left, box.top, box.right - 11 * unit - left, 0)
-        row = min(ROW * unit, (box.height - head) / len(rated))
-        half = track.width / 2
-        sheet.write(Box(left, box.top, half, step), self.scale.low_label, SMALL)
-        high = Box(left + half, box.top, half, step)
-        sheet.write(high, self.scale.high_label, SMALL, align="right")
-        grid = Box(track.left, box.top + step, track.width, step + 1.2 * unit + len(rated) * row)
-        _add_bands(sheet, grid, self.scale)
-        fields = {
-            name: Box(box.left, box.top, width, 2 * step) for name in names if name not in rated
-        }
-        for place, name in enumerate(rated):
-            line = Box(box.left, box.top + head + place * row, box.width, row)
-            own = Box(track.left, line.top + 0.14 * row, track.width, 0.72 * row)
-            self.add_row(name, line, own)
-            target = Box(own.left - 2 * unit, line.top, own.width + 4 * unit, row)
-            if self.view.can_rate(name):
-                sheet.targets.append(Target(target, "mark", name, own))
-            fields[name] = Box(box.left + unit, line.top + 0.04 * row, width - unit, 0.92 * row)
-        for name, spot in fields.items():
-            self.add_part(spot, name, names[name], size=SMALL)
-            sheet.targets.append(Target(spot, "feel", name))
-
-    def add_row(self, name: str, line: Box, track: Box) -> None:
-        sheet, unit = self.sheet, self.sheet.unit
-        is_selected, value = name == self.view.selected, self.view.markers.get(name)
-        if is_selected:
-            sheet.fill(line, "", line=LINE, line_px=0.2 * unit)
-            sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), BLUE)
-        _add_track(sheet, track, is_ready=self.view.can_rate(name))
-        _add_marker(sheet, track, value, color=BLUE if is_selected else INK)
-        if value is not None:
-            width = line.right - track.right - 4 * unit
-            box = Box(track.right + 3 * unit, line.top, width, line.height)
-            sheet.write(box, f"{value:.0f}", BODY, bold=True, align="right")
-
-    def add_choice(self, box: Box) -> None:
-        """Set what can be chosen side by side; what was chosen is framed and marked."""
-        sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        count, names = len(self.scale.choices), map(self.texts.name_part, self.scale.choices)
-        widest = max(sheet.measure(name, 2 * QUESTION, bold=True) for name in names)
-        width, height = max(34 * unit, widest + 6 * unit), min(22 * unit, box.height)
-        gap = 8 * unit
-        left = (sheet.width - count * width - (count - 1) * gap) / 2
-        top = box.top + (box.height - height) / 2
-        for place, name in enumerate(self.scale.choices):
-            field = Box(left + place * (width + gap), top, width, height)
-            is_chosen = name == view.chosen
-            ink = GROUND if is_chosen else INK if view.can_answer else DIM
-            fill = BLUE if is_chosen else PANEL
-            sheet.fill(field, fill, line=LINE, round_px=2 * unit, line_px=0.3 * unit)
-            words = self.texts.name_part(name)
-            sheet.write(field, words, 2 * QUESTION, color=ink, bold=True, align="center")
-            if view.can_answer:
-                sheet.targets.append(Target(field, "choose", name))

@@ -8,12 +8,15 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from math import ceil
 
+from feel321.protocols.questions import Question
 from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.actuator.output import Output
+from feel321.study.screen.asking import Form, fill_in
 from feel321.study.screen.drawing import Sheet
 from feel321.study.screen.input import Answer, InputEvent, Request, Twice
-from feel321.study.screen.layout import Hand, ScreenTexts, View, compose
+from feel321.study.screen.layout import compose
+from feel321.study.screen.view import Hand, ScreenTexts, View
 from feel321.study.screen.window import Window
 from feel321.study.session.ports import (
     Abort,
@@ -41,14 +44,17 @@ class Screen:
         self.view = View("page", "reading", 0, Place(0, 0))
         self.notice = ""
         self._answer: Answer | None = None
+        self._form: Form | None = None
         self._twice = Twice()
         self._confirmed_s = -DOUBLE_S
         self._events: deque[InputEvent] = deque()
         self._composed: tuple[View, Sheet] = (self.view, Sheet(0, 0))
 
-    def bring_up(self, view: View, answer: Answer | None = None) -> None:
+    def bring_up(
+        self, view: View, answer: Answer | None = None, *, form: Form | None = None
+    ) -> None:
         """Begin a screen: nothing of the last one is left, no key that was pressed on it counts for this one."""
-        self.view, self.notice, self._answer = view, "", answer
+        self.view, self.notice, self._answer, self._form = view, "", answer, form
         self._events.clear()
         self._twice = Twice()
         self.show_frame()
@@ -78,6 +84,8 @@ class Screen:
         if self._twice.is_armed(self._clock()) and view.can_leave:
             notice = self._texts.prompts["end_next" if view.page else "pause_next"]
         view = replace(view, notice=notice)
+        if self._form is not None:
+            view = fill_in(view, self._form)
         if view.trial is not None:
             answer = self.find_answer()
             view = replace(
@@ -106,7 +114,8 @@ class Screen:
         if event.kind == "press":
             is_theirs = page is not None and page.by == "experimenter"
             confirm = "experimenter" if is_theirs else "next"
-            action = self._texts.own_keys.name_action(event.key)
+            keys = self._form or self._texts.own_keys
+            action = keys.name_action(event.key)
             name = {confirm: "confirm", "stop": "stop", "pause": "pause"}.get(action, "")
         if name == "pause":
             # A key must be pressed twice; the button of a trial is enough.
@@ -114,6 +123,8 @@ class Screen:
             return Request("pause", event.time_s) if is_meant else None
         if name in {"confirm", "stop"}:
             return Request(name, event.time_s)
+        if self._form is not None:
+            self._form.take(event, target)
         if trial is None:
             return None
         return self.find_answer().take(event, target, can_answer=self.view.can_answer)
@@ -176,6 +187,28 @@ class ScreenPresenter:
                     return Confirm(request.time_s, {}, stood_s)
                 if request.name == "confirm":
                     self.refuse("too_early", ())
+
+    def show_question(self, question: Question, place: Place) -> Confirm | Pause | Abort:
+        """Show a question page until it has an answer."""
+        screen, form = self._screen, Form(question, self._texts.own_keys)
+        view = View(
+            "page", "reading", screen.view.screen + 1, place, Page(question.key), question=question
+        )
+        screen.bring_up(view, form=form)
+        shown_s = self._clock()
+        while True:
+            for request in screen.listen():
+                stood_s = max(0.0, request.time_s - shown_s)
+                if (end := find_end(request)) is not None:
+                    return Abort(request.time_s, end.reason if isinstance(end, Abort) else LEFT)
+                if request.name != "confirm":
+                    continue
+                answer = form.answer
+                if not (fault := question.find_fault(answer)):
+                    values = {} if answer is None else {question.name: answer}
+                    return Confirm(request.time_s, values, stood_s)
+                parts = (question.describe_range(),) if fault == "out_of_range" else ()
+                self.refuse(fault, parts)
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Show a trial, all markers unset."""

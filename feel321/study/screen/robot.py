@@ -8,12 +8,14 @@ lost is pressed again, and one too many is taken back.
 from collections.abc import Callable, Mapping
 from math import copysign
 
+from feel321.protocols.questions import Question
 from feel321.protocols.trial import MATCHING, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import KEY_NAMES, PLAY, USUAL, KeysTable
 from feel321.study.observer.participant import Experience, Participant, feel_level
+from feel321.study.screen.asking import ENTER
 from feel321.study.screen.input import MOVES, ROW_STEPS
-from feel321.study.screen.layout import Hand, View
+from feel321.study.screen.view import Hand, View
 from feel321.study.session.ports import Scaled, Tone
 
 KEYSYMS = {name: name for name in KEY_NAMES[-10:]} | {
@@ -127,6 +129,8 @@ class PressingHand(Hand):
     def _choose_act(self, view: View) -> str:
         """Choose what to do with the next key: an action, or a digit to type; empty to wait."""
         match view.state:
+            case "reading" if view.question is not None:
+                return self._answer_question(view, view.question)
             case "reading":
                 return "" if view.left_s else self._leave(view.page)
             case "stroking":
@@ -134,6 +138,23 @@ class PressingHand(Hand):
             case "answering" if view.trial is not None:
                 return self._answer(view, view.trial)
         return ""
+
+    def _answer_question(self, view: View, question: Question) -> str:
+        """Type or choose, one key at a time, then confirm."""
+        value, _ = self._mind.answer_question(question, occasion=view.place.attempt)
+        if question.choices:
+            target = str(question.choices.index(value))
+            if view.chosen == target:
+                return "next"
+            if self._keys.type_values:
+                return str(int(target) + 1)
+            return "down" if not view.chosen or int(view.chosen) < int(target) else "up"
+        text = f"{value:g}" if isinstance(value, float) else str(value)
+        if view.typed == text:
+            return ENTER  # whatever key confirms elsewhere, it may be one that types
+        is_begun = text.startswith(view.typed)
+        key = text[len(view.typed)] if is_begun else "backspace"
+        return {"-": "minus", ".": "period"}.get(key, key)
 
     def _leave(self, page: Page | None) -> str:
         if page is None or page.key != "call_us":

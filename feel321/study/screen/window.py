@@ -185,6 +185,14 @@ class Window:
             self._events.append(InputEvent(kind, self.clock(), name, *at))
             return True
 
+        def write(text: str) -> bool:
+            if text.isprintable():  # Enter is a text too
+                self._events.append(InputEvent("text", self.clock(), text))
+            return True
+
+        def move(motion: int) -> bool:
+            return motion != keys.MOTION_BACKSPACE or write("backspace")
+
         def end(*_: object) -> bool:
             self._is_closed = True
             return True  # the window stays until the session has let go of it
@@ -192,6 +200,8 @@ class Window:
         inner.push_handlers(
             on_key_press=lambda symbol, _: take("press", key=symbol),
             on_key_release=lambda symbol, _: take("release", key=symbol),
+            on_text=write,
+            on_text_motion=move,
             on_mouse_press=lambda x, y, *_: take("click", at=locate(x, y)),
             on_mouse_drag=lambda x, y, *_: take("drag", at=locate(x, y)),
             on_deactivate=lambda: take("unfocused"),

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.detection import INTERVALS, THRESHOLD, Detection
 from feel321.protocols.matching import ATTENUATION_DB, FIRST, MIDDLE, SECOND, Matching
+from feel321.protocols.questions import Question, find_question
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import MATCHING, RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
@@ -24,7 +25,7 @@ from feel321.study.session.plan import Plan, advance, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from feel321.protocols.agenda import Agenda
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
@@ -51,6 +52,7 @@ class Setup:
     flow: Flow
     detection: Detection | None = None
     matching: Matching | None = None
+    questions: Sequence[Question] = ()
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -123,7 +125,9 @@ def run_session(
     scales = read_scales() if scales is None else scales
     detection = recall_detection(plan, journal.records)
     matching = Matching(plan.matching, plan.trials) if plan.matching else None
-    setup = Setup(presenter, by_code, scales, journal, plan.flow, detection, matching)
+    setup = Setup(
+        presenter, by_code, scales, journal, plan.flow, detection, matching, plan.questions
+    )
     agenda = replay(plan, journal.records)
     try:
         _Lead(setup, agenda, {trial.number: trial for trial in plan.trials}).run(on_step)
@@ -175,7 +179,10 @@ class _Lead:
             conduct_trial(step, place, self.setup)
             return
         try:
-            conduct_page(step, place, self.setup)
+            if question := find_question(self.setup.questions, step):
+                conduct_question(question, place, self.setup)
+            else:
+                conduct_page(step, place, self.setup)
         except Stopped as stop:
             if self.fault:
                 raise Stopped(BROKEN, stop.args[1]) from None
@@ -218,6 +225,29 @@ def _read_page(page: Page, place: Place, setup: Setup) -> ports.Confirm:
         if act.response_time_s >= page.least_s:
             return act
         setup.presenter.refuse("too_early", ())
+
+
+def conduct_question(question: Question, place: Place, setup: Setup) -> None:
+    """Show a question until it is answered, or left open where that is allowed."""
+    asked = setup.journal.records.find(events.QuestionAnswered)
+    occasion = 1 + sum(answered.question == question.name for answered in asked)
+    place = replace(place, attempt=occasion)
+    while True:
+        act = setup.presenter.show_question(question, place)
+        if isinstance(act, ports.Abort):
+            raise Stopped(act.reason, act.time_s)
+        if isinstance(act, ports.Pause):
+            continue
+        value = act.values.get(question.name)
+        value = (value or None) if isinstance(value, str | None) else float(value)
+        if not (fault := question.find_fault(value)):
+            break
+        parts = (question.describe_range(),) if fault == "out_of_range" else ()
+        setup.presenter.refuse(fault, parts)
+    time_s, stood_s = act.time_s, act.response_time_s
+    setup.journal.write(
+        events.QuestionAnswered(question.name, occasion, value, question.personal, time_s, stood_s)
+    )
 
 
 def conduct_trial(trial: Trial, place: Place, setup: Setup) -> None:

@@ -110,6 +110,20 @@ class PageRead(SessionEvent, event="page"):
     stood_s: float
 
 
+class QuestionAnswered(SessionEvent, event="answered"):
+    """A question page was answered; value: None where it was left open, occasion: from 1, where it is asked again.
+
+    personal: whether the value is personal data.
+    """
+
+    question: str
+    occasion: int
+    value: float | str | None
+    personal: bool
+    time_s: float
+    stood_s: float
+
+
 class SessionFinished(SessionEvent, event="finished"):
     """All trials are done."""
 

@@ -27,6 +27,7 @@ from feel321.protocols.order import (
     make_rehearsal,
     order_tasks,
 )
+from feel321.protocols.questions import PREFIX, Question
 from feel321.protocols.tasks import is_as_expected
 from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
 from feel321.study.session import events
@@ -74,6 +75,7 @@ class Design:
     threshold: ThresholdBlock | None = None
     task_order: str = TASK_ORDERS[0]
     matching: MatchingBlock | None = None
+    questions: tuple[Question, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -112,6 +114,8 @@ class Plan:
         Whether the order of tasks is `fixed` or `counterbalanced` between participants.
     matching : MatchingBlock or None
         The block in which strength is matched, where the session has one.
+    questions : tuple of Question
+        The question pages besides the trials.
     sha256 : str
         Digest of the plan as it was stored; empty before that.
     """
@@ -131,6 +135,7 @@ class Plan:
     threshold: ThresholdBlock | None = None
     task_order: str = TASK_ORDERS[0]
     matching: MatchingBlock | None = None
+    questions: tuple[Question, ...] = ()
     sha256: str = field(default="", compare=False)
 
     def to_frame(self) -> DataFrame:
@@ -173,18 +178,20 @@ def make_plan(
         threshold=own.threshold,
         task_order=design.task_order,
         matching=own.matching,
+        questions=own.questions,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """The trials of a participant, and the groups and tasks that they follow from."""
+    """The trials and questions of a participant, and the groups and tasks that they follow from."""
 
     groups: Mapping[str, str]
     tasks: tuple[Task, ...]
     trials: tuple[Trial, ...]
     threshold: ThresholdBlock | None
     matching: MatchingBlock | None
+    questions: tuple[Question, ...] = ()
 
 
 def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Course:
@@ -214,16 +221,16 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
     trials = (*main, *rehearsal, *(make_block(block, first_number=first) if block else ()))
     key = [design.seed, number, len(trials)]
     matching, own = draw_matching(design.matching, items, first_number=len(trials) + 1, key=key)
-    return Course(groups, tasks, (*trials, *own), block, matching)
+    return Course(groups, tasks, (*trials, *own), block, matching, design.questions)
 
 
 def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
     del entry["sha256"]
-    for block in ("threshold", "matching"):
-        if entry[block] is None:
-            del entry[block]  # so were plans stored before there were any
+    for name in ("threshold", "matching", "questions"):
+        if not entry[name]:
+            del entry[name]  # so were plans stored before there were any
     if plan.task_order == TASK_ORDERS[0]:
         del entry["task_order"]
     create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())
@@ -275,13 +282,15 @@ def _seal(body: bytes) -> bytes:
     return body.removesuffix(b"\n}") + _SEAL + journals.digest(body).encode() + b'"\n}\n'
 
 
-STEPS = (events.PageRead, events.TrialRated, events.TrialSpoiled, events.WarmUpBegun)
+STEPS = (
+    events.PageRead, events.QuestionAnswered, events.TrialRated, events.TrialSpoiled, events.WarmUpBegun,
+)  # fmt: skip
 """Events that change what comes next."""
 
 
 def replay(plan: Plan, records: Iterable[Record]) -> Agenda:
     """Make the agenda of a session as its journal leaves it."""
-    agenda = Agenda(plan.trials, plan.flow)
+    agenda = Agenda(plan.trials, plan.flow, plan.questions)
     trials = {trial.number: trial for trial in plan.trials}
     names = {kind.event for kind in STEPS}
     for record in records:
@@ -317,6 +326,8 @@ def advance(
     match event:
         case events.PageRead():
             agenda.tell_page(event.key, time_s=event.time_s)
+        case events.QuestionAnswered():
+            agenda.tell_page(f"{PREFIX}{event.question}", time_s=event.time_s)
         case events.TrialRated():
             trial = trials.get(event.trial)
             agenda.tell_trial(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
+    from feel321.protocols.questions import Question
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
 
@@ -222,7 +223,8 @@ class Confirm:
     time_s : float
         Time of the act.
     values : mapping of str to float or str
-        Points, or the part that was chosen, by the part that is judged; empty for a page.
+        Points, or the part that was chosen, by the part that is judged; the answer by the name of a question, none
+        if it was left open; empty for a page.
     response_time_s : float
         Time since the answer became possible, or since the page appeared.
     """
@@ -295,6 +297,22 @@ class Presenter(Protocol):
         -------
         Confirm, Pause or Abort
             The participant's act; a pause on a page changes nothing, for nothing is felt there.
+        """
+
+    def show_question(self, question: Question, place: Place) -> Confirm | Pause | Abort:
+        """Show a question page until it is answered.
+
+        Parameters
+        ----------
+        question : Question
+            The question.
+        place : Place
+            Progress of the session; its attempt is how often the question was asked, from 1.
+
+        Returns
+        -------
+        Confirm, Pause or Abort
+            The participant's act.
         """
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:

@@ -10,8 +10,18 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, get_args
 
-from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError, WrapValidator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    WrapValidator,
+)
 from pydantic_core import ErrorDetails, PydanticCustomError
+
+from feel321.extensions import is_given
 
 OFF = "off"
 """Switches a setting off: TOML has no null."""
@@ -25,13 +35,24 @@ class TomlTable(BaseModel):
 
 def one_of(names: Collection[str]) -> AfterValidator:
     """Make the rule that a name is one of a registry's."""
+    return AfterValidator(lambda name: _check_one_of(name, names))
 
-    def check(name: str) -> str:
-        if name not in names:
-            near = get_close_matches(name, list(names), n=1)
-            hint = f"; did you mean {near[0]!r}?" if near else ""
-            raise ValueError(f"must be one of {', '.join(names)}{hint}")
-        return name
+
+def _check_one_of(name: str, names: Collection[str]) -> str:
+    if name not in names:
+        near = get_close_matches(name, list(names), n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"must be one of {', '.join(names)}{hint}")
+    return name
+
+
+def own_or_one_of(names: Collection[str], kind: str, table: str) -> AfterValidator:
+    """Make the rule that a name is one of a registry's, or one of the lab's own methods; they are not imported yet."""
+
+    def check(name: str, info: ValidationInfo) -> str:
+        declared = (info.context or {}).get(table)
+        known = declared if isinstance(declared, dict) else {}
+        return name if is_given(kind, name, known) else _check_one_of(name, names)
 
     return AfterValidator(check)
 
@@ -109,9 +130,8 @@ def parse_toml(path: Path, model: type[Whole]) -> Whole:
     """Read a TOML file into the table that it is to be."""
     try:
         # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
-        content = json.dumps(
-            tomllib.loads(path.read_text(encoding="utf-8-sig")), default=_refuse_time
-        )
+        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        content = json.dumps(tables, default=_refuse_time)
     except TypeError as error:
         raise ValueError(f"{path.name}: {error}") from None
     except ValueError as error:  # TOML's own errors and those of the encoding
@@ -119,7 +139,7 @@ def parse_toml(path: Path, model: type[Whole]) -> Whole:
     except RecursionError:
         raise ValueError(f"{path}: TOML nested too deeply; use fewer levels") from None
     try:
-        return model.model_validate_json(content, strict=True)
+        return model.model_validate_json(content, strict=True, context=tables)
     except ValidationError as error:
         lines = (
             f"{path.name}: {_translate(detail, model)}"

@@ -11,15 +11,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from feel321.doors import describe
+from feel321.doors import describe, name_of, refuse_name
+from feel321.extensions import Method, find_method, is_given
 from feel321.files import write_text
+from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, make_task
-from feel321.protocols.texts import read_texts
+from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.metrics import MATCHES, METRICS
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.recipe import NO_REFERENCE, Recipe
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.session.journal import digest
 from feel321.study.session.plan import Design
@@ -106,11 +110,36 @@ def turn_recording(recording: Recording, rotation: int) -> Recording:
     )
 
 
-def make_recipe(settings: Settings) -> Recipe:
-    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
+def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
+    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name.
+
+    folder: of the study, where files of its own reducers and metrics are; the current one if left out.
+    """
     stimuli = settings.stimuli.model_dump(exclude={"conditioning", "below_threshold"})
+    own = {
+        "reducers": [find_reducer(settings, name, folder) for name in settings.stimuli.reducers],
+        "metrics": [find_metric(settings, name, folder) for name in settings.stimuli.metrics],
+        "reference": find_reducer(settings, settings.stimuli.reference, folder),
+    }
     steps = Conditioning(**settings.stimuli.conditioning.model_dump())
-    return Recipe(conditioning=steps, **stimuli, **settings.rig.of_stimuli())
+    return Recipe(conditioning=steps, **(stimuli | own), **settings.rig.of_stimuli())
+
+
+def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
+    """Find one of the lab's own reducers; a name of feel321's stays a name."""
+    taken = (ORIGINAL, NO_REFERENCE, *REDUCERS)
+    declared = {key: table.to_facts() for key, table in settings.reducers.items()}
+    if name in taken:
+        return name
+    return find_method("reducer", name, taken=taken, folder=folder, declared=declared)
+
+
+def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Method:
+    """Find one of the lab's own metrics; a name of feel321's stays a name."""
+    declared = {key: table.to_facts() for key, table in settings.metrics.items()}
+    if name in METRICS:
+        return name
+    return find_method("metric", name, taken=METRICS, folder=folder, declared=declared)
 
 
 # From settings to sessions: texts, design, and what a journal's header says of them.
@@ -133,8 +162,11 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     return texts
 
 
-def make_design(settings: Settings) -> Design:
-    """Make the design: all that a study decides about the sessions of its participants."""
+def make_design(settings: Settings, folder: Path | None = None) -> Design:
+    """Make the design: all that a study decides about the sessions of its participants.
+
+    folder: that of the study, where a file of its own may hold the texts of ready questions.
+    """
     session = settings.session
     rehearsal = session.rehearsal.model_dump(by_alias=True)
     trials = {name: rehearsal.pop(name) for name in ("training", "practice")}
@@ -151,7 +183,19 @@ def make_design(settings: Settings) -> Design:
         ),
         threshold=session.threshold.make_block() if session.threshold else None,
         matching=session.matching.make_block(settings.stimuli.levels) if session.matching else None,
+        questions=_make_questions(settings, folder),
     )
+
+
+def _make_questions(settings: Settings, folder: Path | None) -> tuple[Question, ...]:
+    questions: list[Question] = []
+    for table in settings.session.questions:
+        if table.use:
+            language = MODEL if folder is None else find_language(settings, folder)
+            questions += read_ready(table.use, read_texts(language), when=table.when)
+        else:
+            questions.append(table.make_question())
+    return tuple(questions)
 
 
 def make_identity(
@@ -168,6 +212,7 @@ def make_identity(
     texts = read_study_texts(settings, folder)
     # Pages aside from the plan ask nothing: sessions that began before there were any have the same texts.
     pages = {key: page for key, page in texts["pages"].items() if key not in ASIDE}
+    del texts["questions"]  # the plan holds what is asked
     return {
         "locale": settings.session.language,
         "texts_sha256": digest(json.dumps(texts | {"pages": pages}, sort_keys=True)),
@@ -184,7 +229,7 @@ def make_identity(
 def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
     # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
-    checks = (_check_reference, _check_tasks, _check_between, _check_matching)
+    checks = (_check_reference, _check_metrics, _check_tasks, _check_between, _check_matching)
     if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
@@ -198,6 +243,16 @@ def _check_reference(settings: Settings) -> Iterator[str]:
             f"stimuli.reference must not be one of stimuli.reducers too, got {reference!r}; "
             "take it out of the reducers"
         )
+
+
+def _check_metrics(settings: Settings) -> Iterator[str]:
+    """Check that further metrics are there; that of a lab is not imported yet."""
+    further = [name for name in METRICS if name not in MATCHES]
+    for number, name in enumerate(settings.stimuli.metrics, start=1):
+        if name in MATCHES:
+            yield f"stimuli.metrics[{number}] must be a further metric, got {name!r}, which every set has; remove it"
+        elif name not in METRICS and not is_given("metric", name, settings.metrics):
+            yield refuse_name(name, further, f"stimuli.metrics[{number}]")
 
 
 def _check_matching(settings: Settings) -> Iterator[str]:
@@ -285,8 +340,8 @@ def _list_items(settings: Settings) -> list[Item]:
     from feel321.stimuli.sets.anchors import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title
-    made = [(name, "test") for name in stimuli.reducers]
-    made += [(stimuli.reference, "reference")] * (stimuli.reference != NO_REFERENCE)
+    made = [(name_of(name), "test") for name in stimuli.reducers]
+    made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
     made += [(name, "anchor") for name in ANCHORS] * stimuli.anchors
     return [
         Item(f"{recording}-{role}-{reducer}-{level}", recording, reducer, level, role)

@@ -22,13 +22,14 @@ from feel321.protocols.trial import CHOOSING, FLAGS, Flow
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import UNITS
-from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.anchors import THRESHOLDS
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
+from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
+from feel321.study.settings.asking import Questions
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
 _BLOCK, _MATCHING = ThresholdBlock("bayesian", (), USUAL), MatchingBlock("")
@@ -201,6 +202,7 @@ class SessionTable(kinds.TomlTable):
     stale: StaleTable = StaleTable()
     threshold: ThresholdTable | None = None
     matching: MatchingTable | None = None
+    questions: Questions = ()
 
 
 class TaskTable(kinds.TomlTable):
@@ -209,6 +211,7 @@ class TaskTable(kinds.TomlTable):
     timing: kinds.Words | None = None
     reference: kinds.Words | None = None
     surface: bool = False
+    pairs: Annotated[kinds.Count, Field(ge=1)] | None = None
 
 
 Tasks = dict[Annotated[str, kinds.one_of(PROTOCOLS)], TaskTable]
@@ -306,22 +309,62 @@ BELOW_THRESHOLD = ("refuse", ACCEPT)
 """Whether stimuli that are weaker than the detection threshold keep a study from running."""
 
 
+_OWN_REDUCER = kinds.own_or_one_of(REDUCERS, "reducer", "reducers")
+_OWN_REFERENCE = kinds.own_or_one_of((ORIGINAL, NO_REFERENCE, *REDUCERS), "reducer", "reducers")
+
+
 class StimuliTable(kinds.TomlTable):
     """`[stimuli]`: what is made of each recording."""
 
-    reducers: Annotated[tuple[Annotated[str, kinds.one_of(REDUCERS)], ...], kinds.Some] = tuple(
-        _RECIPE.reducers
-    )
+    reducers: Annotated[tuple[Annotated[str, _OWN_REDUCER], ...], kinds.Some] = DEFAULT_REDUCERS
     levels: Annotated[tuple[Annotated[str, kinds.one_of(LEVELS)], ...], kinds.Some] = tuple(
         _RECIPE.levels
     )
     anchors: bool = _RECIPE.anchors
-    reference: Annotated[str, kinds.one_of((ORIGINAL, NO_REFERENCE, *REDUCERS))] = _RECIPE.reference
+    reference: Annotated[str, _OWN_REFERENCE] = _RECIPE.reference
     gain: Annotated[float | str, kinds.number_or(GAINS, least=1e-6, most=1e6)] = _RECIPE.gain
     fade_s: kinds.NotNegative = _RECIPE.fade_s
     threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = _RECIPE.threshold
     below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
+    metrics: Annotated[tuple[kinds.Words, ...], kinds.Distinct] = ()
     conditioning: ConditioningTable = ConditioningTable()
+
+
+class MethodTable(kinds.TomlTable):
+    """A lab's own method: code, or a command; what it declares is believed."""
+
+    use: kinds.Words | None = None
+    command: kinds.Words | None = None
+    timeout_s: kinds.Positive | None = None
+
+    def to_facts(self) -> dict[str, Any]:
+        """Return what is said, without what is left out."""
+        return self.model_dump(exclude_none=True)
+
+
+class ReducerTable(MethodTable):
+    """`[reducers.NAME]`: a lab's own reducer."""
+
+    operations: str | float | None = None
+    state: str | float | None = None
+    latency: str | float | None = None
+    batches: bool | None = None
+
+
+class MetricTable(MethodTable):
+    """`[metrics.NAME]`: a lab's own metric, or what a column of the manifest means."""
+
+    label: kinds.Words | None = None
+    higher: Annotated[str, kinds.one_of(("better", "worse"))] | None = None
+    low: kinds.Finite | None = None
+    high: kinds.Finite | None = None
+    unit: str | None = None
+
+    @model_validator(mode="after")
+    def _check_ends(self) -> Self:
+        if self.low is not None and self.high is not None and self.low >= self.high:
+            raise ValueError(f"low must be below high, got {self.low:g} and {self.high:g}")
+        return self
 
 
 class RigTable(kinds.TomlTable):
@@ -385,6 +428,8 @@ class Settings(kinds.TomlTable):
     recordings: Annotated[tuple[RecordingTable, ...], AfterValidator(_check_titles)]
     study: StudyTable = StudyTable()
     stimuli: StimuliTable = StimuliTable()
+    reducers: dict[str, ReducerTable] = Field(default_factory=dict)
+    metrics: dict[str, MetricTable] = Field(default_factory=dict)
     rig: RigTable = RigTable()
     session: SessionTable = SessionTable()
     tasks: Tasks = Field(default_factory=dict)

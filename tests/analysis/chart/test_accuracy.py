@@ -15,7 +15,8 @@ from feel321.analysis.tradeoff.chart.accuracy import (
     measure_accuracy,
 )
 from feel321.analysis.tradeoff.chart.compute import FULL
-from feel321.stimuli.match import METRICS, spectral_match_bounded
+from feel321.stimuli.match import spectral_match_bounded
+from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.axes import sqrt_hann
 from feel321.stimuli.reducers.fourier import dft321_windowed
 from feel321.stimuli.reducers.registry import REDUCERS

@@ -154,6 +154,16 @@ def test_candidates_are_as_far_as_they_feel_from_what_is_asked() -> None:
     }
 
 
+def test_of_two_the_distances_from_the_reference_count() -> None:
+    parts = {"reference": REAL, "a": WEAK, "b": STRONG}
+    experience = make_experience("triplet", parts, reference="reference")
+    judgement = replace(experience.trial.judgements[0], part="a")
+    assert measure_distances(experience, judgement, ("a", "b"), touch=TOUCH) == {
+        "a": pytest.approx(TOUCH.measure_distance(REAL, WEAK)),
+        "b": pytest.approx(TOUCH.measure_distance(REAL, STRONG)),
+    }
+
+
 def test_every_protocol_with_a_slider_can_be_judged() -> None:
     scales = read_scales("en")
     assert set(SURE_ENDS) == {

@@ -210,3 +210,21 @@ def test_the_ends_of_the_slider_bring_ratings_together() -> None:
     assert 0 < low < middle < high < 100
     steady = vary(MODEL, bias_sd=0.0, noise_sd=0.0, gain_sd=0.0)
     assert expect_rating(steady, [0.0, 30.0, 100.0]) == pytest.approx([0, 30, 100], abs=1e-9)
+
+
+@pytest.mark.parametrize(("apart", "growth"), [(0.0, 1.0), (6.0, 1.0), (12.0, 2.0)])
+def test_the_more_real_is_preferred_as_thurstone_says(apart: float, growth: float) -> None:
+    rng = np.random.default_rng(5)
+    percepts = {"a": 40.0 + apart, "b": 40.0}
+    chosen = [CAREFUL.prefer(percepts, growth=growth, rng=rng) for _ in range(20_000)]
+    expected = norm.cdf(apart / (CAREFUL.noise_sd * growth * np.sqrt(2)))
+    assert chosen.count("a") / len(chosen) == pytest.approx(expected, abs=0.015)
+
+
+def test_habits_prefer_whatever_was_felt() -> None:
+    percepts, rng = {"a": 0.0, "b": 90.0}, np.random.default_rng(5)
+    straight = replace(CAREFUL, kind="straight_liner", favourite=0.3)
+    assert {straight.prefer(percepts, growth=1.0, rng=rng) for _ in range(20)} == {"a"}
+    clicker = replace(CAREFUL, kind="random_clicker")
+    answers = [clicker.prefer(percepts, growth=1.0, rng=rng) for _ in range(2000)]
+    assert answers.count("a") / 2000 == pytest.approx(0.5, abs=0.04)

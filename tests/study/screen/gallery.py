@@ -9,15 +9,18 @@ import struct
 import sys
 import time
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.protocols.detection import INTERVALS, THRESHOLD
+from feel321.protocols.questions import Question, label_points, read_ready
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_texts
 from feel321.protocols.trial import MATCHING, PAGES, Judgement, Page, Part, Trial
 from feel321.study.screen.drawing import LEADING, Text, measure
-from feel321.study.screen.layout import View, compose, make_screen_texts
+from feel321.study.screen.layout import compose
+from feel321.study.screen.view import View, make_screen_texts
 from feel321.study.screen.window import open_screen
 from feel321.study.session.ports import Place
 
@@ -62,6 +65,22 @@ def make_trial(name: str, *, timing: str = "", rows: int = 12) -> Trial:
     )
 
 
+def make_questions(texts: dict) -> list[Question]:
+    """The ready questions of a language, and the largest of each kind."""
+    agree = [f"{word} agree" for word in ("Do not", "Hardly", "Rather", "Mostly", "Strongly")]
+    long = "What did you think of while you felt the vibrations, and did anything disturb you? " * 2
+    return [
+        *read_ready("demographics", texts),
+        Question("many", "choice", long, tuple(f"The answer number {n}" for n in range(1, 10))),
+        Question("agree", "likert", "It felt as if I touched the board.", tuple(agree)),
+        Question(
+            "ends", "likert", "How tired is your hand?", label_points(9, "Not at all", "Very")
+        ),
+        Question("words", "text", long, required=False),
+        Question("least", "number", "How many hours did you sleep?", low=0.5),
+    ]
+
+
 def make_views(
     scales: dict[str, Scale], texts: dict, *, picture: Path | None = None
 ) -> dict[str, View]:
@@ -85,6 +104,14 @@ def make_views(
             page=Page(key, 60.0 if left_s else 0.0, by),
             left_s=left_s,
             notice=notice,
+        )
+    for number, question in enumerate(make_questions(texts)):
+        filled = {"typed": "9" * 500 if question.kind == "text" else "99", "chosen": "1"}
+        views[f"question {question.name} open"] = View(
+            "page", "reading", 40 + number, place, page=Page(question.key), question=question
+        )
+        views[f"question {question.name} answered"] = replace(
+            views[f"question {question.name} open"], felt=frozenset({question.name}), **filled
         )
     names = ", ".join(texts["parts"].get(name, name) for name in ("reference", "test"))
     missing = texts["refusals"]["not_felt"].format(parts=names)

@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import read_scales, read_texts
 from feel321.protocols.trial import Flow, Page
-from feel321.study.screen.layout import Hand, View, compose, make_screen_texts
+from feel321.study.screen.layout import compose
 from feel321.study.screen.presenter import ScreenPresenter
+from feel321.study.screen.view import Hand, View, make_screen_texts
 from feel321.study.screen.window import Window, open_screen
 from feel321.study.session.engine import Setup, Stopped, conduct_page, conduct_trial
 from feel321.study.session.ports import Place, Playback, Surface

@@ -13,7 +13,7 @@ import pytest
 
 from feel321.protocols.texts import PageText, list_languages, read_scales, read_texts
 from feel321.protocols.trial import Page
-from feel321.study.screen import layout
+from feel321.study.screen import view as screen_view
 from feel321.study.screen.drawing import (
     LEADING,
     Area,
@@ -25,7 +25,8 @@ from feel321.study.screen.drawing import (
     measure,
     round_corners,
 )
-from feel321.study.screen.layout import BODY, View, compose, find_overflows, make_screen_texts
+from feel321.study.screen.layout import compose, find_overflows
+from feel321.study.screen.view import BODY, View, make_screen_texts
 from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def test_slider_has_no_marker_until_it_was_moved(gallery: dict[str, Any]) -> Non
         )
         items = compose(views[name], texts, size=(1920, 1080)).items
         return sum(
-            isinstance(i, Area) and i.fill == layout.BLUE and overlap(i.box, target.box)
+            isinstance(i, Area) and i.fill == screen_view.BLUE and overlap(i.box, target.box)
             for i in items
         )
 
@@ -152,7 +153,7 @@ def find_luminance(color: str) -> float:
 )
 def test_contrast(ink: str, ground: str) -> None:
     high, low = sorted(
-        (find_luminance(getattr(layout, name)) for name in (ink, ground)), reverse=True
+        (find_luminance(getattr(screen_view, name)) for name in (ink, ground)), reverse=True
     )
     assert (high + 0.05) / (low + 0.05) >= 7.0  # WCAG 2, level AAA
 
@@ -286,7 +287,8 @@ def test_only_what_was_felt_can_be_rated_and_continue_is_dim_until_all_is_done(
         sheet = compose(view, texts, size=(1280, 720))
         button = next(t.box for t in sheet.targets if t.name == "confirm")
         is_lit = any(
-            isinstance(i, Area) and i.box == button and i.fill == layout.BLUE for i in sheet.items
+            isinstance(i, Area) and i.box == button and i.fill == screen_view.BLUE
+            for i in sheet.items
         )
         return {t.part for t in sheet.targets if t.name == "mark"}, is_lit
 

@@ -70,8 +70,12 @@ def list_keys(table: type[TomlTable], place: str = "") -> Iterator[str]:
 def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
     for name, value in content.items():
         entry = value[0] if name == "recordings" else value
+        if name == "questions":
+            entry = {key: one for table in value for key, one in table.items()}
         if name == "tasks":
-            entry = value["similarity"]
+            entry = value["similarity"] | value["triplet"]
+        if not place and name in {"reducers", "metrics"}:
+            (entry,) = value.values()  # one of the lab's own
         if isinstance(entry, dict) and name != "between":
             yield from list_written(entry, f"{place}{name}.")
         else:

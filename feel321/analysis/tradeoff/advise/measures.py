@@ -52,7 +52,7 @@ from feel321.stimuli.match import (
 )
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import WHY_NOT_STREAMING, StreamingReducer
-from feel321.stimuli.sets.anchors import acceleration_threshold
+from feel321.stimuli.thresholds import acceleration_threshold
 from feel321.types import Reducer, Samples
 
 if TYPE_CHECKING:

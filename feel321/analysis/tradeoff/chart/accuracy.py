@@ -126,7 +126,7 @@ def measure_accuracy(
         raise ValueError(f"rotations must be 2 or more, got {len(turns)}: one has no spread")
     rate, rows = recording.rate_hz, []
     try:
-        scorer = _Scorer(recording)
+        scorer = Scorer(recording)
         turned = [recording.acceleration, *(turn @ recording.acceleration for turn in turns)]
         for variant in variants:
             scores = np.array([scorer.score(one, variant.reduce(one, rate)) for one in turned])
@@ -159,7 +159,7 @@ def change_rate(recording: Recording, rate_hz: float) -> Recording:
     return replace(recording, acceleration=samples, rate_hz=rate_hz, sha256="")
 
 
-class _Scorer:
+class Scorer:
     """What `METRICS` and `INVARIANTS` would compute anew in every call, computed once for a recording.
 
     No orientation changes the sum of its axes' energies.

@@ -34,7 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.stimuli.match import METRICS, OriginalSpectrum, axis_correlations, mean_over_axes
+from feel321.stimuli.match import (
+    OriginalSpectrum,
+    axis_correlations,
+    mean_over_axes,
+    spectral_match_bounded,
+)
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.rotation import INVARIANTS, random_rotations
 from feel321.types import Reducer, Samples
@@ -430,7 +435,7 @@ def compare_metrics_under_rotation(
     original = OriginalSpectrum(samples, rate_hz)
     matches = {name: float(original.match(output)) for name, output in outputs.items()}
     worst = min(matches, key=matches.__getitem__)
-    further = METRICS["spectral_match_bounded"], INVARIANTS["spectral_match"]
+    further = spectral_match_bounded, INVARIANTS["spectral_match"]
     return MetricRow(
         recording.name, held,
         float(temporal.min()), float(temporal.max()), min(invariant), max(invariant),

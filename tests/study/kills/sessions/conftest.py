@@ -25,7 +25,8 @@ from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.progress import write_roster
 from feel321.study.ledger.slots import claim_slots, list_forgotten, open_study_ledger
-from feel321.study.observer.participant import ObserverModel, SimulatedObserver, identify_observer
+from feel321.study.observer.participant import ObserverModel, identify_observer
+from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import Design, Stale, make_plan, require_plan

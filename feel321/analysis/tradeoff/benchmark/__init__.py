@@ -1,0 +1,1 @@
+"""A fixed battery for reducers, one card per method, and a leaderboard of cards."""

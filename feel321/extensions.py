@@ -1,0 +1,447 @@
+"""Extensions: a lab's own reducer, metric, protocol, recording format or screening rule, found by one look-up.
+
+A method is given as
+
+- an entry point's name (groups of `GROUPS`), from an installed package;
+- a dotted name, `mylab.haptics:my321`;
+- a file of the study, `methods/my321.py:my321`;
+- a table of `study.toml`, `[reducers.my321]`, with `use = "..."`, one of the above, or `command = "..."`, any program;
+- a function, in Python.
+
+The name behind the colon, or that of the table or entry point, is what stands in manifests, file names and tables; one
+that is taken is refused. A method is recorded with the SHA-256 digest of its code: every `*.py` of the folder that
+holds a file, every `*.py` of a package, the source of a function, or a command line and the files that it names.
+
+The code of a lab is called by `call` only: whatever it raises or prints, and however it ends, becomes one line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import os
+import shlex
+import sys
+import threading
+import traceback
+import warnings
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from re import fullmatch
+from typing import Any, Literal
+
+from feel321.doors import describe, refuse_name
+
+GROUPS: Mapping[str, str] = {
+    "reducer": "feel321.reducers",
+    "metric": "feel321.metrics",
+    "protocol": "feel321.protocols",
+    "format": "feel321.formats",
+    "screening rule": "feel321.screening",
+}
+"""Kind of method -> group of entry points; the only list of kinds."""
+
+FORMS = "a registered name, mylab.haptics:my321, or methods/my321.py:my321"
+"""How a method is given, for messages."""
+
+LONGEST_REASON = 200
+"""Characters of a lab's own error message that are repeated."""
+
+_TURN = threading.RLock()
+"""Held while a lab's code runs: standard output belongs to the process, and few functions expect two callers."""
+
+Origin = Literal["file", "module", "function", "command"]
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A lab's own method: picklable, and equal to another that has the same name and the same code.
+
+    place: as it was given; facts: what its table declares; folder: of the study; function: as it was given in Python.
+    """
+
+    kind: str
+    name: str
+    place: str
+    sha256: str
+    origin: Origin
+    facts: tuple[tuple[str, Any], ...] = ()
+    folder: Path | None = field(default=None, compare=False, repr=False)
+    function: Any = field(default=None, compare=False, repr=False)
+
+    def __str__(self) -> str:
+        """Name it as messages do."""
+        return f"{self.kind} {self.name}"
+
+    def load(self) -> Any:  # noqa: ANN401 - whatever the lab wrote
+        """Import it, once per process; a class is called without arguments for its object."""
+        if self.origin == "function":
+            return self.function
+        if self.origin == "command":
+            raise TypeError(f"{self}: a command is run, not imported")
+        return _load(self, self.folder)
+
+    def find_fact(self, name: str, otherwise: Any = None) -> Any:  # noqa: ANN401 - a fact of any type
+        """Find what the table, or else an attribute of the object, declares."""
+        declared = dict(self.facts)
+        if name in declared or self.origin == "command":
+            return declared.get(name, otherwise)
+        return getattr(self.load(), name, otherwise)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what manifests, plans and journals record."""
+        return {"method": self.place, "sha256": self.sha256}
+
+
+def find_method(
+    kind: str,
+    given: object,
+    *,
+    taken: Collection[str] = (),
+    folder: Path | None = None,
+    declared: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Method:
+    """Find a lab's method; nothing of it is imported yet.
+
+    taken: names of the kind that are feel321's own; folder: of the study, the current one if left out; declared: the
+    tables of the study, by name.
+    """
+    folder = Path(folder or Path.cwd()).resolve()
+    if isinstance(given, Method):
+        found = given
+    elif not isinstance(given, str):
+        found = _find_function(kind, given)
+    elif given in (declared or {}):
+        found = _find_declared(kind, given, (declared or {})[given], folder=folder)
+    elif ":" in given:
+        found = _find_place(kind, given, folder=folder)
+    else:
+        found = _find_entry_point(kind, given, [*taken, *(declared or {})])
+    return _check_name(found, taken)
+
+
+def is_given(kind: str, name: str, declared: Collection[str] = ()) -> bool:
+    """Whether a name can be one of a lab's methods: a place, a table's name, or an entry point's."""
+    return ":" in name or name in declared or name in list_entry_points(kind)
+
+
+def list_entry_points(kind: str) -> dict[str, str]:
+    """List the methods of installed packages: name -> dotted name."""
+    from importlib.metadata import entry_points
+
+    found: dict[str, str] = {}
+    for point in sorted(entry_points(group=GROUPS[kind]), key=lambda one: (one.name, one.value)):
+        if found.setdefault(point.name, point.value) != point.value:
+            raise ValueError(
+                f"{kind} {point.name!r} is declared by two installed packages, as {found[point.name]} and "
+                f"{point.value}; uninstall one, or name it by its place"
+            )
+    return found
+
+
+def _check_name(method: Method, taken: Collection[str]) -> Method:
+    if not fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", method.name):
+        remedy = "give it a name with def" if method.origin == "function" else "rename it"
+        raise ValueError(
+            f"{method.kind} {method.place!r}: its name must be up to 60 letters (A-Z), digits and _, beginning with a "
+            f"letter, got {method.name!r}; {remedy}"
+        )
+    if method.name.casefold() in {name.casefold() for name in taken}:
+        raise ValueError(
+            f"{method.kind} {method.place!r}: the name {method.name!r} is taken by one of feel321's own; rename it"
+        )
+    return method
+
+
+def _find_declared(kind: str, name: str, table: Mapping[str, Any], *, folder: Path) -> Method:
+    own = {key: value for key, value in table.items() if value is not None}
+    use, command = own.pop("use", None), own.pop("command", None)
+    if (use is None) == (command is None):
+        raise ValueError(
+            f'{kind} {name!r}: its table must say either use = "..." or command = "..."; use takes {FORMS}'
+        )
+    facts = tuple(sorted(own.items()))
+    if command is not None:
+        sha256 = _digest_command(kind, name, command, folder=folder)
+        return Method(kind, name, command, sha256, "command", facts, folder)
+    found = (
+        _find_place(kind, use, folder=folder) if ":" in use else _find_entry_point(kind, use, ())
+    )
+    return Method(kind, name, use, found.sha256, found.origin, facts, folder)
+
+
+def _find_entry_point(kind: str, name: str, known: Collection[str]) -> Method:
+    points = list_entry_points(kind)
+    if name not in points:
+        allowed = [*known, *points]
+        ways = f"{FORMS.removeprefix('a registered name, ')}"
+        raise ValueError(f"{refuse_name(name, allowed, kind)}; one of your own: {ways}")
+    place = points[name]
+    return Method(kind, name, place, _digest_module(kind, place), "module")
+
+
+def _find_place(kind: str, place: str, *, folder: Path) -> Method:
+    where, _, name = place.rpartition(":")
+    if where.endswith(".py"):
+        path = _find_file(kind, place, where=where, folder=folder)
+        return Method(kind, name, place, _digest_folder(path.parent), "file", folder=folder)
+    if not fullmatch(r"\w+(\.\w+)*", where):
+        raise ValueError(f"{kind} {place!r}: not a method; allowed: {FORMS}")
+    return Method(kind, name, place, _digest_module(kind, place, folder), "module", folder=folder)
+
+
+def _find_file(kind: str, place: str, *, where: str, folder: Path) -> Path:
+    path = (folder / where).resolve()
+    if Path(where).is_absolute() or not path.is_relative_to(folder):
+        raise ValueError(
+            f"{kind} {place!r}: must be a file in the study's folder, such as methods/my321.py:my321; copy it there"
+        )
+    if not path.is_file():
+        raise ValueError(f"{kind} {place!r}: there is no file {where} in {folder}; check the name")
+    return path
+
+
+def _find_function(kind: str, given: object) -> Method:
+    if not callable(given):
+        raise TypeError(f"{kind} must be {FORMS}, or a function; got {describe(given)}")
+    named = given if hasattr(given, "__qualname__") else type(given)
+    module, name = getattr(named, "__module__", "") or "", getattr(named, "__qualname__", "")
+    short = getattr(given, "__name__", name).rpartition(".")[2]
+    if module != "__main__" and getattr(sys.modules.get(module), name, None) is given:
+        place = f"{module}:{name}"
+        with contextlib.suppress(
+            ValueError
+        ):  # its package cannot be found again: it is taken as it is
+            return Method(kind, short, place, _digest_module(kind, place), "module")
+    try:
+        source = inspect.getsource(named)
+    except (OSError, TypeError):
+        source = repr(getattr(getattr(given, "__code__", None), "co_code", short))
+    sha256 = hashlib.sha256(source.encode()).hexdigest()
+    return Method(kind, short, f"{module}.{name}", sha256, "function", function=given)
+
+
+# Digests: of all the code that a method may consist of.
+
+
+def _digest_files(paths: Mapping[str, Path], start: str = "") -> str:
+    digest = hashlib.sha256(start.encode())
+    for name in sorted(paths):
+        content = paths[name].read_bytes()
+        digest.update(f"{name}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()
+
+
+def _digest_folder(folder: Path) -> str:
+    """Digest every `*.py` of a folder, and of those below it that are packages."""
+    found = {
+        path.relative_to(folder).as_posix(): path
+        for path in folder.rglob("*.py")
+        if all((folder / above / "__init__.py").is_file() for above in _list_above(path, folder))
+    }
+    return _digest_files(found)
+
+
+def _list_above(path: Path, folder: Path) -> Iterator[Path]:
+    """List the folders between a file and the folder that is searched."""
+    yield from (above for above in path.relative_to(folder).parents if above != Path())
+
+
+def _digest_module(kind: str, place: str, folder: Path | None = None) -> str:
+    """Digest the top package of a dotted name, or its one module."""
+    module, _, name = place.partition(":")
+    try:
+        with _on_path(folder):
+            spec = importlib.util.find_spec(module.partition(".")[0])
+    except (ImportError, ValueError, AttributeError):
+        spec = None
+    if spec is None or not name:
+        raise ValueError(
+            f"{kind} {place!r} cannot be imported: no module named {module.partition('.')[0]!r}; install it, or name "
+            "a file in the study, methods/my321.py:my321"
+        )
+    if spec.submodule_search_locations:
+        homes = [Path(home) for home in spec.submodule_search_locations]
+        return _digest_files({
+            path.relative_to(home).as_posix(): path for home in homes for path in home.rglob("*.py")
+        })
+    if spec.origin is not None and Path(spec.origin).is_file():
+        return _digest_files({Path(spec.origin).name: Path(spec.origin)})
+    return hashlib.sha256(f"{module} of Python {sys.version}".encode()).hexdigest()
+
+
+def split_command(kind: str, name: str, command: str) -> list[str]:
+    """Split a command line into words; its marks stay in them."""
+    try:
+        words = shlex.split(command)
+    except ValueError as error:
+        raise ValueError(f"{kind} {name}: command {command!r}: {error}; quote its words") from None
+    marks = ("{input}", "{reduced}") if kind == "metric" else ("{input}", "{output}")
+    if missing := [mark for mark in marks if not any(mark in word for word in words)]:
+        raise ValueError(
+            f"{kind} {name}: command must hold {' and '.join(marks)}, got {command!r}; add {missing[0]}"
+        )
+    return words
+
+
+def _digest_command(kind: str, name: str, command: str, *, folder: Path) -> str:
+    words = {part for word in split_command(kind, name, command) for part in (word, *word.split())}
+    found = {word: folder / word for word in words if _is_inside(folder / word, folder)}
+    return _digest_files(found, command)
+
+
+def _is_inside(path: Path, folder: Path) -> bool:
+    try:
+        return path.is_file() and path.resolve().is_relative_to(folder)
+    except (OSError, ValueError):
+        return False
+
+
+# Loading, and calling under guard.
+
+
+@contextlib.contextmanager
+def _on_path(*folders: Path | None) -> Iterator[None]:
+    """Let modules of the lab be found, after all others, so that they hide none."""
+    added = [
+        str(one) for one in (*folders, Path.cwd()) if one is not None and str(one) not in sys.path
+    ]
+    sys.path.extend(added)
+    try:
+        yield
+    finally:
+        for one in added:
+            with contextlib.suppress(ValueError):
+                sys.path.remove(one)
+
+
+@lru_cache(maxsize=256)
+def _load(method: Method, folder: Path | None) -> Any:  # noqa: ANN401 - whatever the lab wrote
+    where, _, name = method.place.rpartition(":")
+    load = _load_file if method.origin == "file" else _load_module
+    module = call(method, load, where, folder, doing="cannot be loaded")
+    if method.origin == "file" and _digest_folder(_find_roots(method)[0]) != method.sha256:
+        raise ValueError(f"{method}: {where} was changed in the meantime; run the command again")
+    if not hasattr(module, name):
+        raise ValueError(
+            f"{method}: {where} defines no {name!r}; check the name in {method.place!r}"
+        )
+    found = getattr(module, name)
+    return call(method, found, doing="cannot be made") if inspect.isclass(found) else found
+
+
+def _load_module(where: str, folder: Path | None) -> Any:  # noqa: ANN401 - the module of a lab
+    with _on_path(folder):
+        return importlib.import_module(where)
+
+
+def _load_file(where: str, folder: Path | None) -> Any:  # noqa: ANN401 - the module of a lab
+    """Run a file of a study as a module of its own; what it imports from its folder is not kept for other studies."""
+    path = (folder or Path()) / where
+    unique = hashlib.sha256(str(path).encode()).hexdigest()[:8]
+    spec = importlib.util.spec_from_file_location(f"feel321_study_{unique}_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"{where} is not a Python file")
+    module = importlib.util.module_from_spec(spec)
+    before = set(sys.modules)
+    sys.modules[spec.name] = module
+    try:
+        with _on_path(path.parent, folder):
+            spec.loader.exec_module(module)
+    finally:
+        for name in set(sys.modules) - before - {spec.name}:
+            source = getattr(sys.modules[name], "__file__", None)
+            if source and Path(source).resolve().is_relative_to(path.parent):
+                del sys.modules[name]
+    return module
+
+
+def call(method: Method, function: Callable[..., Any], *args: Any, doing: str = "") -> Any:  # noqa: ANN401 - whatever the lab takes and gives
+    """Call a lab's code: what it prints goes to stderr, and however it fails, one line says where.
+
+    doing: what could not be done, and, of a signal, what was given.
+    """
+    noticed: list[warnings.WarningMessage] = []
+    near = _find_roots(method) if method.origin == "file" else []
+    with _TURN, _quiet(noticed), _on_path(*near):
+        try:
+            return function(*args)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # sys.exit, too little memory, recursion: all the same here
+            raise ValueError(f"{method}: {_word(error, method)}{_add(doing)}") from error
+        finally:
+            for one in noticed:
+                _say_once(f"{method}: {one.category.__name__}: {_shorten(one.message)}")
+
+
+def _add(doing: str) -> str:
+    return f"; {doing}" if doing else ""
+
+
+@contextlib.contextmanager
+def _quiet(noticed: list[warnings.WarningMessage]) -> Iterator[None]:
+    """Send standard output to stderr, which may be closed, and collect warnings."""
+    with (
+        Path(os.devnull).open("w", encoding="utf-8") as nowhere,
+        contextlib.redirect_stdout(sys.stderr or nowhere),
+        warnings.catch_warnings(record=True) as caught,
+    ):
+        warnings.simplefilter("default")
+        try:
+            yield
+        finally:
+            noticed.extend(caught or ())
+
+
+@lru_cache(maxsize=1024)
+def _say_once(text: str) -> None:
+    if sys.stderr is not None:
+        sys.stderr.write(f"feel321: warning: {text}\n")
+
+
+def _shorten(message: object) -> str:
+    text = " ".join(str(message).split())
+    return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}..."
+
+
+def _word(error: BaseException, method: Method) -> str:
+    """Word a lab's error: its class, its message, and the line of the lab's code."""
+    try:
+        reason = _shorten(error)
+    except Exception:  # noqa: BLE001 - an error whose text is an error too
+        reason = ""
+    if isinstance(error, SystemExit):
+        reason = f"it called sys.exit({reason}), a method must return"
+    if isinstance(error, SyntaxError):
+        return f"SyntaxError: {_shorten(error.msg)} ({_name_file(error.filename)}, line {error.lineno})"
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [one for one in frames if _is_own(one.filename, method)]
+    place = f" ({_name_file(own[-1].filename)}, line {own[-1].lineno})" if own else ""
+    return f"{type(error).__name__}{': ' if reason else ''}{reason}{place}"
+
+
+def _is_own(file: str, method: Method) -> bool:
+    """Whether a file of a traceback is the lab's: in the folder or package of the method."""
+    return any(Path(file).is_relative_to(root) for root in _find_roots(method))
+
+
+def _find_roots(method: Method) -> list[Path]:
+    where = method.place.rpartition(":")[0]
+    if method.origin == "file":
+        return [((method.folder or Path()) / where).parent]
+    if method.origin == "function":
+        code = getattr(method.function, "__code__", None)
+        return [Path(getattr(code, "co_filename", "<function>"))]
+    top = sys.modules.get(where.partition(".")[0])
+    places = [*getattr(top, "__path__", ()), getattr(top, "__file__", None)]
+    return [Path(place) for place in places if place]
+
+
+def _name_file(file: str | None) -> str:
+    return "/".join(Path(file or "").parts[-2:])

@@ -1,0 +1,232 @@
+"""A lab's own reducers and metrics, called like feel321's: what they get is a copy, what they give is checked.
+
+Any program can be a reducer: it reads a float32 WAV file of three channels, in m/s², and writes one of one channel, as
+long and at the same rate. As a metric it also reads the reduced signal and prints a number on the last line.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import tempfile
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from feel321.doors import describe
+from feel321.extensions import Method, call, find_method, split_command
+from feel321.stimuli.recording import check_acceleration, coerce_real
+from feel321.stimuli.wav import read_wav, write_wav
+from feel321.types import MetricInfo, Samples
+
+TIMEOUT_S = 60.0
+"""How long a command may take for one signal, unless its table says `timeout_s`."""
+
+SLACK = 1e-9
+"""What rounding may add to a metric's declared bounds."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnReducer:
+    """A lab's reducer, with the calling form of `REDUCERS`."""
+
+    method: Method
+
+    @property
+    def __name__(self) -> str:
+        """The short name."""
+        return self.method.name
+
+    def __call__(self, acceleration: ArrayLike, rate_hz: float) -> Samples:
+        """Reduce (..., 3, n) to (..., n): all signals at once where it declares `batches`, else one by one."""
+        samples = check_acceleration(acceleration)
+        if samples.ndim == 2 or self.method.find_fact("batches", otherwise=False):  # noqa: PLR2004 - axes x samples
+            return self._reduce(samples, rate_hz)
+        *many, axes, n = samples.shape
+        rows = [self._reduce(one, rate_hz) for one in samples.reshape(-1, axes, n)]
+        return np.reshape(rows, (*many, n))
+
+    def _reduce(self, samples: Samples, rate_hz: float) -> Samples:
+        where = f"given {describe_input(samples, rate_hz)}"
+        if self.method.origin == "command":
+            output: object = run_reducer(self.method, samples, rate_hz)
+        else:
+            copy = samples.copy()
+            output = call(self.method, self.method.load(), copy, float(rate_hz), doing=where)
+            check_untouched(self.method, copy, samples)
+        return check_output(self.method, output, samples, where=where)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnMetric:
+    """A lab's metric, with the calling form of `METRICS`."""
+
+    method: Method
+
+    @property
+    def __name__(self) -> str:
+        """The short name."""
+        return self.method.name
+
+    @property
+    def info(self) -> MetricInfo:
+        """What it declares."""
+        own = {name: self.method.find_fact(name) for name in ("higher", "low", "high", "unit")}
+        known = {name: value for name, value in own.items() if value is not None}
+        label = self.method.find_fact("label") or self.method.name.replace("_", " ")
+        try:
+            return MetricInfo(label, **known)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"{self.method}: {error}; declare it in [metrics.{self.method.name}]"
+            ) from None
+
+    def __call__(self, acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> float:
+        """Compare three axes, (3, n), with one, (n,)."""
+        samples, signal = check_acceleration(acceleration), coerce_real(reduced, "reduced")
+        where = f"given {describe_input(samples, rate_hz)}"
+        if self.method.origin == "command":
+            value: object = run_metric(self.method, samples, signal, rate_hz=rate_hz)
+        else:
+            copies = samples.copy(), signal.copy()
+            value = call(self.method, self.method.load(), *copies, float(rate_hz), doing=where)
+            check_untouched(self.method, copies[0], samples)
+            check_untouched(self.method, copies[1], signal)
+        return self._check(value, where)
+
+    def _check(self, value: object, where: str) -> float:
+        got = (
+            np.asarray(value) if isinstance(value, int | float | np.ndarray | np.generic) else None
+        )
+        if got is None or got.size != 1 or got.dtype.kind not in "iuf":
+            raise ValueError(f"{self.method}: must return a number, got {describe(value)}; {where}")
+        number = float(got.item())
+        info = self.info
+        slack = SLACK * max(1.0, abs(number)) if math.isfinite(number) else 0.0
+        if math.isinf(number) or number < info.low - slack or number > info.high + slack:
+            raise ValueError(
+                f"{self.method}: must return a number from {info.low:g} to {info.high:g}, or NaN where nothing can be "
+                f"compared, got {number:g}; {where}; correct it, or declare low and high"
+            )
+        return number
+
+
+def find_reducer(
+    given: object,
+    taken: Collection[str],
+    *,
+    folder: Path | None = None,
+    declared: Mapping[str, Mapping[str, Any]] | None = None,
+) -> OwnReducer:
+    """Find a lab's reducer."""
+    return OwnReducer(find_method("reducer", given, taken=taken, folder=folder, declared=declared))
+
+
+def find_metric(
+    given: object,
+    taken: Collection[str],
+    *,
+    folder: Path | None = None,
+    declared: Mapping[str, Mapping[str, Any]] | None = None,
+) -> OwnMetric:
+    """Find a lab's metric."""
+    return OwnMetric(find_method("metric", given, taken=taken, folder=folder, declared=declared))
+
+
+def describe_input(samples: Samples, rate_hz: float) -> str:
+    """Describe a signal in a message."""
+    return f"samples of shape {samples.shape} at {rate_hz:g} Hz"
+
+
+def check_untouched(method: Method, after: Samples, before: Samples) -> None:
+    """Refuse a method that changed its input."""
+    if after.shape != before.shape or not np.array_equal(after, before, equal_nan=True):
+        raise ValueError(f"{method}: changed its input, which others share; work on a copy")
+
+
+def check_output(method: Method, output: object, samples: Samples, *, where: str) -> Samples:
+    """Return a reducer's output as float64, or say what is wrong with it."""
+    wanted = (*samples.shape[:-2], samples.shape[-1])
+    must = f"{method}: must return finite real numbers of shape {wanted}"
+    try:
+        got = np.asarray(output)
+    except Exception:  # noqa: BLE001 - whatever an object of the lab does
+        raise ValueError(f"{must}, got {type(output).__name__}; {where}") from None
+    if got.shape != wanted or got.dtype.kind not in "iuf":
+        what = describe(output) if got.dtype == object else f"{got.dtype} of shape {got.shape}"
+        raise ValueError(f"{must}, got {what}; {where}")
+    if np.ma.is_masked(output):
+        raise ValueError(f"{must}, got masked values; {where}")
+    reduced = got.astype(np.float64)
+    if bad := int(np.count_nonzero(~np.isfinite(reduced))):
+        first = int(np.flatnonzero(~np.isfinite(reduced))[0])
+        raise ValueError(f"{must}, got {bad} that are not finite, first at {first}; {where}")
+    return reduced
+
+
+def run_reducer(method: Method, samples: Samples, rate_hz: float) -> Samples:
+    """Run a program from WAV to WAV."""
+    if samples.ndim != 2:  # noqa: PLR2004 - axes x samples
+        raise ValueError(f"{method}: a command takes one signal at a time; leave out batches")
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "input.wav", Path(folder) / "output.wav"
+        write_wav(source, samples, round(rate_hz))
+        _run(method, {"{input}": str(source), "{output}": str(target)})
+        if not target.is_file():
+            raise ValueError(
+                f"{method}: the command wrote no file at {{output}}; it must write a WAV file there"
+            )
+        try:
+            output, rate = read_wav(target)
+        except (OSError, ValueError) as error:
+            raise ValueError(
+                f"{method}: {{output}} is not a WAV file that can be read ({error})"
+            ) from None
+    if rate != round(rate_hz):
+        raise ValueError(f"{method}: must keep the rate of {round(rate_hz)} Hz, wrote {rate} Hz")
+    return output
+
+
+def run_metric(
+    method: Method, samples: Samples, reduced: Samples, *, rate_hz: float
+) -> str | float:
+    """Run a program that prints a number."""
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "input.wav", Path(folder) / "reduced.wav"
+        write_wav(source, samples, round(rate_hz))
+        write_wav(target, reduced, round(rate_hz))
+        printed = _run(method, {"{input}": str(source), "{reduced}": str(target)})
+    last = (printed.split("\n") or [""])[-1].strip()
+    try:
+        return float(last)
+    except ValueError:
+        return last
+
+
+def _run(method: Method, files: Mapping[str, str]) -> str:
+    """Run a command in the study's folder, and return what it printed."""
+    words = split_command(method.kind, method.name, method.place)
+    for mark, path in files.items():
+        words = [word.replace(mark, path) for word in words]
+    limit_s = float(method.find_fact("timeout_s", TIMEOUT_S))
+    try:
+        done = subprocess.run(  # noqa: S603 - the lab's own program, named in its study.toml
+            words, cwd=method.folder, capture_output=True, timeout=limit_s, check=False, stdin=subprocess.DEVNULL
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        raise ValueError(
+            f"{method}: the command took longer than {limit_s:g} s and was stopped; set timeout_s in its table"
+        ) from None
+    except OSError as error:
+        raise ValueError(
+            f"{method}: {words[0]}: {error.strerror}; check its name, and whether it may be run"
+        ) from None
+    if done.returncode:
+        last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2][:200]
+        said = f": {last}" if last else " and wrote nothing to stderr"
+        raise ValueError(f"{method}: the command ended with exit code {done.returncode}{said}")
+    return done.stdout.decode(errors="replace").strip()

@@ -1,0 +1,145 @@
+"""A recording and a reduced signal, or batches of both, with the spectra that several rival metrics share.
+
+Conventions: acceleration (..., 3, n) and reduced (..., n), finite, in one unit; what a rival measures has the shape
+(...). A recording enters through sums over its axes that no rotation of the sensor changes, unless a metric says
+otherwise: where a method was published for one axis, it comes out as published if two axes are silent. The felt range
+is that of the match metrics, 20 to 1000 Hz or the Nyquist frequency.
+
+- A recording without energy in the felt range leaves nothing to compare: NaN, as for the match metrics.
+- Levels further apart than `MOST_DB` count as that far apart. People feel vibrations over some 55 dB, from threshold
+  to discomfort: beyond, one of the two is as good as silent. So a silent reduced signal has a value, and it is finite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from feel321.stimuli.match import NUMERICAL_FLOOR, linear_grid
+from feel321.stimuli.recording import (
+    Signal,
+    admit,
+    as_pair,
+    check_finite,
+    check_reduced,
+    coerce_real,
+    largest,
+)
+from feel321.types import Samples
+
+MOST_DB = 60.0
+"""Levels further apart count as this far apart."""
+
+_BEYOND_COMPARISON = 1e80
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Checked samples (..., 3, n) and a reduced signal (..., n), both scaled alike into a safe range.
+
+    scale: what both were multiplied by, (..., 1): a power of two, nearly always 1.
+    """
+
+    samples: Samples
+    reduced: Samples
+    rate_hz: float
+    scale: Samples | float = 1.0
+
+    @cached_property
+    def frequencies_hz(self) -> Samples:
+        """Frequencies of the felt range, on the DFT's grid; possibly none."""
+        return linear_grid(self.samples.shape[-1], self.rate_hz)
+
+    @cached_property
+    def felt(self) -> slice:
+        """The bins of `frequencies_hz`."""
+        if not len(self.frequencies_hz):
+            return slice(0, 0)
+        first = round(float(self.frequencies_hz[0]) * self.samples.shape[-1] / self.rate_hz)
+        return slice(first, first + len(self.frequencies_hz))
+
+    @cached_property
+    def spectra(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Spectra of the axes, (..., 3, n // 2 + 1), and of the reduced signal, (..., n // 2 + 1)."""
+        from scipy import fft
+
+        return fft.rfft(self.samples), fft.rfft(self.reduced)
+
+    @cached_property
+    def energies(self) -> tuple[Samples, Samples]:
+        """Energy of the recording (the sum of its axes) and of the reduced signal, (..., n // 2 + 1), bin by bin."""
+        axes, reduced = (
+            np.square(spectrum.real) + np.square(spectrum.imag) for spectrum in self.spectra
+        )
+        return axes.sum(axis=-2), reduced
+
+    @cached_property
+    def nothing(self) -> NDArray[np.bool_]:
+        """Whether the recording has no energy in the felt range, (...)."""
+        energy = self.energies[0]
+        floor = NUMERICAL_FLOOR * np.einsum("...in,...in->...", self.samples, self.samples)
+        return np.asarray(energy[..., self.felt].max(axis=-1, initial=0.0) <= floor)
+
+    def settle(self, values: Samples) -> Samples:
+        """Put NaN where there is nothing to compare."""
+        return np.where(self.nothing, np.nan, values)
+
+
+def make_pair(acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None) -> Pair:
+    """Check one recording and one reduced signal."""
+    given, rate = as_pair(acceleration, reduced, rate_hz)
+    samples = np.asarray(given)
+    return make_pairs(
+        given, check_reduced(reduced, samples.shape) if samples.ndim else reduced, rate
+    )
+
+
+def make_pairs(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> Pair:
+    """Check recordings (..., 3, n) and as many reduced signals (..., n)."""
+    admitted = admit(acceleration, rate_hz)
+    samples = admitted.samples
+    signal = coerce_real(reduced, "reduced")
+    if signal.shape != (*samples.shape[:-2], samples.shape[-1]) or not samples.shape[-1]:
+        raise ValueError(
+            f"reduced must have the shape (..., n) of acceleration (..., 3, n), n >= 1; got {signal.shape} for "
+            f"{samples.shape}"
+        )
+    check_finite(signal, "reduced")
+    scale: Samples | float = 1.0
+    if admitted.exponents is not None:
+        signal = np.ldexp(signal, -admitted.exponents)
+        scale = np.ldexp(1.0, -admitted.exponents)
+    if largest(signal) > _BEYOND_COMPARISON:
+        raise ValueError(
+            "reduced is more than 1e80 times as strong as the recording; are they in the same unit?"
+        )
+    return Pair(samples, signal, float(rate_hz), scale)
+
+
+def follow_energy(pair: Pair, weights: Samples | float = 1.0) -> tuple[Samples, Samples, float]:
+    """Follow the energy of recording (the sum of its axes) and reduced signal in the felt range; and the rate of both.
+
+    weights: of the felt frequencies. The energy is the squared magnitude of the analytic signal, (..., m), at a rate
+    that is just enough for it, a little below 2 kHz; as for all Fourier transforms, the end leads into the beginning.
+    """
+    from scipy import fft
+
+    n, n_felt = pair.samples.shape[-1], len(pair.frequencies_hz)
+    length = fft.next_fast_len(max(2 * n_felt, 1))
+    axes, reduced = (
+        np.abs(fft.ifft(spectrum[..., pair.felt] * weights, length)) ** 2
+        for spectrum in pair.spectra
+    )
+    return axes.sum(axis=-2), reduced, length * pair.rate_hz / n
+
+
+def level_db(original: Samples, reduced: Samples) -> Samples:
+    """Level of energies over others in dB, at most `MOST_DB` either way; 0 where both are silent."""
+    most = 10 ** (MOST_DB / 10)
+    both = np.maximum(original, reduced)
+    floored = (np.maximum(energy, both / most) for energy in (reduced, original))
+    above, below = (np.where(both > 0, energy, 1.0) for energy in floored)
+    return np.asarray(10 * np.log10(above / below))

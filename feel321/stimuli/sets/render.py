@@ -1,0 +1,338 @@
+"""A recording rendered by a recipe: condition, reduce, match, resample, fade, gain.
+
+What is rendered is kept in a *parts* folder, one WAV in m/s² and one note of what was measured per stimulus, under a
+key made from everything that went into it. A build that was killed finds its parts again; a finished build throws them
+away.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from feel321 import __version__
+from feel321.doors import check_name
+from feel321.extensions import Method
+from feel321.stimuli.condition import condition, fade, resample
+from feel321.stimuli.guard import OwnMetric, OwnReducer
+from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
+from feel321.stimuli.metrics import METRIC_INFO, METRICS
+from feel321.stimuli.recording import Recording, digest_samples, largest
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db
+from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL, Recipe
+from feel321.stimuli.thresholds import THRESHOLDS
+from feel321.stimuli.wav import write_wav
+from feel321.types import Metric, Reducer, Samples
+
+
+def find_reducer(recipe: Recipe, name: str) -> Reducer:
+    """Find a reducer of a recipe, feel321's or the lab's own."""
+    method = _find_method(recipe, "reducer", name)
+    return OwnReducer(method) if method else REDUCERS[name]
+
+
+def find_metric(recipe: Recipe, name: str) -> Metric:
+    """Find a metric of a recipe, feel321's or the lab's own."""
+    method = _find_method(recipe, "metric", name)
+    if method and name in METRICS:
+        raise ValueError(
+            f"metric {method.place!r}: the name {name!r} is taken by one of feel321's own; rename it"
+        )
+    return OwnMetric(method) if method else METRICS[check_name(name, METRICS, "metric")]
+
+
+def _find_method(recipe: Recipe, kind: str, name: str) -> Method | None:
+    return next((one for one in recipe.methods if (one.kind, one.name) == (kind, name)), None)
+
+
+def list_methods(recipe: Recipe) -> dict[str, dict[str, dict[str, Any]]]:
+    """List what `manifest.json` records of the lab's own methods, and of all further metrics; empty if none."""
+    reducers = {one.name: one.to_json() for one in recipe.methods if one.kind == "reducer"}
+    metrics: dict[str, dict[str, Any]] = {}
+    for name in recipe.metrics:
+        method = _find_method(recipe, "metric", name)
+        source = method.to_json() if method else {"method": "feel321", "sha256": __version__}
+        metrics[name] = {**describe_metric(find_metric(recipe, name), name), **source}
+    found = {"reducers": reducers, "metrics": metrics}
+    return {kind: entries for kind, entries in found.items() if entries}
+
+
+def describe_metric(metric: Metric, name: str) -> dict[str, Any]:
+    """Return what a metric declares, as JSON: an end that is open is null."""
+    info = metric.info if isinstance(metric, OwnMetric) else METRIC_INFO[name]
+    return {
+        key: None if value in {-math.inf, math.inf} else value
+        for key, value in asdict(info).items()
+    }
+
+
+ROUNDING = 1e-9
+"""A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Draft:
+    """A stimulus before its level: what is made of which recording, and the key it is remembered by."""
+
+    recording: str
+    reducer: str
+    role: str
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Measurements of a rendered stimulus at unit gain.
+
+    peak: largest magnitude in m/s²; levels: name of a threshold curve -> largest root mean square
+    in any 200 ms, in multiples of the threshold; metrics: further ones, None where nothing can be compared.
+    """
+
+    peak: float
+    levels: dict[str, float]
+    spectral_match: float
+    temporal_match: float
+    spectral_match_bounded: float
+    metrics: dict[str, float | None] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """The conditioned recording that its stimuli are measured against."""
+
+    recording: Recording
+    spectrum: OriginalSpectrum
+    played: Samples
+    levels: dict[str, float]
+
+
+def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
+    """List the stimuli that a recipe makes of one recording: tests, the hidden reference, anchors."""
+    wanted = [(name, "test") for name in recipe.reducers]
+    if recipe.reference != NO_REFERENCE:
+        wanted.append((recipe.reference, "reference"))
+    if recipe.anchors:
+        wanted += [(name, "anchor") for name in ANCHORS]
+    # The samples, not the file: the same file read in another unit or at another rate is another recording.
+    basis = {"version": __version__, "recording": digest_samples(recording)}
+    # What determines a file besides its gain; anchors are made as strong as their recording, by the threshold.
+    settings = ("rate_hz", "fade_s", "full_scale_m_s2", "threshold")
+    basis |= versions() | asdict(recipe.conditioning)
+    basis |= {name: getattr(recipe, name) for name in settings}
+    # Sets without a lab's own methods and without further metrics have the keys that they always had.
+    methods = list_methods(recipe)
+    own = {name: entry["sha256"] for name, entry in methods.get("reducers", {}).items()}
+    metrics = {name: one["sha256"] for name, one in methods.get("metrics", {}).items()}
+    further: dict[str, Any] = {"metrics": metrics} if metrics else {}
+    keys = [
+        json.dumps(
+            {**basis, **further, "reducer": reducer}
+            | ({"method": own[reducer]} if reducer in own else {}),
+            sort_keys=True,
+        )
+        for reducer, _ in wanted
+    ]
+    return tuple(
+        Draft(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())
+        for (reducer, role), key in zip(wanted, keys, strict=True)
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of the software whose arithmetic decides the samples."""
+    from importlib.metadata import version
+
+    return {name: version(name) for name in ("numpy", "scipy", "soxr")}
+
+
+def render_recording(
+    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe, parts: Path
+) -> dict[str, Measured]:
+    """Render those drafts of one recording that are not in the parts folder yet; key -> measurements."""
+    measured = {c.key: found for c in drafts if (found := _read_part(parts, c.key)) is not None}
+    new = [c for c in drafts if c.key not in measured]
+    for draft, samples, note in _render(recording, new, recipe):
+        path = part_path(parts, draft.key)
+        write_wav(path, samples, recipe.rate_hz)
+        # A note that a killed build left unfinished does not count, so it may be written as it comes.
+        whole = json.dumps({"bytes": path.stat().st_size, **asdict(note)})
+        path.with_suffix(".json").write_text(whole, encoding="utf-8")
+        measured[draft.key] = note
+    return measured
+
+
+def measure_recording(
+    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe
+) -> dict[str, Measured]:
+    """Measure drafts of one recording as `render_recording` does, without writing anything."""
+    return {draft.key: note for draft, _, note in _render(recording, drafts, recipe)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduction:
+    """What a stimulus was made from, at the recording's rate, as its metrics saw it.
+
+    acceleration: of the conditioned recording, shape (3, n); samples: its reduction, (n,), or itself, (3, n), in m/s²;
+    factor: m/s² that are played at unit gain per m/s² of the samples.
+    """
+
+    acceleration: Samples
+    rate_hz: float
+    samples: Samples
+    factor: float
+
+
+def reduce_again(
+    recording: Recording, reducers: Collection[str], recipe: Recipe
+) -> dict[str, Reduction]:
+    """Make again what stimuli of one recording were made from, by reducer; `original` and anchors are among them."""
+    scale = _make_scale(condition(recording, recipe.conditioning), recipe)
+    ready, found = scale.recording, {}
+    for name in reducers:
+        samples, played = _play(name, scale, recipe)
+        factor = 1.0
+        if name in ANCHORS:  # made as strong as its recording
+            own = _for_the_rig(samples, ready.rate_hz, recipe)
+            factor = float(np.linalg.norm(played) / np.linalg.norm(own))
+        found[name] = Reduction(ready.acceleration, ready.rate_hz, samples, factor)
+    return found
+
+
+def part_path(parts: Path, key: str) -> Path:
+    """Path of a rendered stimulus, in m/s², until the set is complete."""
+    return parts / f"{key}.wav"
+
+
+def _read_part(parts: Path, key: str) -> Measured | None:
+    """Read a part's note, which is written after its samples; a part that is damaged or has none does not count."""
+    path = part_path(parts, key)
+    try:
+        note = json.loads(path.with_suffix(".json").read_bytes())
+        return Measured(**note) if path.stat().st_size == note.pop("bytes") else None
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None
+
+
+def _render(
+    recording: Recording, wanted: Sequence[Draft], recipe: Recipe
+) -> Iterator[tuple[Draft, Samples, Measured]]:
+    """Make drafts one after the other: each with its samples for the rig in m/s², and what was measured."""
+    if not wanted:
+        return
+    try:
+        scale = _make_scale(condition(recording, recipe.conditioning), recipe)
+        for draft in wanted:
+            samples, played = _play(draft.reducer, scale, recipe)
+            yield draft, played, _measure(samples, played, scale=scale, recipe=recipe)
+    except ValueError as error:
+        raise ValueError(f"recording {recording.name!r}: {error}") from None
+
+
+def _make_scale(conditioned: Recording, recipe: Recipe) -> _Scale:
+    spectrum = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
+    if spectrum.reason:
+        raise ValueError(f"{spectrum.reason}; nothing can be felt or matched, leave it out")
+    played = _for_the_rig(conditioned.acceleration, conditioned.rate_hz, recipe)
+    return _Scale(conditioned, spectrum, played, loudest_levels(played, recipe.rate_hz, THRESHOLDS))
+
+
+def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples]:
+    """Make a stimulus, at its recording's rate and for the rig; there, anchors are as strong as the recording."""
+    recording = scale.recording
+    if reducer == ORIGINAL:
+        return recording.acceleration, scale.played
+    if reducer not in ANCHORS:
+        samples = find_reducer(recipe, reducer)(recording.acceleration, recording.rate_hz)
+        return samples, _for_the_rig(samples, recording.rate_hz, recipe)
+    seed = [int(recording.sha256[:16], 16), *reducer.encode()]
+    samples = ANCHORS[reducer](recording, np.random.default_rng(seed))
+    played = _for_the_rig(samples, recording.rate_hz, recipe)
+    own = loudest_levels(played, recipe.rate_hz, [recipe.threshold])[recipe.threshold]
+    return samples, scale.levels[recipe.threshold] / own * played
+
+
+def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
+    # An offset (mag321 makes one) cannot be felt and only heats the coil; the metrics are taken before it is removed.
+    vibration = samples - samples.mean(axis=-1, keepdims=True)
+    played = resample(vibration, rate_hz, to_hz=recipe.rate_hz)
+    return fade(played, recipe.rate_hz, fade_s=recipe.fade_s)
+
+
+def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, recipe: Recipe) -> Measured:
+    # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
+    levels = {
+        name: level if level > ROUNDING * scale.levels[name] else 0.0
+        for name, level in loudest_levels(rendered, recipe.rate_hz, THRESHOLDS).items()
+    }
+    further = _compute_metrics(samples, scale.recording, recipe)
+    if samples.ndim > 1:  # the original itself, matched channel by channel
+        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0, further)
+    spectral, bounded = scale.spectrum.match_both(samples)
+    temporal = mean_over_axes(axis_correlations(scale.recording.acceleration, samples))
+    matches = float(spectral), float(temporal), float(bounded)
+    return Measured(largest(rendered), levels, *matches, further)
+
+
+def _compute_metrics(
+    samples: Samples, recording: Recording, recipe: Recipe
+) -> dict[str, float | None]:
+    """Compute the further metrics; of the original itself, the mean over its channels, each compared with itself."""
+    acceleration, rate_hz = recording.acceleration, recording.rate_hz
+    pairs = [(acceleration, samples)]
+    if samples.ndim > 1:
+        pairs = [(np.array([axis] * 3), axis) for axis in acceleration if axis.any()]
+    found: dict[str, float | None] = {}
+    for name in recipe.metrics:
+        metric = find_metric(recipe, name)
+        value = float(np.mean([metric(*pair, rate_hz) for pair in pairs]))
+        found[name] = None if math.isnan(value) else value
+    return found
+
+
+def choose_gains(
+    measured: Mapping[str, Measured], recipe: Recipe, *, recordings: Mapping[str, Collection[str]]
+) -> dict[tuple[str, str], float]:
+    """Choose the gain of every stimulus, (level, key) -> gain, from what was measured on the keys of each recording."""
+    per_recording = recipe.gain == GAIN_PER_RECORDING
+    together = recordings.values() if per_recording else [set().union(*recordings.values())]
+    choose = {"as_is": _keep_levels, "equal_intensity": _equalise_levels}
+    return {
+        (level, key): gain
+        for keys in together
+        for level in recipe.levels
+        for key, gain in choose[level]({key: measured[key] for key in keys}, recipe).items()
+    }
+
+
+def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
+    """Find the recording with the highest peak, and by how many dB a common gain is lower for it."""
+    first, *others = sorted(peaks, key=lambda name: -peaks[name])
+    return first, to_db(peaks[first] / peaks[others[0]]) if others and peaks[others[0]] else 0.0
+
+
+def _keep_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
+    loudest = max(note.peak for note in notes.values())
+    room = recipe.headroom * recipe.full_scale_m_s2
+    automatic = room / loudest if loudest else 1.0
+    return dict.fromkeys(notes, automatic if isinstance(recipe.gain, str) else recipe.gain)
+
+
+def _equalise_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
+    levels = {key: note.levels[recipe.threshold] for key, note in notes.items()}
+    if silent := sum(level == 0.0 for level in levels.values()):
+        raise ValueError(
+            f"equal_intensity: {silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong as "
+            "the others; leave out this level, or the reducer or recording that is silent"
+        )
+    common = (
+        recipe.headroom
+        * recipe.full_scale_m_s2
+        / max(note.peak / levels[key] for key, note in notes.items())
+    )
+    return {key: common / level for key, level in levels.items()}

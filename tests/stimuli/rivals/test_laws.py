@@ -1,0 +1,138 @@
+"""Laws that every rival metric obeys."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from feel321.stimuli.match import spectral_match
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+from feel321.stimuli.rotation import random_rotations
+from feel321.stimuli.synthesis import SCENES, make_scene
+
+RATE = 4000.0
+EVERY = pytest.mark.parametrize("name", list(RIVALS))
+ABSOLUTE = {"st_sim"}
+"""Rivals that depend on the unit: they compare with a threshold in m/s²."""
+
+
+def make_burst(n: int = 6000, *, seed: int = 0) -> np.ndarray:
+    """Noise in bursts, whose envelope and spectrum both have something to lose."""
+    rng = np.random.default_rng(seed)
+    steps = np.repeat(rng.uniform(0.1, 2.0, -(-n // 400)), 400)[:n]
+    return np.asarray(steps * rng.standard_normal(n))
+
+
+def measure(name: str, acceleration: np.ndarray, reduced: np.ndarray, rate: float = RATE) -> float:
+    return METRICS[name](acceleration, reduced, rate)
+
+
+def on_one_axis(signal: np.ndarray) -> np.ndarray:
+    return np.stack([0 * signal, signal, 0 * signal])
+
+
+def perfect(name: str) -> float:
+    return RIVALS[name].info.low if RIVALS[name].info.higher == "worse" else RIVALS[name].info.high
+
+
+@EVERY
+def test_a_signal_is_a_perfect_match_of_itself(name: str) -> None:
+    signal = make_burst()
+    assert measure(name, on_one_axis(signal), signal) == pytest.approx(perfect(name), abs=1e-9)
+    assert measure(name, on_one_axis(signal), -signal) == pytest.approx(perfect(name), abs=1e-9)
+
+
+@EVERY
+def test_batches_are_measured_as_one_by_one(name: str) -> None:
+    recordings = np.random.default_rng(0).standard_normal((2, 2, 3, 1500))
+    reduced = recordings[..., 0, :] + recordings[..., 1, :]
+    found = measure_batch(recordings, reduced, RATE)[name]
+    assert found.shape == (2, 2)
+    for place in np.ndindex(2, 2):
+        alone = measure(name, recordings[place], reduced[place])
+        assert alone == pytest.approx(found[place], rel=1e-9, abs=1e-9)
+
+
+@EVERY
+def test_the_mounting_of_the_sensor_and_the_order_of_axes_change_nothing(name: str) -> None:
+    signal = make_burst()
+    recording = np.stack([signal, make_burst(seed=1), make_burst(seed=2)])
+    own = measure(name, recording, signal)
+    for turn in random_rotations(3, np.random.default_rng(0)):
+        assert measure(name, turn @ recording, signal) == pytest.approx(own, rel=1e-7, abs=1e-7)
+    assert measure(name, recording[[2, 0, 1]], signal) == pytest.approx(own, rel=1e-9)
+
+
+@settings(max_examples=15)
+@given(exponent=st.integers(-900, 900), name=st.sampled_from(sorted(set(RIVALS) - ABSOLUTE)))
+def test_the_unit_changes_nothing(exponent: int, name: str) -> None:
+    recording = np.random.default_rng(3).standard_normal((3, 1200))
+    own = measure(name, recording, recording[0])
+    scaled = np.ldexp(recording, exponent)
+    assert measure(name, scaled, scaled[0]) == pytest.approx(own, rel=1e-9, abs=1e-9)
+
+
+@EVERY
+@pytest.mark.parametrize("reduced", [np.zeros(4000), np.ones(4000)])
+def test_a_silent_recording_leaves_nothing_to_compare(name: str, reduced: np.ndarray) -> None:
+    assert np.isnan(measure(name, np.zeros((3, 4000)), reduced))
+    assert np.isnan(measure(name, np.outer((0, 9.81, 1), np.ones(4000)), reduced))
+    assert RIVALS[name].reason
+
+
+@EVERY
+def test_a_silent_reduced_signal_is_a_bad_match_and_a_number(name: str) -> None:
+    signal = make_burst()
+    info = RIVALS[name].info
+    silent = measure(name, on_one_axis(signal), np.zeros(signal.size))
+    mixed = measure(name, on_one_axis(signal), signal + make_burst(seed=5))
+    assert np.isfinite(silent)
+    assert silent > mixed if info.higher == "worse" else silent < mixed
+
+
+@EVERY
+@pytest.mark.parametrize("rate", [20.0, 39.0, 41.0, 977.3, 1600.0, 25600.0, 51200.7])
+@pytest.mark.parametrize("n", [1, 2, 3, 17, 256, 1009])
+def test_short_signals_and_odd_rates_are_within_bounds_or_nothing(
+    name: str, rate: float, n: int
+) -> None:
+    recording = np.random.default_rng(n).standard_normal((3, n))
+    info = RIVALS[name].info
+    for reduced in (recording[1], 1e9 * recording[1], 1e-9 * recording[1], 0 * recording[1]):
+        value = measure(name, recording, reduced, rate)
+        assert np.isnan(value) or info.low <= value <= info.high
+        assert not (np.isnan(value) and n > 1000 and rate in {977.3, 1600.0})
+
+
+@EVERY
+@pytest.mark.parametrize("scene", list(SCENES))
+def test_scenes_are_within_bounds(name: str, scene: str) -> None:
+    recording = make_scene(scene, duration_s=0.5)
+    info = RIVALS[name].info
+    for reducer in ("saz321", "mag321", "dft321_windowed"):
+        reduced = REDUCERS[reducer](recording.acceleration, recording.rate_hz)
+        value = measure(name, recording.acceleration, reduced, recording.rate_hz)
+        assert info.low <= value <= info.high
+
+
+@pytest.mark.parametrize("name", list(RIVALS))
+def test_a_rival_costs_at_most_ten_times_as_much_as_spectral_match(name: str) -> None:
+    """The promise, with a margin of two for a loaded machine; the best of several runs each."""
+    recording = make_scene("bumps", duration_s=4)
+    reduced = recording.acceleration.sum(axis=0)
+
+    def clock(metric: object) -> float:
+        times = []
+        for _ in range(5):
+            start = time.process_time()
+            metric(recording.acceleration, reduced, recording.rate_hz)
+            times.append(time.process_time() - start)
+        return min(times)
+
+    assert clock(METRICS[name]) < 20 * clock(spectral_match)

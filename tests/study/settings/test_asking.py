@@ -1,0 +1,101 @@
+"""`[[session.questions]]`: what is allowed, and one clear line for what is not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from feel321.protocols.questions import READY, Question
+from feel321.protocols.texts import CATALOG, list_languages, read_texts
+from feel321.study.settings.read import make_design, read_settings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SCENE = '[[recordings]]\nscene = "bumps"\n'
+ASK = '[[session.questions]]\nname = "q"\nquestion = "What?"\n'
+
+
+def tell(path: Path, text: str) -> list[str]:
+    (path / "study.toml").write_text(SCENE + text, encoding="utf-8")
+    try:
+        read_settings(path / "study.toml")
+    except ValueError as error:
+        return [line.removeprefix("study.toml: ") for line in str(error).splitlines()]
+    return []
+
+
+MISTAKES = {
+    "[[session.questions]]\nname = 'q'": "session.questions[1]: kind is missing; add it",
+    "[[session.questions]]\nkind = 'text'\nquestion = 'A'": "session.questions[1]: name is missing",
+    f"{ASK}kind = 'choise'": "session.questions[1].kind must be one of choice, number, text, likert, got",
+    f"{ASK}kind = 'choice'": "session.questions[1]: options must be 2 to 9 texts for kind 'choice', got 0",
+    f"{ASK}kind = 'choice'\noptions = ['a']": "options must be 2 to 9 texts for kind 'choice', got 1",
+    f"{ASK}kind = 'choice'\noptions = ['a', 'a']": "options must be different texts, none",
+    f"{ASK}kind = 'choice'\noptions = ['a', ' ']": "options must be different texts, none",
+    f"{ASK}kind = 'choice'\noptions = {list('abcdefghij')}": "2 to 9 texts for kind 'choice', got 10",
+    f"{ASK}kind = 'text'\noptions = ['a', 'b']": "options must be left out for kind 'text', got 2",
+    f"{ASK}kind = 'text'\nhigh = 3": "low and high must not be numbers for kind 'text'",
+    f"{ASK}kind = 'number'\nlow = 9\nhigh = 3": "low must be below high, got 9 and 3",
+    f"{ASK}kind = 'number'\nlow = 'never'": "low and high must be numbers for kind 'number'",
+    f"{ASK}kind = 'number'\npoints = 5": "points is for likert questions without options",
+    f"{ASK}kind = 'likert'": "a likert question must have options = [...], or points = 7",
+    f"{ASK}kind = 'likert'\npoints = 7": "a likert question must have options = [...], or points = 7",
+    f"{ASK}kind = 'likert'\npoints = 11\nlow = 'a'\nhigh = 'b'": "session.questions[1].points",
+    f"{ASK}kind = 'likert'\noptions = ['', 'b', 'c']": "options must name both ends",
+    f"{ASK}kind = 'text'\nwhen = 'later'": "when must be one of before, between, after, got 'later'",
+    f"{ASK}kind = 'text'\nask = true": "session.questions[1].ask: unknown setting; known: use, name",
+    f"{ASK}kind = 'text'\n{ASK}kind = 'text'": "must hold each name once; more than once: q",
+    "[[session.questions]]\nuse = 'demographic'": "must be one of demographics, got 'demographic'; did you",
+    "[[session.questions]]\nuse = 'demographics'\npersonal = false": "brings its own questions; remove pe",
+    "[[session.questions]]\nname = 'How old'\nkind = 'text'\nquestion = 'A'": "must be up to 40 small lett",
+    "[[session.questions]]\nname = 'q'\nkind = 'text'\nquestion = ''": "question must not be empty",
+    "[[session.questions]]\nuse = 'demographics'\n[[session.questions]]\nname = 'age'\nkind = 'text'\n"
+    "question = 'A'": "more than once: age",
+}
+
+
+@pytest.mark.parametrize("text", MISTAKES)
+def test_a_mistake_has_its_line(text: str, tmp_path: Path) -> None:
+    (line,) = tell(tmp_path, text)
+    assert MISTAKES[text] in line
+    assert line.startswith("session.questions")
+
+
+def test_every_setting_reaches_the_design(tmp_path: Path) -> None:
+    text = f"""{ASK}kind = "likert"\npoints = 4\nlow = "a"\nhigh = "d"\nwhen = "after"
+        [[session.questions]]\nname = "n"\nkind = "number"\nquestion = "N"\nlow = 1\nhigh = 2.5
+        personal = true\nrequired = false"""
+    assert tell(tmp_path, text) == []
+    assert make_design(read_settings(tmp_path / "study.toml")).questions == (
+        Question("q", "likert", "What?", ("a", "", "", "d"), when="after"),
+        Question("n", "number", "N", low=1.0, high=2.5, personal=True, required=False),
+    )
+
+
+@pytest.mark.parametrize("language", list_languages())
+def test_the_ready_page_is_asked_in_the_language_of_the_study(
+    language: str, tmp_path: Path
+) -> None:
+    use = "[[session.questions]]\nuse = 'demographics'\nwhen = 'after'\n"
+    assert tell(tmp_path, f"[session]\nlanguage = '{language}'\n{use}") == []
+    questions = make_design(read_settings(tmp_path / "study.toml"), tmp_path).questions
+    assert [question.name for question in questions] == list(READY["demographics"])
+    texts = read_texts(language)["questions"]["demographics"]
+    assert [question.question for question in questions] == [
+        one["question"] for one in texts.values()
+    ]
+    assert all(q.personal and not q.required and q.when == "after" for q in questions)
+    assert [len(q.options) for q in questions] == [0, 5, 3, 3, 3]
+
+
+def test_a_file_of_the_labs_own_may_ask_otherwise(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(
+        '[questions.demographics.age]\nquestion = "Your age?"\n', encoding="utf-8"
+    )
+    use = "[session]\nlanguage = 'own.toml'\n[[session.questions]]\nuse = 'demographics'\n"
+    assert tell(tmp_path, use) == []
+    first, second, *_ = make_design(read_settings(tmp_path / "study.toml"), tmp_path).questions
+    assert first.question == "Your age?"
+    assert second.question in (CATALOG / "en.toml").read_text(encoding="utf-8")

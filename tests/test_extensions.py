@@ -1,0 +1,152 @@
+"""A lab's own methods are found, digested and called like feel321's."""
+
+import pickle
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from feel321 import stimuli
+from feel321.extensions import find_method
+from feel321.stimuli.guard import OwnMetric, OwnReducer, find_reducer
+
+CODE = """\
+import numpy as np
+
+
+def my321(acceleration, rate_hz):
+    return acceleration.sum(axis=0)
+
+
+def crest(acceleration, reduced, rate_hz):
+    return float(np.abs(reduced).max() / np.sqrt(np.mean(reduced**2)))
+
+
+crest.higher, crest.low, crest.unit = "worse", 1.0, "of RMS"
+"""
+
+SCENE = stimuli.make_scene("bumps", duration_s=0.3)
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    (tmp_path / "methods").mkdir()
+    (tmp_path / "methods" / "my321.py").write_text(CODE)
+    return tmp_path
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package as pip would have installed it, with entry points."""
+    home = tmp_path / "site"
+    (home / "mylab").mkdir(parents=True)
+    (home / "mylab" / "__init__.py").write_text("")
+    (home / "mylab" / "haptics.py").write_text(CODE)
+    facts = home / "mylab-1.0.dist-info"
+    facts.mkdir()
+    (facts / "METADATA").write_text("Metadata-Version: 2.1\nName: mylab\nVersion: 1.0\n")
+    (facts / "entry_points.txt").write_text(
+        "[feel321.reducers]\nsum321 = mylab.haptics:my321\n"
+        "[feel321.metrics]\ncrest = mylab.haptics:crest\n"
+    )
+    monkeypatch.syspath_prepend(home)
+    yield home
+    for name in [name for name in sys.modules if name.partition(".")[0] == "mylab"]:
+        del sys.modules[name]
+
+
+@pytest.mark.usefixtures("package")
+def test_a_file_a_package_an_entry_point_and_a_function_are_one_reducer(study: Path) -> None:
+    expected = SCENE.acceleration.sum(axis=0)
+    namespace: dict[str, object] = {}
+    exec(CODE, namespace)  # noqa: S102 - a function without a file, as in a notebook
+    given = ["methods/my321.py:my321", "mylab.haptics:my321", "sum321", namespace["my321"]]
+    methods = [find_method("reducer", one, taken=stimuli.REDUCERS, folder=study) for one in given]
+    assert [one.name for one in methods] == ["my321", "my321", "sum321", "my321"]
+    assert methods[1].sha256 == methods[2].sha256
+    for method in methods:
+        found = OwnReducer(method)(SCENE.acceleration, SCENE.rate_hz)
+        np.testing.assert_array_equal(found, expected)
+    turned = np.stack([SCENE.acceleration, -SCENE.acceleration])
+    np.testing.assert_array_equal(OwnReducer(methods[0])(turned, 1e4), [expected, -expected])
+
+
+def test_a_method_survives_the_way_to_another_process(study: Path) -> None:
+    method = find_method("metric", "methods/my321.py:crest", folder=study)
+    again = pickle.loads(pickle.dumps(method))  # noqa: S301 - what the line itself pickles
+    assert again == method
+    info = OwnMetric(again).info
+    assert (info.label, info.higher, info.low, info.unit) == ("crest", "worse", 1.0, "of RMS")
+
+
+def test_the_digest_covers_the_folder_the_package_and_what_a_command_names(
+    study: Path, package: Path
+) -> None:
+    table = {"run": {"command": "sh methods/run.sh {input} {output}"}}
+    (study / "methods" / "run.sh").write_text("cp $1 $2\n")
+
+    def digest() -> list[str]:
+        given = ["methods/my321.py:my321", "mylab.haptics:my321", "run"]
+        return [find_method("reducer", one, folder=study, declared=table).sha256 for one in given]
+
+    before = digest()
+    (study / "methods" / "helper.py").write_text("X = 1\n")
+    (study / "methods" / "notes.txt").write_text("not code\n")
+    first = digest()
+    (package / "mylab" / "other.py").write_text("X = 1\n")
+    second = digest()
+    (study / "methods" / "run.sh").write_text("cat $1 > $2\n")
+    third = digest()
+    assert [a != b for a, b in zip(before, first, strict=True)] == [True, False, False]
+    assert [a != b for a, b in zip(first, second, strict=True)] == [False, True, False]
+    assert [a != b for a, b in zip(second, third, strict=True)] == [False, False, True]
+
+
+def test_a_set_holds_the_labs_own_reducers_and_metrics_and_is_built_alike_by_two_processes(
+    study: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(study)
+    own = {"reducers": ["dft321", "methods/my321.py:my321"], "metrics": ["methods/my321.py:crest"]}
+    scenes = [stimuli.make_scene(name, duration_s=0.3) for name in ("bumps", "hard_taps")]
+    built = stimuli.build_stimuli(scenes, study / "two", workers=2, **own)
+    alone = stimuli.build_stimuli(scenes, study / "one", **own)
+    assert built.sha256 == alone.sha256
+    row = built["bumps__my321__as_is"]
+    assert row.metrics.keys() == {"crest"}
+    assert stimuli.read_stimuli(study / "two") == built
+    assert stimuli.check_stimuli(study / "two") == []
+    json_files = [(study / name / "manifest.json").read_bytes() for name in ("one", "two")]
+    assert json_files[0] == json_files[1]
+
+
+def test_sets_without_methods_of_the_lab_keep_their_keys() -> None:
+    from feel321.stimuli.sets.recipe import Recipe, describe_recipe
+    from feel321.stimuli.sets.render import list_drafts, list_methods
+
+    plain = Recipe(reducers=["dft321"])
+    assert list_methods(plain) == {}
+    assert "metrics" not in describe_recipe(plain)
+    assert "methods" not in describe_recipe(plain)
+
+    def own321(acceleration: np.ndarray, _: float) -> np.ndarray:
+        return acceleration[0]
+
+    mixed = Recipe(reducers=["dft321", own321])
+    first, second = (list_drafts(SCENE, one)[0] for one in (plain, mixed))
+    assert first == second
+    assert list_drafts(SCENE, mixed)[1].reducer == "own321"
+
+
+def test_taken_names_and_places_outside_the_study_are_refused(study: Path) -> None:
+    (study / "methods" / "mine.py").write_text("def dft321(a, r):\n    return a[0]\n")
+    for given, message in (
+        ("methods/mine.py:dft321", "is taken by one of feel321's own; rename it"),
+        ("../other.py:my321", "must be a file in the study's folder"),
+        ("methods/none.py:my321", "there is no file methods/none.py"),
+        ("nolab.haptics:my321", "no module named 'nolab'; install it"),
+        ("my321", "reducer must be one of"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            find_reducer(given, stimuli.REDUCERS, folder=study)
