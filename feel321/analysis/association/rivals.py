@@ -42,7 +42,7 @@ BASELINES = ("level_difference", "level")
 FEWEST_PEOPLE, FEWEST_RECORDINGS = 3, 4
 """Below, the spread between people or recordings is all but unknown, and nothing is left to fit to."""
 
-SIMULATED = 20_000
+SIMULATED = 10_000
 """Draws of a multivariate t distribution behind a critical value: known to about 1 % of it."""
 
 FEWEST_METRICS, FEWEST_DRAWN = 2, 2
@@ -383,14 +383,13 @@ class _Judged:
         """Find which metrics may be the best: no other is better by more than chance, each in turn the control."""
         if self.spread is None:
             return [True] * len(self.z)
-        found = []
-        for number in range(len(self.z)):
-            ahead = np.delete(np.eye(len(self.z)), number, axis=0)
-            ahead[:, number] = -1.0
-            se = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", ahead, self.spread, ahead), 0.0))
-            scale = np.where(se > STILL, se, np.inf)
-            limit = np.quantile((self.simulated @ ahead.T / scale).max(axis=1), 1 - LEVEL)
-            found.append(bool((ahead @ self.z / scale).max() <= limit))
+        found, own = [], np.diag(self.spread)
+        for number, z in enumerate(self.z):
+            se = np.sqrt(np.maximum(own + own[number] - 2 * self.spread[number], 0.0))
+            per_se = np.divide(1.0, se, out=np.zeros_like(se), where=se > STILL)
+            ahead = (self.simulated - self.simulated[:, [number]]) * per_se
+            limit = np.quantile(ahead.max(axis=1), 1 - LEVEL)
+            found.append(bool(((self.z - z) * per_se).max() <= limit))
         return found
 
     def tabulate(self, names: Sequence[str], control: int | None) -> DataFrame:

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame, Series
 
-    from feel321.analysis.association.rivals import Ranking
     from feel321.analysis.contrasts.compare import Equivalence
     from feel321.analysis.primary.model import Primary
 
@@ -382,35 +381,32 @@ def _draw_mean(axes: Axes, row: Mapping[Hashable, Any], *, height: float, look: 
 # Metrics ranked by how well they predict.
 
 
-def draw_ranking(ranking: Ranking) -> Figure:
-    """Draw the out-of-fold correlation of every metric, the best first, with the noise ceiling and level alone."""
+def draw_ranking(table: DataFrame, *, ceiling: float, level: float, size: str) -> Figure:
+    """Draw the out-of-fold correlation of every metric, the best first, with the noise ceiling and level alone.
+
+    table: of a `Ranking`; size: of the data, in words. Ceiling and level are NaN where there is none.
+    """
     look = Look(style.BLUE, "o")
     rows = fit_rows(
         ForestRow(
             format_name(str(row["metric"])),
             (Mark(row["value"], row["low"], row["high"], look, filled=bool(row["may_be_best"])),),
         )
-        for row in ranking.to_frame().to_dict("records")
+        for row in table.reset_index().to_dict("records")
     )
     with style.print_style():
         figure = style.new_canvas(find_height(rows) + AXIS_CM)
         axes = figure.subplots()
-        limits = find_limits(
-            rows, 0.0, *([ranking.ceiling] if np.isfinite(ranking.ceiling) else [])
-        )
+        limits = find_limits(rows, 0.0, *filter(np.isfinite, [ceiling, level]))
         draw_rows(axes, rows, limits=limits, zero=True)
-        if np.isfinite(ranking.ceiling):
-            axes.axvline(
-                ranking.ceiling, color=style.BLACK, linestyle="--", linewidth=1.0, zorder=1
-            )
-        if ranking.baseline:
-            level = ranking.table["value"].to_dict()[ranking.baseline]
+        if np.isfinite(ceiling):
+            axes.axvline(ceiling, color=style.BLACK, linestyle="--", linewidth=1.0, zorder=1)
+        if np.isfinite(level):
             axes.axvline(level, color=style.GREY, linestyle=":", linewidth=1.0, zorder=1)
         axes.set_xlabel("Correlation within recordings, out of fold")
-        scenes = format_recordings(ranking.n_recordings, ranking.n_sources)
         style.add_title(
             figure,
-            f"{len(rows)} metrics, {ranking.n_participants} participants, {scenes}, {ranking.n_items} stimuli.\n"
+            f"{len(rows)} metrics, {size}.\n"
             "Bars: 95 % two-way intervals that hold for all metrics together. Dashed: noise ceiling.",
         )
     return figure

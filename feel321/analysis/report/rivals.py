@@ -22,10 +22,13 @@ from feel321.analysis.report.section import (
     make_slug,
     read_methods,
 )
+from feel321.analysis.table.items import format_recordings
 from feel321.analysis.words import COUNT, Line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from matplotlib.figure import Figure
 
     from feel321.analysis.table.items import Table
 
@@ -100,11 +103,19 @@ def compute(table: Table, choices: Choices) -> Section:
                 f"How well each metric predicts {part.ratings} within recordings, out of fold: correlation with "
                 "simultaneous 95 % two-way intervals; hollow: not in the confidence set of the best metric. Dashed: "
                 "noise ceiling; dotted: level alone.",
-                partial(draw_ranking, ranking),
+                _draw(ranking),
             )
             for part, ranking in found
         ],
     )  # fmt: skip
+
+
+def _draw(ranking: Ranking) -> partial[Figure]:
+    """Prepare the figure."""
+    scenes = format_recordings(ranking.n_recordings, ranking.n_sources)
+    size = f"{ranking.n_participants} participants, {scenes}, {ranking.n_items} stimuli"
+    level = ranking.table["value"].to_dict().get(ranking.baseline, float("nan"))
+    return partial(draw_ranking, ranking.table, ceiling=ranking.ceiling, level=level, size=size)
 
 
 def _rank(part: RatingsPart, table: Table, choices: Choices) -> Ranking:
@@ -148,28 +159,27 @@ def describe_ranking(part: RatingsPart, ranking: Ranking) -> Iterator[Line]:
 
 
 def _describe_best(part: RatingsPart, ranking: Ranking) -> str:
-    table, count = ranking.table, len(ranking.table)
-    shown = table.index[(table["p"] < LEVEL) & (table["value"] > 0)]
+    table, ratings = ranking.table, part.ratings
+    shown = tuple(map(str, table.index[(table["p"] < LEVEL) & (table["value"] > 0)]))
     level = f"level alone ({words.format_name(ranking.baseline)})" if ranking.baseline else ""
+    found, best = _describe(ranking), words.format_name(ranking.best)
+    highest = f"The highest correlation out of fold is that of {best}, {found}."
     if level and not ranking.better:
-        others = f"None of the {count - 1} other metrics is shown to predict {part.ratings} better than {level}"
-        return (
-            f"{others}. The highest correlation out of fold is {_describe(ranking, ranking.best)}."
-        )
-    if not level and not len(shown):
-        highest = f"The highest correlation out of fold is {_describe(ranking, ranking.best)}"
-        return f"None of the {count} metrics is shown to predict {part.ratings}. {highest}."
-    found = _describe(ranking, ranking.best)
+        others = f"None of the {len(table) - 1} other metrics is shown to predict {ratings} better"
+        return f"{others} than {level}. {highest}"
+    if not level and not shown:
+        return f"None of the {len(table)} metrics is shown to predict {ratings}. {highest}"
+    lead = f"Of {len(table)} metrics, "
     if ranking.alone:
-        beaten = f", better than all others{f' and than {level}' if level else ''}"
-        return f"Of {count} metrics, {words.format_name(ranking.best)} predicts {part.ratings} best{beaten}: {found}."
-    ahead = f"better than {level}" if level else f"{part.ratings}"
-    named = ranking.better if level else tuple(map(str, shown))
-    predict = f"predict{'s' * (len(named) == 1)}"
-    what = f"{part.ratings} {ahead}" if level else ahead
+        than = f", {level} included" if level else ""
+        return (
+            f"{lead}{best} predicts {ratings} better than every other{than}: out of fold {found}."
+        )
+    named = ranking.better if level else shown
+    predict = f"{_name(named)} predict{'s' * (len(named) == 1)} {ratings}"
     return (
-        f"Of {count} metrics, {_name(named)} {predict} {what}; which one is best is open "
-        f"({len(ranking.candidates)} metrics may be). The highest correlation out of fold is {found}."
+        f"{lead}{predict}{f' better than {level}' if level else ''}; which metric is best is open "
+        f"({len(ranking.candidates)} may be). {highest}"
     )
 
 
@@ -180,13 +190,11 @@ def _name(names: tuple[str, ...]) -> str:
     return f"{', '.join(told)} and {more} more" if more > 0 else words.join_words(told)
 
 
-def _describe(ranking: Ranking, metric: str) -> str:
-    row = ranking.table.loc[[metric]].to_dict("records")[0]
+def _describe(ranking: Ranking) -> str:
+    """Give the correlation of the best metric with its interval, and the noise ceiling."""
+    row = ranking.to_frame().to_dict("records")[0]
     told, interval = words.format_estimate(row["value"], row["low"], row["high"])
     ceiling = ""
     if np.isfinite(ranking.ceiling):
-        ceiling = f"; the noise ceiling is {words.format_number(ranking.ceiling)}"
-    name = words.format_name(metric)
-    return (
-        f"that of {name}, r = {told} (95 % interval for all metrics together {interval}{ceiling})"
-    )
+        ceiling = f"; noise ceiling {words.format_number(ranking.ceiling)}"
+    return f"r = {told} (95 % interval for all metrics together {interval}{ceiling})"
