@@ -60,6 +60,60 @@ class OwnReducer:
             check_untouched(self.method, copy, samples)
         return check_output(self.method, output, samples, where=where)
 
+    def open_stream(self, rate_hz: float) -> OwnStream | None:
+        """Open its streaming form, `stream(rate_hz)`, where it has one."""
+        make = self.method.find_fact("stream") if self.method.origin != "command" else None
+        if make is None:
+            return None
+        return OwnStream(
+            self.method, call(self.method, make, float(rate_hz), doing="opening its stream")
+        )
+
+    def find_latency(self, rate_hz: float) -> float | None:
+        """Find how many s after its sample a result can be there: measured in samples, or declared; else None."""
+        stream = self.open_stream(rate_hz)
+        samples = stream.latency_samples if stream else self.method.find_fact("latency")
+        return samples / rate_hz if isinstance(samples, int | float) else None
+
+
+@dataclass(frozen=True, slots=True)
+class OwnStream:
+    """The streaming form of a lab's reducer: `process(block)`, `flush()` and `latency_samples`."""
+
+    method: Method
+    stream: Any
+
+    @property
+    def latency_samples(self) -> int:
+        """Its constant delay."""
+        latency = call(self.method, getattr, self.stream, "latency_samples")
+        if isinstance(latency, bool) or not isinstance(latency, int | np.integer) or latency < 0:
+            raise ValueError(
+                f"{self.method}: latency_samples must be a whole number from 0, got {describe(latency)}"
+            )
+        return int(latency)
+
+    def process(self, block: ArrayLike, *, out: Samples | None = None) -> Samples:
+        """Reduce the next samples, (3, k), to as many, (k,)."""
+        samples = check_acceleration(block)
+        copy, where = samples.copy(), f"given a block of shape {samples.shape}"
+        output = call(self.method, lambda: self.stream.process(copy), doing=where)
+        check_untouched(self.method, copy, samples)
+        checked = check_output(self.method, output, samples, where=where)
+        if out is not None:
+            np.copyto(out, checked)
+        return checked if out is None else out
+
+    def flush(self) -> Samples:
+        """End the signal and return the samples that the delay still holds back."""
+
+        def end() -> object:
+            return self.stream.flush()
+
+        output = call(self.method, end, doing="ending its stream")
+        rest = np.zeros((3, self.latency_samples))
+        return check_output(self.method, output, rest, where="ending its stream")
+
 
 @dataclass(frozen=True, slots=True)
 class OwnMetric:

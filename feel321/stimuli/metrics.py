@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
@@ -10,10 +10,11 @@ from numpy.typing import ArrayLike
 from feel321.doors import Registry, name_of
 from feel321.stimuli.guard import find_metric
 from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Reduced, Signal, as_pair, check_acceleration, coerce_real
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS
-from feel321.types import Metric, MetricInfo, Reducer
+from feel321.types import Metric, Reducer
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -29,20 +30,6 @@ METRICS: Registry[Metric] = Registry(
     find=find_metric,
 )
 """Name -> metric, called as `METRICS[name](acceleration, reduced, rate_hz)`. The only list of names."""
-
-MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
-"""The match metrics: what `build` writes into every manifest."""
-
-METRIC_INFO: Mapping[str, MetricInfo] = Registry(
-    "metric",
-    {
-        "spectral_match": MetricInfo("spectral match", high=1.0),
-        "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
-        "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
-        **{name: rival.info for name, rival in RIVALS.items()},
-    },
-)
-"""Name of a metric -> which way it points, its bounds, and how it is called on a page."""
 
 
 def match(

@@ -17,7 +17,7 @@ from feel321.analysis.table import schema
 from feel321.protocols import PROTOCOLS
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.match import PLANNED
-from feel321.stimuli.metrics import MATCHES
+from feel321.stimuli.names import MATCHES
 
 if TYPE_CHECKING:
     from collections.abc import Callable

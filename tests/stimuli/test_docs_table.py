@@ -11,6 +11,7 @@ import pytest
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
 from feel321.stimuli.metrics import match
+from feel321.stimuli.names import METRIC_INFO
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS
 from feel321.stimuli.synthesis import SCENES, make_scene
@@ -51,7 +52,7 @@ def test_the_page_of_rivals_names_each_and_its_numbers_are_computed() -> None:
     described, numbers = rows[: len(RIVALS)], rows[-len(RIVALS) :]
     assert [name for name, _ in described] == [name for name, _ in numbers] == list(RIVALS)
     for name, row in described:
-        assert ("**" in row) == (RIVALS[name].info.higher == "better")
+        assert ("**" in row) == (METRIC_INFO[name].higher == "better")
     reducers = ["saz321", "mag321", "dft321", "dft321_windowed"]
     found = match(make_scene("bumps", duration_s=1), reducers=reducers, metrics=list(RIVALS))
     shown = [[float(cell) for cell in row.split("|")] for _, row in numbers]

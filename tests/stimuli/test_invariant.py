@@ -14,7 +14,7 @@ from feel321.stimuli.match import (
     temporal_match,
     temporal_match_details,
 )
-from feel321.stimuli.metrics import MATCHES
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import (
     INVARIANTS,

@@ -11,7 +11,8 @@ from feel321.stimuli.match import (
     temporal_match,
     temporal_match_details,
 )
-from feel321.stimuli.metrics import MATCHES, METRIC_INFO, METRICS
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.names import MATCHES, METRIC_INFO
 from feel321.stimuli.reducers.registry import REDUCERS
 
 RATE = 4000.0

@@ -156,8 +156,7 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     λ ± t(.975, U - 1) se. Draws in which an item always wins or loses, or meets no other, have no estimate; where they
     are more than a tenth, there is no interval, and a note says so. These stimuli are taken as the only ones.
 
-    No section of the report uses it: a protocol of feel321 that asks which of two is better does not exist, and
-    dissimilarities and ABX trials name no winner. It is for tables of preferences from elsewhere.
+    The report uses it for triplets and preferences, and it takes tables of preferences from elsewhere.
 
     References
     ----------

@@ -45,7 +45,7 @@ from feel321.analysis.table.items import make_items, order_reducers
 from feel321.analysis.table.metrics import describe_explored
 from feel321.analysis.table.notes import SPACE, note_apart
 from feel321.analysis.table.reading import Table
-from feel321.analysis.table.schema import APART, PAIRED
+from feel321.analysis.table.schema import APART, CHOSEN, PAIRED
 from feel321.analysis.words import COUNT, ONE_WAY, TWO_WAY, Claim, Line
 from feel321.types import MetricInfo
 
@@ -136,7 +136,9 @@ def compute_association(table: Table, choices: Choices) -> Section:
     if not panels:
         paired = PAIRED in table.rows["scale"].unique()
         verdict = (Line(UNANSWERED), Line(SPACE)) if paired else (Line(UNANSWERED),)
-        return Section(key, title, notes=notes, verdict=verdict)
+        # Choices between two stimuli have an answer of their own.
+        answered = table.rows["scale"].isin(CHOSEN).any()
+        return Section(key, title, notes=notes, verdict=() if answered else verdict)
     looks = assign_looks(order_reducers(table.rows["reducer"]))
     pictures, coefficients = [], []
     for part, panel in zip(parts, panels, strict=True):

@@ -28,7 +28,6 @@ from feel321.analysis.report.parts import (
     find_table_steps,
     join_steps,
     thin_parts,
-    word_steps,
 )
 from feel321.analysis.report.section import (
     DF,
@@ -47,6 +46,7 @@ from feel321.analysis.report.section import (
     make_slug,
     read_methods,
     stack,
+    word_steps,
 )
 from feel321.analysis.table.metrics import Step
 from feel321.analysis.table.reading import Table

@@ -18,7 +18,6 @@ from feel321.analysis.report.parts import (
     fit_rest,
     split_parts,
     thin_parts,
-    word_steps,
 )
 from feel321.analysis.report.section import (
     METRIC,
@@ -33,6 +32,7 @@ from feel321.analysis.report.section import (
     estimate,
     read_methods,
     stack,
+    word_steps,
 )
 from feel321.analysis.screening.consistency import RaterModel, rater_model
 from feel321.analysis.screening.rules import RULES

@@ -29,6 +29,7 @@ from feel321.analysis.report import (
     robustness,
     standard,
 )
+from feel321.analysis.report import choices as chosen
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.section import Picture, Section, number_pictures, render_template
@@ -239,6 +240,7 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     reducers.compute_levels,
     reducers.compute_profile,
     reducers.compute_contrasts,
+    chosen.compute_choices,
     pairs.compute_discrimination,
     pairs.compute_space,
     robustness.compute_refined,

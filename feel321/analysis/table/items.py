@@ -27,7 +27,7 @@ from feel321.analysis.arrays import Values, check_columns, read_numbers
 from feel321.analysis.table.schema import APART, NAMING, NO, YES
 from feel321.doors import as_names, check_name
 from feel321.records import Result
-from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.names import REDUCER_NAMES
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -549,4 +549,4 @@ def _number_items(rows: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:
 def order_reducers(names: Iterable[str]) -> list[str]:
     """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
     found = set(names)
-    return [name for name in REDUCERS if name in found] + sorted(found - set(REDUCERS))
+    return [name for name in REDUCER_NAMES if name in found] + sorted(found - set(REDUCER_NAMES))

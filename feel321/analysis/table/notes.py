@@ -11,7 +11,7 @@ from feel321.analysis.table import schema
 from feel321.analysis.table.items import ROLE, STIMULUS, TEST
 from feel321.analysis.table.metrics import describe_explored
 from feel321.analysis.table.schema import shorten
-from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.names import REDUCER_NAMES
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -75,7 +75,7 @@ def note_stimuli(sheet: DataFrame) -> Iterator[str]:
     if schema.SENSATION in sheet and (weak := int((sheet[schema.SENSATION] < 0).sum())):
         yield f"{weak} of {len(sheet)} stimuli were played below the detection threshold."
     tests = sheet.loc[sheet[ROLE] == TEST, "reducer"]
-    if strangers := sorted(set(tests) - set(REDUCERS)):
+    if strangers := sorted(set(tests) - set(REDUCER_NAMES)):
         yield f"Reducers unknown to feel321, analysed as named: {list_names(strangers)}."
 
 

@@ -30,7 +30,7 @@ from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import roster, schema
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.doors import as_names, as_path, describe
-from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.names import REDUCER_NAMES
 from feel321.types import MetricInfo, PathLike
 
 if TYPE_CHECKING:
@@ -484,7 +484,7 @@ def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
         known[name] = UNLISTED
         if name in manifest.index:
             reducer, role = manifest.loc[name, ["reducer", ROLE]]
-            whole = role == "reference" and reducer not in REDUCERS
+            whole = role == "reference" and reducer not in REDUCER_NAMES
             known[name] = "" if whole else f"what '{reducer}' made of the recording"
     of_reference = rows["reference_id"].map(manifest["recording"])
     is_foreign = of_reference.notna() & (of_reference != rows["recording"])

@@ -20,13 +20,14 @@ References
 from collections.abc import Callable
 from functools import partial
 from inspect import signature
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import Registry, check_name, name_of
 from feel321.stimuli.guard import find_reducer
+from feel321.stimuli.names import REDUCER_NAMES
 from feel321.stimuli.recording import (
     SAFE_PEAK,
     Recording,
@@ -40,40 +41,40 @@ from feel321.stimuli.recording import (
     largest,
 )
 from feel321.stimuli.reducers import axes, fourier
-from feel321.types import Reducer, Samples
-
-OnGap = Literal["raise", "hold", "zero"]
-"""What can stand for a missing sample: an error, the last sample that arrived (0 before the first), or 0."""
+from feel321.types import OnGap, Reducer, Samples
 
 REDUCERS: Registry[Reducer] = Registry(
     "reducer",
-    {
-        reducer.__name__: reducer
-        for reducer in (
-            axes.sax321,
-            axes.say321,
-            axes.saz321,
-            axes.soc321,
-            axes.mag321,
-            axes.pca321,
-            axes.pca321_adaptive,
-            fourier.dft321,
-            fourier.dft321_windowed,
-            fourier.dft321_principal,
-            fourier.dft321_principal_windowed,
-            axes.sax321_matched,
-            axes.say321_matched,
-            axes.saz321_matched,
-            axes.pca321_matched,
-            axes.sax321_matched_running,
-            axes.say321_matched_running,
-            axes.saz321_matched_running,
-            axes.pca321_matched_windowed,
+    dict(
+        zip(
+            REDUCER_NAMES,
+            (
+                axes.sax321,
+                axes.say321,
+                axes.saz321,
+                axes.soc321,
+                axes.mag321,
+                axes.pca321,
+                axes.pca321_adaptive,
+                fourier.dft321,
+                fourier.dft321_windowed,
+                fourier.dft321_principal,
+                fourier.dft321_principal_windowed,
+                axes.sax321_matched,
+                axes.say321_matched,
+                axes.saz321_matched,
+                axes.pca321_matched,
+                axes.sax321_matched_running,
+                axes.say321_matched_running,
+                axes.saz321_matched_running,
+                axes.pca321_matched_windowed,
+            ),
+            strict=True,
         )
-    },
+    ),
     find=find_reducer,
 )
-"""Name -> reducer, in the order of the paper, simplest first; later ones follow. The only list of names."""
+"""Name -> reducer, in the order of the paper, simplest first; later ones follow."""
 
 DEFAULT_REDUCERS = tuple(REDUCERS)[:9]
 """What a study compares unless it says otherwise: as many as a MUSHRA page holds beside the reference and anchors."""

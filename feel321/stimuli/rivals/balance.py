@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ
+from feel321.stimuli.names import MOST_DB
 from feel321.stimuli.recording import Signal
-from feel321.stimuli.rivals.pairs import MOST_DB, Pair, level_db, make_pair
-from feel321.types import MetricInfo, Samples
-
-BALANCE = MetricInfo("difference in high/low balance", "worse", 0.0, MOST_DB, "dB")
+from feel321.stimuli.rivals.pairs import Pair, level_db, make_pair
+from feel321.types import Samples
 
 SPLIT_HZ = math.sqrt(LOWEST_HZ * HIGHEST_HZ)
 """141 Hz, the middle of the felt range on a logarithmic scale."""

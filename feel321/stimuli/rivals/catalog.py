@@ -1,4 +1,4 @@
-"""RIVALS: every rival metric with what it declares, how batches are measured, and why it may be NaN."""
+"""RIVALS: every rival metric, how batches are measured, and why it may be NaN."""
 
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
@@ -16,37 +16,36 @@ from feel321.stimuli.rivals import (
     segments,
 )
 from feel321.stimuli.rivals.pairs import Pair, make_pairs
-from feel321.types import Metric, MetricInfo, Samples
+from feel321.types import Metric, Samples
 
 SILENT = "the recording has no energy from 20 to 1000 Hz, or is too short for any frequency there"
 
 
 class Rival(NamedTuple):
-    """A rival metric: as any metric is called, over batches, what it declares, and the reason where it is NaN."""
+    """A rival metric: as any metric is called, over batches, and the reason where it is NaN."""
 
     metric: Metric
     measure: Callable[[Pair], Samples]
-    info: MetricInfo
     reason: str = SILENT
 
 
 SHORT = f"{SILENT}, or is shorter than a block of 64 ms"
 
 _ALL = (
-    Rival(level.level_difference, level.measure_level, level.LEVEL),
-    Rival(log_spectral.log_spectral_distance, log_spectral.measure_log_spectral, log_spectral.LOG_SPECTRAL),
-    Rival(log_spectral.itakura_saito_distance, log_spectral.measure_itakura_saito, log_spectral.ITAKURA_SAITO),
-    Rival(balance.balance_difference, balance.measure_balance, balance.BALANCE,
+    Rival(level.level_difference, level.measure_level),
+    Rival(log_spectral.log_spectral_distance, log_spectral.measure_log_spectral),
+    Rival(log_spectral.itakura_saito_distance, log_spectral.measure_itakura_saito),
+    Rival(balance.balance_difference, balance.measure_balance,
           f"{SILENT}, or none on one side of 141 Hz"),
-    Rival(pacinian.pacinian_power_difference, pacinian.measure_power, pacinian.POWER),
-    Rival(pacinian.spectral_intensity_distance, pacinian.measure_intensity, pacinian.INTENSITY),
-    Rival(segments.segment_intensity_difference, segments.measure_segments, segments.SEGMENTS),
-    Rival(envelope.envelope_correlation, envelope.measure_correlation, envelope.CORRELATION,
+    Rival(pacinian.pacinian_power_difference, pacinian.measure_power),
+    Rival(pacinian.spectral_intensity_distance, pacinian.measure_intensity),
+    Rival(segments.segment_intensity_difference, segments.measure_segments),
+    Rival(envelope.envelope_correlation, envelope.measure_correlation,
           f"{SILENT}, or its envelope does not vary at up to 50 Hz"),
-    Rival(envelope.modulation_distance, envelope.measure_modulation, envelope.MODULATION,
+    Rival(envelope.modulation_distance, envelope.measure_modulation,
           f"{SILENT}, or is shorter than 20 ms"),
-    Rival(codecs.st_sim, codecs.measure_st_sim, codecs.ST_SIM, f"{SHORT}, or cannot be felt (samples in m/s^2?)"),
-    Rival(codecs.spqi, codecs.measure_spqi, codecs.SPQI, SHORT),
+    Rival(codecs.st_sim, codecs.measure_st_sim, f"{SHORT}, or cannot be felt (samples in m/s^2?)"),
+    Rival(codecs.spqi, codecs.measure_spqi, SHORT),
 )  # fmt: skip
 
 RIVALS: Registry[Rival] = Registry("rival metric", {rival.metric.__name__: rival for rival in _ALL})  # type: ignore[attr-defined]  # functions, all of them

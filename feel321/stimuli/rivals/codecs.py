@@ -38,10 +38,7 @@ from numpy.typing import ArrayLike
 
 from feel321.stimuli.recording import Signal
 from feel321.stimuli.rivals.pairs import Pair, make_pair
-from feel321.types import MetricInfo, Samples
-
-ST_SIM = MetricInfo("ST-SIM", "better", 0.0, 1.0)
-SPQI = MetricInfo("SPQI", "better", 0.0, 1.0)
+from feel321.types import Samples
 
 BLOCK_S = 0.064
 PUBLISHED_HZ = 8000.0

@@ -15,10 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from feel321.stimuli.recording import Signal
 from feel321.stimuli.rivals.pairs import Pair, follow_energy, make_pair
-from feel321.types import MetricInfo, Samples
-
-CORRELATION = MetricInfo("envelope correlation", "better", -1.0, 1.0)
-MODULATION = MetricInfo("modulation spectrum distance", "worse", 0.0)
+from feel321.types import Samples
 
 FASTEST_HZ = 50.0
 SLOWEST_HZ = 2.0

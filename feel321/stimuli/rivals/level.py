@@ -4,10 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from feel321.stimuli.recording import Signal
-from feel321.stimuli.rivals.pairs import MOST_DB, Pair, level_db, make_pair
-from feel321.types import MetricInfo, Samples
-
-LEVEL = MetricInfo("level difference", "worse", 0.0, MOST_DB, "dB")
+from feel321.stimuli.rivals.pairs import Pair, level_db, make_pair
+from feel321.types import Samples
 
 
 def level_difference(

@@ -19,19 +19,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.stimuli.match import (
-    HIGHEST_HZ,
-    LOWEST_HZ,
-    NUMERICAL_FLOOR,
-    WEBER_FRACTION,
-    WeberSmoothing,
-)
+from feel321.stimuli.match import NUMERICAL_FLOOR
 from feel321.stimuli.recording import Signal
-from feel321.stimuli.rivals.pairs import MOST_DB, Pair, level_db, make_pair
-from feel321.types import MetricInfo, Samples
-
-LOG_SPECTRAL = MetricInfo("log-spectral distance", "worse", 0.0, MOST_DB, "dB")
-ITAKURA_SAITO = MetricInfo("Itakura-Saito distance", "worse", 0.0)
+from feel321.stimuli.rivals.pairs import Pair, level_db, make_pair, smooth_bands
+from feel321.types import Samples
 
 
 def log_spectral_distance(
@@ -96,29 +87,6 @@ def band_levels(pair: Pair) -> Samples:
     total = sum(energy[..., pair.felt].max(axis=-1, initial=0.0) for energy in pair.energies)
     empty = np.maximum(original, reduced) <= NUMERICAL_FLOOR * np.asarray(total)[..., None]
     return np.where(empty, np.nan, level_db(original, reduced))
-
-
-def smooth_bands(pair: Pair) -> tuple[Samples, Samples, Samples]:
-    """Middles of the bands in Hz; mean energy per bin of the recording and of the reduced signal, (..., n_bands)."""
-    n = pair.samples.shape[-1]
-    centres = _band_centres(n, pair.rate_hz)
-    smooth = WeberSmoothing(centres, pair.rate_hz / n, n // 2 + 1)
-    # What is left of a sum of energies may be negative by rounding.
-    original, reduced = (
-        np.maximum(smooth(energy[..., smooth.bins]), 0.0) for energy in pair.energies
-    )
-    return centres, original, reduced
-
-
-def _band_centres(n_samples: int, rate_hz: float) -> Samples:
-    """Middles of bands 22 % wide that fill the felt range; possibly none."""
-    lowest, highest = max(LOWEST_HZ, rate_hz / n_samples), min(HIGHEST_HZ, rate_hz / 2)
-    if lowest >= highest:
-        return np.zeros(0)
-    ratio = (2 + WEBER_FRACTION) / (2 - WEBER_FRACTION)
-    n_bands = max(round(math.log(highest / lowest) / math.log(ratio)), 1)
-    edges = np.geomspace(lowest, highest, n_bands + 1)
-    return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
 def _average(pair: Pair, values: Samples) -> Samples:

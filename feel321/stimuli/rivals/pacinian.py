@@ -12,13 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from feel321.stimuli.recording import Signal
-from feel321.stimuli.rivals.log_spectral import smooth_bands
-from feel321.stimuli.rivals.pairs import MOST_DB, Pair, level_db, make_pair
+from feel321.stimuli.rivals.pairs import Pair, level_db, make_pair, smooth_bands
 from feel321.stimuli.thresholds import acceleration_threshold
-from feel321.types import MetricInfo, Samples
-
-POWER = MetricInfo("Pacinian power difference", "worse", 0.0, MOST_DB, "dB")
-INTENSITY = MetricInfo("spectral intensity distance", "worse", 0.0, 1.0)
+from feel321.types import Samples
 
 
 def pacinian_power_difference(

@@ -12,13 +12,22 @@ is that of the match metrics, 20 to 1000 Hz or the Nyquist frequency.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.stimuli.match import NUMERICAL_FLOOR, linear_grid
+from feel321.stimuli.match import (
+    HIGHEST_HZ,
+    LOWEST_HZ,
+    NUMERICAL_FLOOR,
+    WEBER_FRACTION,
+    WeberSmoothing,
+    linear_grid,
+)
+from feel321.stimuli.names import MOST_DB
 from feel321.stimuli.recording import (
     Signal,
     admit,
@@ -29,9 +38,6 @@ from feel321.stimuli.recording import (
     largest,
 )
 from feel321.types import Samples
-
-MOST_DB = 60.0
-"""Levels further apart count as this far apart."""
 
 _BEYOND_COMPARISON = 1e80
 
@@ -143,3 +149,26 @@ def level_db(original: Samples, reduced: Samples) -> Samples:
     floored = (np.maximum(energy, both / most) for energy in (reduced, original))
     above, below = (np.where(both > 0, energy, 1.0) for energy in floored)
     return np.asarray(10 * np.log10(above / below))
+
+
+def smooth_bands(pair: Pair) -> tuple[Samples, Samples, Samples]:
+    """Middles of the bands in Hz; mean energy per bin of the recording and of the reduced signal, (..., n_bands)."""
+    n = pair.samples.shape[-1]
+    centres = _band_centres(n, pair.rate_hz)
+    smooth = WeberSmoothing(centres, pair.rate_hz / n, n // 2 + 1)
+    # What is left of a sum of energies may be negative by rounding.
+    original, reduced = (
+        np.maximum(smooth(energy[..., smooth.bins]), 0.0) for energy in pair.energies
+    )
+    return centres, original, reduced
+
+
+def _band_centres(n_samples: int, rate_hz: float) -> Samples:
+    """Middles of bands 22 % wide that fill the felt range; possibly none."""
+    lowest, highest = max(LOWEST_HZ, rate_hz / n_samples), min(HIGHEST_HZ, rate_hz / 2)
+    if lowest >= highest:
+        return np.zeros(0)
+    ratio = (2 + WEBER_FRACTION) / (2 - WEBER_FRACTION)
+    n_bands = max(round(math.log(highest / lowest) / math.log(ratio)), 1)
+    edges = np.geomspace(lowest, highest, n_bands + 1)
+    return np.asarray((edges[1:] + edges[:-1]) / 2)

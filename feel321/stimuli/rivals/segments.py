@@ -4,11 +4,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from feel321.stimuli.recording import Signal
-from feel321.stimuli.rivals.pairs import MOST_DB, Pair, follow_energy, level_db, make_pair
+from feel321.stimuli.rivals.pairs import Pair, follow_energy, level_db, make_pair
 from feel321.stimuli.thresholds import acceleration_threshold
-from feel321.types import MetricInfo, Samples
-
-SEGMENTS = MetricInfo("segment intensity difference", "worse", 0.0, MOST_DB, "dB")
+from feel321.types import Samples
 
 SEGMENT_S = 0.01
 """A third of a period of 33 Hz: envelopes of 15 to 45 Hz felt alike in segments of a sixth to a third of a period."""

@@ -21,7 +21,8 @@ from feel321.extensions import Method
 from feel321.stimuli.condition import condition, fade, resample
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
-from feel321.stimuli.metrics import METRIC_INFO, METRICS
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.names import METRIC_INFO
 from feel321.stimuli.recording import Recording, digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db

@@ -16,6 +16,7 @@ from feel321.study.folder import StudyFolder
 
 if TYPE_CHECKING:
     from feel321.analysis.tradeoff.advise.scene import Rated
+    from feel321.stimuli.guard import OwnReducer
     from feel321.stimuli.recording import Recording
 
     Verb = Callable[..., None]
@@ -32,6 +33,15 @@ class MethodTask:
     output: Path
     seed: int
     given_output: Path | None = None
+
+    def list_own(self) -> dict[str, OwnReducer]:
+        """List the reducers of the lab that the study names."""
+        from feel321.study.methods import list_own_reducers
+        from feel321.study.settings.read import read_settings
+
+        if not self.study.settings.is_file():
+            return {}
+        return list_own_reducers(read_settings(self.study.settings), self.study.path)
 
     def gather(self, *, conditioned: bool = True) -> tuple[Recording, ...]:
         """Gather the recordings, conditioned or as they came from the sensor."""
@@ -188,6 +198,7 @@ def _draw_chart(task: MethodTask, *, full: bool, as_json: bool) -> None:
         measured = compute_chart(
             recordings,
             ratings=ratings,
+            own=task.list_own(),
             effort=FULL if full else QUICK,
             seed=task.seed,
             progress=progress,
@@ -205,11 +216,15 @@ def stress(*, task: MethodTask, as_json: bool) -> None:
     comes with its limit, each failure with its explanation: index.html, results.json, tables/*.csv, figures/stress.
     """
     from feel321.analysis.tradeoff.stress.run import stress_reducers
+    from feel321.stimuli.reducers.registry import REDUCERS
 
     recordings = task.gather()
     sensor = {recording.name: recording for recording in task.gather(conditioned=False)}
     with shared.show_progress("stress") as progress:
-        result = stress_reducers(recordings, sensor=sensor, seed=task.seed, progress=progress)
+        reducers = {**REDUCERS, **task.list_own()}
+        result = stress_reducers(
+            recordings, reducers, sensor=sensor, seed=task.seed, progress=progress
+        )
     result.write(task.output)
     for name, lines in result.warnings.items():
         for line in lines:
@@ -280,6 +295,7 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
             seed=task.seed,
             segment_s=segment_s,
             ratings=ratings,
+            own=task.list_own(),
             progress=progress,
         )
         content = write_advice(study, task.output)

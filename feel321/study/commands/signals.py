@@ -30,7 +30,7 @@ raw_option = shared.flag(
 
 
 class ReducerName(click.ParamType[str]):
-    """The name of a reducer; the registry, which takes numpy, is read only where the names are wanted."""
+    """A reducer's name or place; the registry, which takes numpy, is read only where the names are wanted."""
 
     name = "reducer"
 
@@ -38,17 +38,18 @@ class ReducerName(click.ParamType[str]):
         """List the names, for the help."""
         from feel321.stimuli.reducers.registry import REDUCERS
 
-        return f"[{'|'.join(REDUCERS)}]"
+        return f"[{'|'.join(REDUCERS)}|PLACE:NAME]"
 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> str:
-        """Check a name."""
-        from feel321.doors import refuse_name
-        from feel321.stimuli.reducers.registry import REDUCERS
+        """Check a name; a lab's own method is found, but not yet imported."""
+        from feel321.study.methods import open_reducer
 
-        if value not in REDUCERS:
-            self.fail(refuse_name(value, list(REDUCERS), "reducer"), param, ctx)
+        try:
+            open_reducer(str(value), Path())
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
         return str(value)
 
 
@@ -60,7 +61,12 @@ def _check_wav(_context: click.Context, _parameter: click.Parameter, path: Path)
 
 @click.command(epilog="Example: feel321 reduce oak.csv --reducer dft321 -o oak-dft321.wav")
 @shared.recording_argument
-@click.option("--reducer", type=ReducerName(), required=True, help="The 321 transform.")
+@click.option(
+    "--reducer",
+    type=ReducerName(),
+    required=True,
+    help="The 321 transform: a name, or one of your own, as mylab.haptics:my321 or methods/my321.py:my321.",
+)
 @click.option(
     "-o",
     "--output",
@@ -89,6 +95,7 @@ def reduce(  # noqa: PLR0913 - one per option
     m/s^2 with a JSON file that says how it was made.
     """
     from feel321 import __version__
+    from feel321.doors import name_of
     from feel321.files import write_text
     from feel321.stimuli.condition import Conditioning
     from feel321.stimuli.wav import write_wav
@@ -97,11 +104,12 @@ def reduce(  # noqa: PLR0913 - one per option
     _check_output(output, sidecar, force=force)
     reduce_it, steps = _choose_reducer(reducer, window_ms), None if raw else Conditioning()
     conditioned = _condition(recording, steps)
-    reduced = reduce_it(conditioned.acceleration, conditioned.rate_hz)
+    reduced, origin = _reduce(conditioned, reduce_it)
     facts = {
         "recording": recording.name,
         "recording_sha256": recording.sha256,
-        "reducer": reducer,
+        "reducer": name_of(reducer),
+        **origin,
         "window_ms": window_ms,
         "unit": "m/s^2",
         "version": __version__,
@@ -114,7 +122,7 @@ def reduce(  # noqa: PLR0913 - one per option
         shared.print_json(facts)
     else:
         click.echo(
-            f"{output}: {recording.name} through {reducer}, {recording.n_samples} samples, m/s^2"
+            f"{output}: {recording.name} through {name_of(reducer)}, {recording.n_samples} samples, m/s^2"
         )
         _print_matches(facts)
 
@@ -122,12 +130,27 @@ def reduce(  # noqa: PLR0913 - one per option
 @click.command(epilog="Example: feel321 match oak.csv oak-dft321.wav --json")
 @shared.recording_argument
 @click.argument("reduced", metavar="REDUCED.wav", type=shared.FILE)
+@click.option(
+    "--metric",
+    "metrics",
+    multiple=True,
+    metavar="NAME",
+    help="Also this metric: a name, or one of your own, as mylab.haptics:psnr; repeatable.",
+)
 @raw_option
 @shared.flag(
     "--rivals", "Compare by the rivals of the match metrics too: level, spectra, envelopes."
 )
 @shared.json_option
-def match(*, recording: Recording, reduced: Path, raw: bool, rivals: bool, as_json: bool) -> None:
+def match(
+    *,
+    recording: Recording,
+    reduced: Path,
+    metrics: tuple[str, ...],
+    raw: bool,
+    rivals: bool,
+    as_json: bool,
+) -> None:
     """Match a reduced WAV file, in m/s^2, against its recording.
 
     The recording is conditioned as the JSON file beside the WAV says; without one, as for a study: offset removed, 20
@@ -143,13 +166,31 @@ def match(*, recording: Recording, reduced: Path, raw: bool, rivals: bool, as_js
     facts |= _match(ready, samples)
     if rivals:
         facts |= _compare_by_rivals(ready, samples)
+    further = _match_further(ready, samples, metrics)
+    facts |= further
     if as_json:
         shared.print_json(facts)
     else:
         _print_matches(facts)
+        for name, value in further.items():
+            click.echo(f"{name.replace('_', ' ')} {value:.4f}")
     if facts["reasons"]:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
         raise ValueError(f"{recording.name}: {reasons}")
+
+
+def _reduce(
+    recording: Recording, reducer: Callable[..., Samples]
+) -> tuple[Samples, dict[str, str]]:
+    """Reduce a recording; also return what a reducer of the lab's own is."""
+    method = getattr(reducer, "method", None)
+    try:
+        reduced = reducer(recording.acceleration, recording.rate_hz)
+    except ValueError as error:
+        if method is None:
+            raise
+        raise ValueError(f"recording {recording.name!r}: {error}") from None
+    return reduced, {} if method is None else method.to_json()
 
 
 def _check_output(*targets: Path, force: bool) -> None:
@@ -171,8 +212,9 @@ def _check_output(*targets: Path, force: bool) -> None:
 
 def _choose_reducer(name: str, window_ms: float | None) -> Callable[..., Samples]:
     from feel321.stimuli.reducers.registry import REDUCERS
+    from feel321.study.methods import open_reducer
 
-    chosen: Callable[..., Samples] = REDUCERS[name]
+    chosen: Callable[..., Samples] = open_reducer(name, Path())
     if window_ms is None:
         return chosen
     windowed = [
@@ -301,8 +343,21 @@ def _compare_by_rivals(recording: Recording, samples: Samples) -> dict[str, Any]
     return {"rivals": values, "rivals_reasons": missing}
 
 
+def _match_further(
+    recording: Recording, samples: Samples, metrics: tuple[str, ...]
+) -> dict[str, float]:
+    """Compute further metrics, the lab's own among them."""
+    from feel321.doors import name_of
+    from feel321.study.methods import open_metric
+
+    return {
+        name_of(name): open_metric(name, Path())(recording.acceleration, samples, recording.rate_hz)
+        for name in metrics
+    }
+
+
 def _print_matches(facts: dict[str, Any]) -> None:
-    from feel321.stimuli.metrics import MATCHES
+    from feel321.stimuli.names import MATCHES
 
     steps = ", ".join(facts["steps"]) or "none, as it was measured"
     source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
@@ -326,7 +381,7 @@ def _print_matches(facts: dict[str, Any]) -> None:
 
 
 def _print_rival(name: str, value: float, *, reason: str | None) -> None:
-    from feel321.stimuli.metrics import METRIC_INFO
+    from feel321.stimuli.names import METRIC_INFO
 
     info = METRIC_INFO[name]
     sense = "higher is better" if info.higher == "better" else "lower is better"

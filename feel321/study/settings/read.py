@@ -20,7 +20,8 @@ from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.metrics import MATCHES, METRICS
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
@@ -127,11 +128,10 @@ def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
 
 def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
     """Find one of the lab's own reducers; a name of feel321's stays a name."""
-    taken = (ORIGINAL, NO_REFERENCE, *REDUCERS)
     declared = {key: table.to_facts() for key, table in settings.reducers.items()}
-    if name in taken:
+    if name in {*REDUCERS, ORIGINAL, NO_REFERENCE}:
         return name
-    return find_method("reducer", name, taken=taken, folder=folder, declared=declared)
+    return find_method("reducer", name, taken=REDUCERS, folder=folder, declared=declared)
 
 
 def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Method:
@@ -170,7 +170,7 @@ def make_design(settings: Settings, folder: Path | None = None) -> Design:
     session = settings.session
     rehearsal = session.rehearsal.model_dump(by_alias=True)
     trials = {name: rehearsal.pop(name) for name in ("training", "practice")}
-    own = {name: settings.tasks[name].model_dump() for name in settings.tasks}
+    own = {name: settings.tasks[name].of_protocol() for name in settings.tasks}
     return Design(
         seed=settings.study.seed,
         order=session.order,
@@ -220,7 +220,25 @@ def make_identity(
         "rig": settings.rig.of_stimuli(),
         "calibration": calibration,
         "presenter": presenter,
+        **identify_exploration(settings),
     }
+
+
+EXPLORABLE = ("realism", "similarity")
+"""Protocols whose stimuli the hand may drive."""
+
+
+def find_modes(settings: Settings) -> dict[str, str]:
+    """Find what the hand drives in each protocol that explores."""
+    tasks = ((name, settings.tasks.get(name)) for name in settings.session.protocols)
+    return {name: task.explore for name, task in tasks if task is not None and task.explore}
+
+
+def identify_exploration(settings: Settings) -> dict[str, Any]:
+    """Describe how a session explores, if it does, for the header of its journal."""
+    if not (modes := find_modes(settings)):
+        return {}
+    return {"exploration": {**settings.session.exploration.model_dump(), "modes": modes}}
 
 
 # What each table of `study.toml` may say by itself, but not together with the others.
@@ -269,7 +287,9 @@ def _check_matching(settings: Settings) -> Iterator[str]:
 
 def _check_tasks(settings: Settings) -> Iterator[str]:
     for name, table in settings.tasks.items():
-        for key, value in table.model_dump().items():
+        if table.explore and name not in EXPLORABLE:
+            yield f"tasks.{name}.explore goes with {' and '.join(EXPLORABLE)} only; take it out"
+        for key, value in table.of_protocol().items():
             try:
                 make_task(name, **{key: value})
             except ValueError as error:

@@ -27,6 +27,8 @@ from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, R
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
+from feel321.study.exploration.explorer import EXPLORERS
+from feel321.study.exploration.motion import POINTER
 from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.asking import Questions
@@ -184,6 +186,14 @@ class MatchingTable(kinds.TomlTable):
         return MatchingBlock(self.level or levels[-1], self.repeats)
 
 
+class ExplorationTable(kinds.TomlTable):
+    """`[session.exploration]`: what measures the hand's motion, for tasks that explore."""
+
+    source: kinds.Words = POINTER
+    reference_m_s: kinds.Positive = 0.1
+    mm_per_pixel: kinds.Positive = 0.25
+
+
 class SessionTable(kinds.TomlTable):
     """`[session]`: what participants do."""
 
@@ -203,6 +213,7 @@ class SessionTable(kinds.TomlTable):
     threshold: ThresholdTable | None = None
     matching: MatchingTable | None = None
     questions: Questions = ()
+    exploration: ExplorationTable = ExplorationTable()
 
 
 class TaskTable(kinds.TomlTable):
@@ -212,6 +223,11 @@ class TaskTable(kinds.TomlTable):
     reference: kinds.Words | None = None
     surface: bool = False
     pairs: Annotated[kinds.Count, Field(ge=1)] | None = None
+    explore: Annotated[str, kinds.one_of(EXPLORERS)] | None = None
+
+    def of_protocol(self) -> dict[str, Any]:
+        """Return what the protocol itself has a say in."""
+        return self.model_dump(exclude={"explore"})
 
 
 Tasks = dict[Annotated[str, kinds.one_of(PROTOCOLS)], TaskTable]

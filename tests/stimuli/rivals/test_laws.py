@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from feel321.stimuli.match import spectral_match
 from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.names import METRIC_INFO
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
 from feel321.stimuli.rotation import random_rotations
@@ -38,7 +39,7 @@ def on_one_axis(signal: np.ndarray) -> np.ndarray:
 
 
 def perfect(name: str) -> float:
-    return RIVALS[name].info.low if RIVALS[name].info.higher == "worse" else RIVALS[name].info.high
+    return METRIC_INFO[name].low if METRIC_INFO[name].higher == "worse" else METRIC_INFO[name].high
 
 
 @EVERY
@@ -89,7 +90,7 @@ def test_a_silent_recording_leaves_nothing_to_compare(name: str, reduced: np.nda
 @EVERY
 def test_a_silent_reduced_signal_is_a_bad_match_and_a_number(name: str) -> None:
     signal = make_burst()
-    info = RIVALS[name].info
+    info = METRIC_INFO[name]
     silent = measure(name, on_one_axis(signal), np.zeros(signal.size))
     mixed = measure(name, on_one_axis(signal), signal + make_burst(seed=5))
     assert np.isfinite(silent)
@@ -103,7 +104,7 @@ def test_short_signals_and_odd_rates_are_within_bounds_or_nothing(
     name: str, rate: float, n: int
 ) -> None:
     recording = np.random.default_rng(n).standard_normal((3, n))
-    info = RIVALS[name].info
+    info = METRIC_INFO[name]
     for reduced in (recording[1], 1e9 * recording[1], 1e-9 * recording[1], 0 * recording[1]):
         value = measure(name, recording, reduced, rate)
         assert np.isnan(value) or info.low <= value <= info.high
@@ -114,7 +115,7 @@ def test_short_signals_and_odd_rates_are_within_bounds_or_nothing(
 @pytest.mark.parametrize("scene", list(SCENES))
 def test_scenes_are_within_bounds(name: str, scene: str) -> None:
     recording = make_scene(scene, duration_s=0.5)
-    info = RIVALS[name].info
+    info = METRIC_INFO[name]
     for reducer in ("saz321", "mag321", "dft321_windowed"):
         reduced = REDUCERS[reducer](recording.acceleration, recording.rate_hz)
         value = measure(name, recording.acceleration, reduced, recording.rate_hz)

@@ -42,6 +42,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321.stimuli.guard import OwnReducer
 from feel321.stimuli.match import (
     HIGHEST_HZ,
     LOWEST_HZ,
@@ -191,6 +192,8 @@ def find_complexity(
     window_s: float = DEFAULT_WINDOW_S,
 ) -> Complexity:
     """Find what a reducer needs on a scene."""
+    if isinstance(reducer, OwnReducer):
+        return _find_declared(name, reducer, rate_hz)
     if name not in _WORK:
         raise ValueError(
             f"reducer {name!r} must have its state and operations recorded in {__name__}; add them"
@@ -204,6 +207,15 @@ def find_complexity(
         each for each in signature(reducer).parameters.values() if each.kind is each.KEYWORD_ONLY
     ]
     return Complexity(name, 1, state, latency_ms, operations, len(options))
+
+
+def _find_declared(name: str, reducer: OwnReducer, rate_hz: float) -> Complexity:
+    """Take what a lab declares of its reducer; what is unknown is infinite, so that known ones count as simpler."""
+    facts = {fact: reducer.method.find_fact(fact) for fact in ("operations", "state")}
+    known = {k: float(v) if isinstance(v, int | float) else inf for k, v in facts.items()}
+    latency_s = reducer.find_latency(rate_hz)
+    latency_ms = inf if latency_s is None else MS_PER_S * latency_s
+    return Complexity(name, 1, known["state"], latency_ms, known["operations"], 0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings
 from feel321.records import to_json_value
-from feel321.types import PathLike
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.types import PathLike, Reducer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -177,19 +178,20 @@ class Advice(PageResult):
         return PageParts("advise.html", content, pictures, {"content": content, "records": records})
 
 
-def advise_recordings(
+def advise_recordings(  # noqa: PLR0913 - every choice that changes the advice has a name of its own
     recordings: Recording | Iterable[Recording],
     context: Context,
     *,
     seed: int = 0,
     segment_s: float | None = None,
     ratings: Mapping[str, Mapping[str, Rated]] | None = None,
+    own: Mapping[str, Reducer] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Advice:
     """Find the simplest sufficient reducer of every recording, or of every segment.
 
     ratings: recording -> reducer -> what the ratings show; not used for segments, nor for actuators of several axes:
-    people rated whole recordings, on one axis. None where nobody rated anything.
+    people rated whole recordings, on one axis. None where nobody rated anything. own: reducers of a lab.
     """
     from threadpoolctl import threadpool_limits
 
@@ -197,11 +199,15 @@ def advise_recordings(
     scenes = [scene for recording in recordings for scene in split_recording(recording, segment_s)]
     note = "" if ratings is None else _refuse_ratings(ratings, context, segment_s)
     used = {} if ratings is None or note else ratings
-    advices = []
+    advices, reducers = [], {**REDUCERS, **(own or {})}
     # The work is in transforms: threads of the linear algebra only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         for done, scene in enumerate(scenes, start=1):
-            advices.append(advise_scene(scene, context, seed=seed, ratings=used.get(scene.source)))
+            advices.append(
+                advise_scene(
+                    scene, context, seed=seed, ratings=used.get(scene.source), reducers=reducers
+                )
+            )
             if progress is not None:
                 progress(done, len(scenes))
     if not any(advice.verdicts for advice in advices):

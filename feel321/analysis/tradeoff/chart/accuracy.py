@@ -17,7 +17,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from inspect import signature
 from typing import TYPE_CHECKING, Any
@@ -41,6 +41,7 @@ from feel321.stimuli.rotation import random_rotations, temporal_match_invariant
 from feel321.types import Samples
 
 if TYPE_CHECKING:
+    from feel321.stimuli.guard import OwnReducer, OwnStream
     from feel321.stimuli.recording import Recording
 
 WINDOWS_S = (0.01, 0.02, 0.035, 0.05, 0.1, 0.2)
@@ -64,6 +65,7 @@ class ReducerVariant:
     reducer: str
     window_s: float | None = None
     families: int = 1
+    own: OwnReducer | None = None
 
     @property
     def label(self) -> str:
@@ -79,7 +81,7 @@ class ReducerVariant:
     def reduce(self, acceleration: ArrayLike, rate_hz: float) -> Samples:
         """Reduce a signal, (..., 3, n_samples)."""
         own: dict[str, Any] = {} if self.window_s is None else {"window_s": self.window_s}
-        reducer = REDUCERS.find(self.reducer)
+        reducer: Callable[..., Samples] = self.own or REDUCERS[self.reducer]
         samples = np.asarray(acceleration, dtype=np.float64)
         if self.families == 1:
             return reducer(samples, rate_hz, **own)
@@ -93,14 +95,28 @@ class ReducerVariant:
 
     def find_latency(self, rate_hz: float) -> float | None:
         """Find how many s after its sample a result can be there; None where the whole signal is needed."""
+        if self.own:
+            return self.own.find_latency(rate_hz)
         if self.reducer in WHY_NOT_STREAMING:
             return None
         stream = StreamingReducer(self.reducer, rate_hz, self.window_s or DEFAULT_WINDOW_S)
         return stream.latency_samples / rate_hz
 
+    def open_stream(self, rate_hz: float) -> StreamingReducer | OwnStream | None:
+        """Open its streaming form; None where it has none."""
+        if self.own:
+            return self.own.open_stream(rate_hz)
+        is_causal = self.reducer not in WHY_NOT_STREAMING
+        return StreamingReducer(self.reducer, rate_hz) if is_causal else None
 
-def list_variants(sweep: str = "reducer") -> tuple[ReducerVariant, ...]:
-    """List every reducer as it is; those with a window with every "window"; or what can be had with every "hop"."""
+
+def list_variants(
+    sweep: str = "reducer", own: Mapping[str, OwnReducer] | None = None
+) -> tuple[ReducerVariant, ...]:
+    """List every reducer as it is; those with a window with every "window"; or what can be had with every "hop".
+
+    own: reducers of a lab, which are taken as they are.
+    """
     if sweep == "window":
         windowed = (
             name for name, one in REDUCERS.items() if "window_s" in signature(one).parameters
@@ -108,7 +124,8 @@ def list_variants(sweep: str = "reducer") -> tuple[ReducerVariant, ...]:
         return tuple(ReducerVariant(name, window_s) for name in windowed for window_s in WINDOWS_S)
     if sweep == "hop":
         return tuple(ReducerVariant(HOPPING, DEFAULT_WINDOW_S, count) for count in FAMILIES)
-    return tuple(ReducerVariant(name) for name in REDUCERS)
+    ours = [ReducerVariant(name) for name in REDUCERS]
+    return (*ours, *(ReducerVariant(name, own=one) for name, one in (own or {}).items()))
 
 
 def measure_accuracy(

@@ -8,6 +8,7 @@ import os
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
@@ -35,7 +36,6 @@ from feel321.analysis.tradeoff.chart.points import (
     place_points,
 )
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings, as_table
-from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
 from feel321.types import PathLike
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 
     from feel321.analysis.table.items import Table
     from feel321.analysis.tradeoff.chart.cost import Clock
+    from feel321.stimuli.guard import OwnReducer
     from feel321.stimuli.recording import Recording
 
 THREADS = 1
@@ -152,23 +153,27 @@ def write_chart(chart: Chart, folder: PathLike) -> tuple[str, ...]:
     return tuple(json.loads(results.read_text(encoding="utf-8"))["files"])
 
 
-def compute_chart(
+def compute_chart(  # noqa: PLR0913 - every choice that changes the numbers has a name of its own
     recordings: Recording | Iterable[Recording],
     *,
     ratings: Table | DataFrame | None = None,
     effort: Effort = QUICK,
     seed: int = 0,
+    own: Mapping[str, OwnReducer] | None = None,
     clock: Clock | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Chart:
-    """Measure speed and accuracy of every method; the same seed gives the same accuracies, never the same times."""
+    """Measure speed and accuracy of every method; the same seed gives the same accuracies, never the same times.
+
+    own: reducers of a lab.
+    """
     from threadpoolctl import threadpool_limits
 
     recordings = as_recordings(recordings, fewest=1)
     rows = None if ratings is None else as_table(ratings).rows
     name, clock = cost.choose_clock() if clock is None else ("given", clock)
-    steps = count(1)
-    total = 2 * len(recordings) + effort.rounds + 2 + 2 * len(accuracy.list_variants())
+    steps, variants = count(1), accuracy.list_variants(own=own)
+    total = 2 * len(recordings) + effort.rounds + 2 + 2 * len(variants)
 
     def tick() -> None:
         if progress is not None:
@@ -176,7 +181,7 @@ def compute_chart(
 
     # Threads of the linear algebra would be timed with the methods.
     with threadpool_limits(limits=THREADS):
-        measured = _measure(recordings, effort, seed=seed, clock=clock, tick=tick)
+        measured = _measure(recordings, effort, own or {}, seed=seed, clock=clock, tick=tick)
     tables = {name: make_table(name, own) for name, own in measured.items()}
     tables["growth"] = make_table("growth", cost.fit_all(tables["costs"]))
     rated = () if rows is None else rate_reducers(rows, seed=seed)
@@ -186,7 +191,7 @@ def compute_chart(
     )
     return Chart(
         machine=machine,
-        **_place(tables),
+        **_place(tables, variants),
         rated=make_table("rated", rated),
         seed=seed,
         effort=effort.name,
@@ -198,30 +203,32 @@ def compute_chart(
 def _measure(
     recordings: Sequence[Recording],
     effort: Effort,
+    own: Mapping[str, OwnReducer],
     *,
     seed: int,
     clock: Clock,
     tick: Callable[[], None],
 ) -> dict[str, list[dict[str, Any]]]:
     """Measure the rows of most tables, each with the same seed."""
-    accuracies = list(_measure_scenes(recordings, effort, seed=seed, tick=tick))
+    accuracies = list(_measure_scenes(recordings, effort, own, seed=seed, tick=tick))
     rng = np.random.default_rng(seed)
-    jobs = cost.list_jobs(largest=effort.largest_n, rng=rng)
+    jobs = cost.list_jobs(largest=effort.largest_n, rng=rng, own=own)
     costs = cost.time_jobs(jobs, rounds=effort.rounds, clock=clock, rng=rng, done=tick)
     pieces = [accuracy.cut_piece(recording, effort.longest_s) for recording in recordings]
     lengths = [n for n in cost.list_lengths(effort.largest_n) if str(n).startswith("1")]
     memory, precision, realtime = [], [], []
-    for variant in accuracy.list_variants():
+    for variant in accuracy.list_variants(own=own):
         memory += [cost.measure_memory(variant, n, np.random.default_rng(seed)) for n in lengths]
         rng = np.random.default_rng(seed)
-        precision.append(cost.compare_precision(variant.reducer, rng, pieces))
+        precision.append(cost.compare_precision(variant.reducer, rng, pieces, own=variant.own))
         tick()
-    for name in REDUCERS:
-        if name not in WHY_NOT_STREAMING:
+    for variant in accuracy.list_variants(own=own):
+        if variant.open_stream(cost.CARD_HZ) is not None:
             rng = np.random.default_rng(seed)
-            realtime.append(cost.time_blocks(name, rounds=effort.rounds, clock=clock, rng=rng))
+            how = partial(cost.time_blocks, rounds=effort.rounds, clock=clock, rng=rng)
+            realtime.append(how(variant.reducer, own=variant.own))
         tick()
-    stability = list(cost.measure_stability(recordings, seed=seed))
+    stability = list(cost.measure_stability(recordings, seed=seed, own=own))
     tick()
     return {
         "scenes": [
@@ -229,15 +236,18 @@ def _measure(
              "used_s": min(one.duration_s, effort.longest_s), "sha256": one.sha256} for one in recordings
         ],
         "accuracies": accuracies, "costs": costs, "memory": memory,
-        "precision": precision, "realtime": realtime, "resources": list(cost.list_resources()), "stability": stability,
+        "precision": precision, "realtime": realtime, "resources": list(cost.list_resources(own)),
+        "stability": stability,
     }  # fmt: skip
 
 
-def _place(tables: dict[str, DataFrame]) -> dict[str, DataFrame]:
+def _place(
+    tables: dict[str, DataFrame], variants: Iterable[accuracy.ReducerVariant]
+) -> dict[str, DataFrame]:
     """Add the points, and who is dominated, of what was measured."""
     accuracies = tables["accuracies"]
     usual = accuracies[accuracies["sweep"] == "reducer"]
-    latencies = {one.reducer: one.find_latency(cost.RATE_HZ) for one in accuracy.list_variants()}
+    latencies = {one.reducer: one.find_latency(cost.RATE_HZ) for one in variants}
     points = place_points(usual, find_reference(tables["costs"]), latencies)
     merged = merge_equal({**tables, "points": points})["points"]
     # Equal methods stand or fall together.
@@ -260,13 +270,18 @@ def merge_equal(tables: Tables) -> dict[str, DataFrame]:
 
 
 def _measure_scenes(
-    recordings: Sequence[Recording], effort: Effort, *, seed: int, tick: Callable[[], None]
+    recordings: Sequence[Recording],
+    effort: Effort,
+    own: Mapping[str, OwnReducer],
+    *,
+    seed: int,
+    tick: Callable[[], None],
 ) -> Iterator[dict[str, Any]]:
     turns = accuracy.draw_turns(effort.rotations, seed)
-    few = turns[: effort.sweep_rotations]
+    few, every = turns[: effort.sweep_rotations], accuracy.list_variants(own=own)
     for recording in recordings:
         piece = accuracy.cut_piece(recording, effort.longest_s)
-        yield from accuracy.measure_accuracy(piece, accuracy.list_variants(), turns=turns)
+        yield from accuracy.measure_accuracy(piece, every, turns=turns)
         tick()
         for sweep in ("window", "hop"):
             yield from accuracy.measure_accuracy(
@@ -274,9 +289,7 @@ def _measure_scenes(
             )
         for rate_hz in cost.RATES_HZ:
             changed = accuracy.change_rate(piece, rate_hz)
-            yield from accuracy.measure_accuracy(
-                changed, accuracy.list_variants(), turns=few, sweep="rate"
-            )
+            yield from accuracy.measure_accuracy(changed, every, turns=few, sweep="rate")
         tick()
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import time
 import tracemalloc
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib.util import find_spec, module_from_spec
@@ -36,12 +36,13 @@ from feel321.analysis.tradeoff.stress.measures import perturbation_gain
 from feel321.stimuli import recording
 from feel321.stimuli.reducers import axes, fourier
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
-from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING, StreamingReducer
+from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
 from feel321.types import Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.stimuli.guard import OwnReducer
     from feel321.stimuli.recording import Recording
 
     Clock = Callable[[], float]
@@ -189,11 +190,13 @@ def list_lengths(largest: int) -> tuple[int, ...]:
     return tuple(length for length in lengths if length <= largest)
 
 
-def list_jobs(*, largest: int, rng: np.random.Generator) -> list[Job]:
-    """List everything that is timed."""
+def list_jobs(
+    *, largest: int, rng: np.random.Generator, own: Mapping[str, OwnReducer] | None = None
+) -> list[Job]:
+    """List everything that is timed; own: reducers of a lab, whose guards count little."""
     lengths = sorted({*list_lengths(largest), REFERENCE_N})
     signals = {n: rng.standard_normal((3, n)) for n in lengths}
-    usual, every = signals[REFERENCE_N], list_variants()
+    usual, every = signals[REFERENCE_N], list_variants(own=own)
     jobs = [_make_whole("size", one, signal) for signal in signals.values() for one in every]
     jobs += [
         _make_whole(sweep, one, usual)
@@ -206,8 +209,10 @@ def list_jobs(*, largest: int, rng: np.random.Generator) -> list[Job]:
             jobs.append(_make_whole("rate", one, signal, rate_hz=rate_hz))
     for kind in ("f4", "f8"):
         jobs += [_make_whole("bits", one, usual.astype(kind)) for one in every]
-    streaming = [one for one in every if one.reducer not in WHY_NOT_STREAMING]
-    return jobs + [_make_stream(one, block, rng) for one in streaming for block in BLOCKS]
+    for one in every:
+        for block in BLOCKS if one.open_stream(RATE_HZ) else ():
+            jobs.append(_make_stream(one, block, rng))
+    return jobs
 
 
 def _make_whole(
@@ -219,12 +224,15 @@ def _make_whole(
 
 def _make_stream(variant: ReducerVariant, block: int, rng: np.random.Generator) -> Job:
     signal = rng.standard_normal((3, block))
-    stream = StreamingReducer(variant.reducer, RATE_HZ)
+    stream = variant.open_stream(RATE_HZ)
+    if stream is None:
+        raise ValueError(f"{variant.label} cannot stream")
+    step = stream.process
     calls = max(CALLS, FRAMES * window_samples(DEFAULT_WINDOW_S, RATE_HZ) // 2 // block)
 
     def run() -> None:
         for _ in range(calls):
-            stream.process(signal)
+            step(signal)
 
     return Job("block", variant, calls * block, RATE_HZ, block, 64, run)
 
@@ -273,13 +281,17 @@ def measure_memory(variant: ReducerVariant, n_samples: int, rng: np.random.Gener
 
 
 def compare_precision(
-    name: str, rng: np.random.Generator, recordings: Iterable[Recording] = ()
+    name: str,
+    rng: np.random.Generator,
+    recordings: Iterable[Recording] = (),
+    *,
+    own: OwnReducer | None = None,
 ) -> Row:
-    """Measure what 32-bit input changes, and what 32-bit arithmetic loses."""
-    signal, reduce = rng.standard_normal((3, REFERENCE_N)), REDUCERS[name]
+    """Measure what 32-bit input changes, and what 32-bit arithmetic loses; the latter not of a lab's own code."""
+    signal, reduce = rng.standard_normal((3, REFERENCE_N)), own or REDUCERS[name]
     exact, rough = reduce(signal, RATE_HZ), reduce(signal.astype(np.float32), RATE_HZ)
     change = float(np.sum((rough - exact) ** 2) / np.sum(exact**2))
-    loss, worst = measure_loss(name, recordings)
+    loss, worst = measure_loss(name, () if own else recordings)
     return {
         "reducer": name, "output": str(rough.dtype),
         "difference_db": 10 * math.log10(change) if change > 0 else None,
@@ -367,9 +379,15 @@ def _narrow(result: Any) -> Any:  # noqa: ANN401 - whatever numpy gives
         return result if kind is None else result.astype(kind)
 
 
-def time_blocks(name: str, *, rounds: int, clock: Clock, rng: np.random.Generator) -> Row:
+def time_blocks(
+    name: str, *, rounds: int, clock: Clock, rng: np.random.Generator, own: OwnReducer | None = None
+) -> Row:
     """Time a stream block by block: a row of the table "realtime"."""
-    stream, out = StreamingReducer(name, CARD_HZ), np.empty(CARD_BLOCK)
+    stream, out = ReducerVariant(name, own=own).open_stream(CARD_HZ), np.empty(CARD_BLOCK)
+    if stream is None:
+        raise ValueError(
+            f"{name} cannot stream: {WHY_NOT_STREAMING.get(name, 'it has no form for it')}"
+        )
     blocks = rng.standard_normal((32, 3, CARD_BLOCK))
     seconds = np.empty(WARM_UP + rounds * BLOCKS_PER_ROUND)
     for number in range(len(seconds)):
@@ -384,19 +402,23 @@ def time_blocks(name: str, *, rounds: int, clock: Clock, rng: np.random.Generato
     }  # fmt: skip
 
 
-def list_resources() -> Iterator[Row]:
-    """List what every reducer holds and does, by its definition."""
-    for name, reducer in REDUCERS.items():
+def list_resources(own: Mapping[str, OwnReducer] | None = None) -> Iterator[Row]:
+    """List what every reducer holds and does, by its definition; of a lab's own, as declared, NaN where unknown."""
+    for name, reducer in {**REDUCERS, **(own or {})}.items():
         cost = find_complexity(name, reducer, n_samples=REFERENCE_N, rate_hz=RATE_HZ)
-        row = name, NUMBER_BYTES * cost.state, cost.operations, cost.parameters
+        held = [math.nan if math.isinf(one) else one for one in (cost.state, cost.operations)]
+        row = name, NUMBER_BYTES * held[0], held[1], cost.parameters
         yield dict(zip(TABLES["resources"], row, strict=True))
 
 
-def measure_stability(recordings: Iterable[Recording], *, seed: int) -> Iterator[Row]:
+def measure_stability(
+    recordings: Iterable[Recording], *, seed: int, own: Mapping[str, OwnReducer] | None = None
+) -> Iterator[Row]:
     """Measure how much every reducer amplifies weak sensor noise, on the strongest second of every scene."""
     for scene in recordings:
         excerpt = take_excerpt(scene, duration_s=STRONGEST_S)
-        for name, reduce in REDUCERS.items() if excerpt.acceleration.any() else ():
+        every = {**REDUCERS, **(own or {})}
+        for name, reduce in every.items() if excerpt.acceleration.any() else ():
             rng = np.random.default_rng([seed, *scene.name.encode()])
             gain = perturbation_gain(reduce, excerpt, rng=rng, draws=NOISES)
             row = name, scene.name, gain.median, gain.worst, NOISES

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
@@ -19,6 +19,7 @@ from feel321.analysis.tradeoff.chart.points import (
     MEASURES,
     Record,
     Tables,
+    find_latency,
     find_reference,
     list_records,
     name_point,
@@ -255,8 +256,8 @@ def _tabulate_running(tables: Tables) -> PageTable:
             "Reducer": name, "Block: median (µs)": shown[0] if own else "whole signal",
             "99 % (µs)": shown[1], "Worst (µs)": shown[2],
             "Worst, share of the deadline (%)": f"{100 * times[2] / own['deadline_us']:.0f}" if own else words.ABSENT,
-            "State (bytes)": figures.format_plainly(row["state_bytes"]) if row["state_bytes"] else "0",
-            "Operations per sample": f"{row['operations']:.0f}",
+            "State (bytes)": _format_known(row["state_bytes"], figures.format_plainly),
+            "Operations per sample": _format_known(row["operations"], "{:.0f}".format),
             "Perturbation gain, median": words.ABSENT if gain is None else f"{gain.median():.2g}",
             "Worst scene": words.ABSENT if gain is None else f"{gain.max():.3g}",
         })  # fmt: skip
@@ -425,6 +426,8 @@ def _list_markers(merged: Tables, ratings: Mapping[str, Any]) -> Iterator[dict[s
     """List the markers that a reader can show: what each is, what it costs, its scores and ratings."""
     looks = figures.choose_looks(merged)
     gains = merged["stability"].set_index(["reducer", "scene"])["gain"].to_dict()
+    known = {row["reducer"]: find_latency(row) for row in list_records(merged["points"])}
+    latencies = {name: one if math.isfinite(one) else None for name, one in known.items()}
     scores: dict[Any, dict[str, dict[str, list[float]]]] = {}
     for row in list_records(merged["accuracies"]):
         key = row["sweep"], row["method"], row["rate_hz"] if row["sweep"] == "rate" else None
@@ -437,13 +440,22 @@ def _list_markers(merged: Tables, ratings: Mapping[str, Any]) -> Iterator[dict[s
             # The gain of other windows was not measured.
             if (name, scene) in gains and kind in {"reducer", "block"}:
                 own["stability"] = [_round(gains[name, scene])]
+        ours = variant.reducer in REDUCERS
+        latency = variant.find_latency(cost["rate_hz"]) if ours else latencies[name]
         if found:
             yield {
                 "label": label, "reducer": name, "kind": kind, "member": name_point(label) != label,
                 "colour": looks[name].colour, "marker": looks[name].marker,
-                "speed": _describe_costs(kind, variant, cost), "scores": found,
+                "speed": _describe_costs(kind, latency, cost), "scores": found,
                 "ratings": ratings.get(label, {}) if kind == "reducer" else {},
             }  # fmt: skip
+
+
+def _format_known(value: float | None, write: Callable[[float], str]) -> str:
+    """Format what is known by definition; a lab need not declare it."""
+    if value is None or math.isnan(value):
+        return "unknown"
+    return write(value) if value else "0"
 
 
 Marker = tuple[str, str, ReducerVariant, Record, tuple[str, str, float | None]]
@@ -455,7 +467,8 @@ def _list_costs(tables: Tables, ratings: Mapping[str, object]) -> Iterator[Marke
     costs = tables["costs"]
     whole = {row["method"]: row for row in list_records(find_reference(costs))}
     swept = {(row["sweep"], row["method"]): row for row in list_records(costs)}
-    for label in dict.fromkeys(map(name_point, REDUCERS)):
+    own = [row["reducer"] for row in whole.values() if row["reducer"] not in REDUCERS]
+    for label in dict.fromkeys(map(name_point, (*REDUCERS, *own))):
         yield "reducer", label, _first(label), whole[label], ("reducer", label, None)
     for kind in ("window", "hop"):
         for variant in list_variants(kind):
@@ -480,9 +493,9 @@ def _first(label: str) -> ReducerVariant:
 
 
 def _describe_costs(
-    kind: str, variant: ReducerVariant, cost: Record
+    kind: str, latency: float | None, cost: Record
 ) -> dict[str, list[float | None]]:
-    latency, rate_hz = variant.find_latency(cost["rate_hz"]), cost["rate_hz"]
+    rate_hz = cost["rate_hz"]
     waiting_s = (cost["block"] - 1) / rate_hz if kind == "block" else 0.0
     return {
         "cost": [_round(cost[name]) for name in ("ns_per_sample", "low", "high")],

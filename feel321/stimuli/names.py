@@ -1,0 +1,62 @@
+"""Names of reducers and metrics, and what each metric declares: data, for what reads tables and needs no signals."""
+
+from collections.abc import Mapping
+
+from feel321.doors import Registry
+from feel321.types import MetricInfo
+
+MOST_DB = 60.0
+"""Levels further apart count as this far apart: people feel vibrations over some 55 dB."""
+
+REDUCER_NAMES = (
+    "sax321",
+    "say321",
+    "saz321",
+    "soc321",
+    "mag321",
+    "pca321",
+    "pca321_adaptive",
+    "dft321",
+    "dft321_windowed",
+    "dft321_principal",
+    "dft321_principal_windowed",
+    "sax321_matched",
+    "say321_matched",
+    "saz321_matched",
+    "pca321_matched",
+    "sax321_matched_running",
+    "say321_matched_running",
+    "saz321_matched_running",
+    "pca321_matched_windowed",
+)
+"""In the order of the paper, simplest first; later ones follow. The only list of names."""
+
+METRIC_INFO: Mapping[str, MetricInfo] = Registry(
+    "metric",
+    {
+        "spectral_match": MetricInfo("spectral match", high=1.0),
+        "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
+        "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
+        "level_difference": MetricInfo("level difference", "worse", 0.0, MOST_DB, "dB"),
+        "log_spectral_distance": MetricInfo("log-spectral distance", "worse", 0.0, MOST_DB, "dB"),
+        "itakura_saito_distance": MetricInfo("Itakura-Saito distance", "worse", 0.0),
+        "balance_difference": MetricInfo(
+            "difference in high/low balance", "worse", 0.0, MOST_DB, "dB"
+        ),
+        "pacinian_power_difference": MetricInfo(
+            "Pacinian power difference", "worse", 0.0, MOST_DB, "dB"
+        ),
+        "spectral_intensity_distance": MetricInfo("spectral intensity distance", "worse", 0.0, 1.0),
+        "segment_intensity_difference": MetricInfo(
+            "segment intensity difference", "worse", 0.0, MOST_DB, "dB"
+        ),
+        "envelope_correlation": MetricInfo("envelope correlation", "better", -1.0, 1.0),
+        "modulation_distance": MetricInfo("modulation spectrum distance", "worse", 0.0),
+        "st_sim": MetricInfo("ST-SIM", "better", 0.0, 1.0),
+        "spqi": MetricInfo("SPQI", "better", 0.0, 1.0),
+    },
+)
+"""Name of a metric, the match metrics first -> which way it points, its bounds, and how it is called on a page."""
+
+MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
+"""The match metrics: what `build` writes into every manifest."""

@@ -1,0 +1,59 @@
+"""A study's own reducers and metrics, by the names that its settings and the command line use."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from feel321.stimuli.guard import OwnMetric, OwnReducer
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.study.folder import SETTINGS_FILE
+from feel321.study.settings.read import find_metric, find_reducer, read_settings
+
+if TYPE_CHECKING:
+    from feel321.extensions import Method
+    from feel321.study.settings.schema import Settings
+    from feel321.types import Metric, Reducer
+
+
+def open_reducer(name: str, folder: Path) -> Reducer:
+    """Open a reducer: feel321's, or one of the study in a folder, of its files, or of an installed package."""
+    found = find_reducer(_read_if_there(folder), name, folder)
+    return REDUCERS[name] if isinstance(found, str) else OwnReducer(found)
+
+
+def open_metric(name: str, folder: Path) -> Metric:
+    """Open a metric likewise."""
+    found = find_metric(_read_if_there(folder), name, folder)
+    return METRICS[name] if isinstance(found, str) else OwnMetric(found)
+
+
+def list_own_reducers(settings: Settings, folder: Path) -> dict[str, OwnReducer]:
+    """List the reducers that a study names or declares and feel321 lacks, by their short names."""
+    named = (*settings.stimuli.reducers, settings.stimuli.reference, *settings.reducers)
+    found = {name: find_reducer(settings, name, folder) for name in dict.fromkeys(named)}
+    return {one.name: OwnReducer(one) for one in found.values() if not isinstance(one, str)}
+
+
+def list_methods(settings: Settings, folder: Path) -> list[Method]:
+    """List the lab's own reducers and metrics that a study uses or declares."""
+    reducers = list_own_reducers(settings, folder).values()
+    metrics = (*settings.stimuli.metrics, *_list_declared_metrics(settings))
+    found = [find_metric(settings, name, folder) for name in dict.fromkeys(metrics)]
+    own = [one.method for one in reducers]
+    return own + [one for one in found if not isinstance(one, str)]
+
+
+def _list_declared_metrics(settings: Settings) -> list[str]:
+    """List the tables that say where code is; others say what a column means."""
+    return [name for name, table in settings.metrics.items() if table.use or table.command]
+
+
+def _read_if_there(folder: Path) -> Settings:
+    from feel321.study.settings.schema import SceneTable, Settings
+
+    path = folder / SETTINGS_FILE
+    if path.is_file():
+        return read_settings(path)
+    return Settings(recordings=(SceneTable(scene="bumps"),))

@@ -1,0 +1,134 @@
+"""The report's section about choices: what it says of planted, null, reversed and tiny studies, and what it writes."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+import pytest
+
+from feel321 import analysis
+from feel321.analysis.report.choices import compute_choices
+from feel321.analysis.report.parts import Choices
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    Plant = Callable[..., Any]
+
+QUICK = Choices(draws=100)
+BEST = "spectral_match_bounded"
+
+
+def answer(planted: Any) -> str:
+    section = compute_choices(planted.read(), QUICK)
+    assert [str(line) for line in section.verdict] == list(section.answers)
+    return str(section.answers[0])
+
+
+def test_a_planted_metric_is_named_with_its_share_the_ceiling_and_the_comparison(
+    plant: Plant,
+) -> None:
+    said = answer(plant(weights=(5.0, 0.0), recordings=12))
+    assert said.startswith("Bounded spectral match (7")
+    assert "predicts which of two stimuli feels more like the reference (chance 50 %)" in said
+    assert "the majority of the other participants predicts 7" in said
+    assert "Bounded spectral match predicts more choices than temporal match." in said
+
+
+def test_nothing_is_claimed_of_noise(plant: Plant) -> None:
+    """Of both metrics in six studies, at 5 % together."""
+    said = [answer(plant(seed=seed, weights=(0.0, 0.0), participants=6)) for seed in range(6)]
+    silent = [one.startswith("Neither metric is shown to predict which of two") for one in said]
+    assert sum(silent) >= 5
+    assert not any("predicts more choices than temporal" in one for one in said)
+
+
+def test_a_reversed_metric_is_not_said_to_predict(plant: Plant) -> None:
+    said = answer(plant(weights=(-7.0, 0.0), recordings=12))
+    assert "Neither metric is shown to predict" in said
+    assert "The better value of bounded spectral match (2" in said
+    assert said.endswith("was chosen less often than the worse.")
+
+
+def test_a_tiny_study_says_what_it_lacks(plant: Plant) -> None:
+    said = answer(plant(participants=2))
+    assert said == (
+        "Whether a metric predicts which of two stimuli feels more like the reference cannot be estimated with "
+        "2 participants and 8 recordings."
+    )
+
+
+def test_a_reducer_on_which_the_answer_hinges_is_named(plant: Plant) -> None:
+    """All of the effect is in the pairs with one reducer: the others are chosen by chance."""
+    planted = plant(weights=(0.0, 0.0), recordings=12)
+    stimuli = planted.stimuli.assign(**{
+        BEST: planted.stimuli[BEST].where(planted.stimuli["reducer"] != "mag321", -1.0)
+    })
+    bad = [planted.votes[name].str.endswith("mag321") for name in ("stimulus_id", "other_id")]
+    votes = planted.votes.assign(rating=planted.votes["rating"].mask(bad[0], 0).mask(bad[1], 100))
+    said = answer(planted._replace(votes=votes, stimuli=stimuli))
+    assert "Without mag321, this is not shown for bounded spectral match." in said
+
+
+def test_abilities_and_catch_trials_are_counted(plant: Plant) -> None:
+    planted = plant(scale="preference", participants=6)
+    catch = planted.votes.groupby("participant").head(2).assign(
+        stimulus_id="r0-original", other_id="r0-low", rating=100, trial=range(9000, 9012)
+    )  # fmt: skip
+    catch.iloc[0, catch.columns.get_loc("rating")] = 0
+    votes = pd.concat([planted.votes, catch], ignore_index=True)
+    section = compute_choices(planted._replace(votes=votes).read(), QUICK)
+    assert "preference, as_is: an anchor was chosen in 1 of 12 catch trials." in section.notes
+    table = section.tables["choices_abilities"]
+    assert set(table["reducer"]) == {"sax321", "mag321", "soc321", "dft321", "pca321"}
+    for row in table.to_dict("records"):
+        names = (
+            planted.votes["stimulus_id"].str.split("-").str[1],
+            planted.votes["other_id"].str.split("-").str[1],
+        )
+        won = names[0].where(planted.votes["rating"] == 100, names[1]) == row["reducer"]
+        met = (names[0] == row["reducer"]) | (names[1] == row["reducer"])
+        assert row["share"] == pytest.approx(won[met].mean())
+
+
+def test_a_report_of_choices_alone_opens_with_them_and_holds_its_numbers(
+    plant: Plant, tmp_path: Path
+) -> None:
+    planted = plant(weights=(5.0, 0.0), recordings=12)
+    results = analysis.write_report(planted.votes, planted.stimuli, tmp_path / "report", draws=50)
+    assert results.verdict[0].startswith("Bounded spectral match (7")
+    stored = json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
+    numbers = {number["name"]: number for number in stored["numbers"]}
+    share = numbers[f"choices.triplet.as_is.{BEST}.share"]
+    predicted = analysis.predict_votes(planted.read()).shares.loc[BEST]
+    assert [share[key] for key in ("value", "low", "high")] == pytest.approx(
+        predicted[["share", "low", "high"]].tolist()
+    )
+    table = pd.read_csv(tmp_path / "report" / "tables" / "choices_predicted.csv")
+    assert table["metric"].tolist()[-2:] == ["majority_of_others", "majority_of_all"]
+    assert (tmp_path / "report" / "figures" / "choices_triplet_as_is_1.svg").is_file()
+
+
+def test_choices_beside_ratings_change_no_association(tidy: Callable[..., pd.DataFrame]) -> None:
+    ratings = tidy(scales=("realism",))
+    stimuli = ratings.drop_duplicates("stimulus_id")[
+        ["stimulus_id", "recording", "reducer", "level", "role", "spectral_match", "temporal_match"]
+    ]
+    rows = ratings[["participant", "stimulus_id", "scale", "rating"]].assign(
+        trial=range(len(ratings))
+    )
+    tests = stimuli[stimuli["role"] == "test"]
+    recording = tests["recording"].iloc[0]
+    one, other = tests[tests["recording"] == recording]["stimulus_id"].iloc[:2]
+    votes = rows.drop_duplicates("participant").assign(
+        stimulus_id=one, other_id=other, scale="preference", rating=100, trial=99_999
+    )
+    both = pd.concat([rows.assign(other_id=""), votes])
+    plain, mixed = (analysis.read_table(given, stimuli) for given in (rows, both))
+    first, second = (
+        analysis.tabulate_correlations(table, draws=50, rng=1) for table in (plain, mixed)
+    )
+    pd.testing.assert_frame_equal(first, second)
