@@ -11,7 +11,7 @@ import pytest
 from feel321.analysis.table.items import order_reducers
 from feel321.analysis.table.metrics import find_steps
 from feel321.analysis.table.reading import Further, read_table
-from feel321.stimuli.match import METRICS
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import MetricInfo
 
@@ -120,4 +120,4 @@ def test_steps_fit_the_spread_of_a_metric(
 
 def test_own_names_come_from_their_registries(small: object) -> None:
     assert order_reducers(["zeta", *sorted(REDUCERS)]) == [*REDUCERS, "zeta"]
-    assert set(METRICS) <= {*read(small).info, "spectral_match_bounded"}
+    assert set(MATCHES) <= {*read(small).info, "spectral_match_bounded"}

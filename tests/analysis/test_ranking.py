@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 PEOPLE, RECORDINGS, REDUCERS = 12, 8, 6
 REDUCER = np.tile(np.arange(REDUCERS), RECORDINGS)
 RECORDING = np.repeat(np.arange(RECORDINGS), REDUCERS)
-NAMES = [*(f"m{number:02d}" for number in range(11)), "loudness"]
+NAMES = [*(f"m{number:02d}" for number in range(11)), "level_difference"]
 
 
 def make_study(

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 LEVEL = 0.05
 """Chance of any false statement of one kind about any of the metrics."""
 
-BASELINES = ("level_difference", "level")
+BASELINES = ("level_difference", "level_as_played")
 """Metrics that know of nothing but the strength of a stimulus, the first that there is."""
 
 FEWEST_PEOPLE, FEWEST_RECORDINGS = 3, 4
@@ -149,7 +149,8 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     metrics : sequence of str, optional
         Columns to rank, two or more; a Table's rivals, or its metrics where it has none, if left out.
     baseline : str, optional
-        The metric that others must beat; ``level_difference`` or ``level`` where there is one, if left out.
+        The metric that others must beat; ``level_difference`` or ``level_as_played`` where there is one, if
+        left out.
     method : str
         ``pearson``, or ``spearman``: metrics as ranks within their recording, for those with outliers.
     draws : int
@@ -201,12 +202,12 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     >>> import numpy as np, pandas as pd
     >>> from feel321 import analysis
     >>> rng = np.random.default_rng(1)
-    >>> good, bad, level = rng.uniform(0, 1, (3, 48))
+    >>> good, bad, loud = rng.uniform(0, 1, (3, 48))
     >>> rows = pd.DataFrame({"participant": np.repeat(np.arange(8), 48), "recording": np.tile(np.arange(48) // 6, 8),
     ...     "reducer": np.tile(np.arange(48) % 6, 8), "good": np.tile(good, 8), "bad": np.tile(bad, 8),
-    ...     "level": np.tile(level, 8)})
+    ...     "loud": np.tile(loud, 8)})
     >>> rows["rating"] = 20 + 60 * rows["good"] + rng.normal(0, 8, len(rows))
-    >>> ranking = analysis.rank_metrics(rows, ["bad", "good", "level"], draws=200)
+    >>> ranking = analysis.rank_metrics(rows, ["bad", "good", "loud"], baseline="loud", draws=200)
     >>> ranking.best, ranking.alone, ranking.better
     ('good', True, ('good',))
     """

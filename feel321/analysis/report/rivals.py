@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from feel321.analysis.table.items import Table
 
 KEY, TITLE = "rivals", "Which metric predicts best?"
-AMPLITUDE, STRENGTH = "rms_m_s2", "level"
+AMPLITUDE, STRENGTH = "rms_m_s2", "level_as_played"
 NAMED = 3
 """How many metrics a sentence names before it only counts."""
 
