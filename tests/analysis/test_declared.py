@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from feel321.analysis.table.items import order_reducers
-from feel321.analysis.table.metrics import find_steps
+from feel321.analysis.table.metrics import find_steps, order_reducers
 from feel321.analysis.table.reading import Further, read_table
 from feel321.stimuli.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS

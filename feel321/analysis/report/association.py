@@ -41,8 +41,8 @@ from feel321.analysis.report.section import (
     read_methods,
     stack,
 )
-from feel321.analysis.table.items import make_items, order_reducers
-from feel321.analysis.table.metrics import describe_explored
+from feel321.analysis.table.items import make_items
+from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart
 from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import APART, CHOSEN, PAIRED

@@ -56,7 +56,8 @@ from feel321.analysis.report.section import (
     make_slug,
     read_methods,
 )
-from feel321.analysis.table.items import find_sources, order_reducers
+from feel321.analysis.table.items import find_sources
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
 from feel321.analysis.words import COUNT, Number
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from feel321.analysis.table import schema
-from feel321.stimuli.names import MATCHES, METRIC_INFO
+from feel321.stimuli.names import MATCHES, METRIC_INFO, REDUCER_NAMES
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -200,3 +200,9 @@ def find_steps(
         size = TENTH if tenth else 10.0 ** math.floor(math.log10(span) + ROUNDING)
         steps[name] = Step(size, f"+{size:g} {one.unit if one else ''}".rstrip())
     return steps
+
+
+def order_reducers(names: Iterable[str]) -> list[str]:
+    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
+    found = set(names)
+    return [name for name in REDUCER_NAMES if name in found] + sorted(found - set(REDUCER_NAMES))

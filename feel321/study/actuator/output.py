@@ -413,11 +413,8 @@ class StreamOutput:
             onset_s = sent_s + cue.lead_frames / self._rate_hz
             late = _measure_motion(cue, sent_s, rate_hz=self._rate_hz)
             measured |= {"dac_time_s": take.onset_s, **late}
-        if (
-            self._stopped_s is not None
-            and take.end_s is not None
-            and 0 < cue.n_played < len(cue.sound)
-        ):
+        was_cut = 0 < cue.n_played < len(cue.sound)
+        if was_cut and self._stopped_s is not None and take.end_s is not None:
             measured["stop_s"] = take.end_s + ahead_s - self._stopped_s
         sensed, sha256 = self._scale_sensed(take), ""
         try:
