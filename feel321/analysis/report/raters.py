@@ -137,7 +137,6 @@ def compute(table: Table, choices: parts.Choices) -> Section:
         why = "Raters were not screened: no stimulus was rated by itself."
         return Section(KEY, TITLE, notes=(why,))
     screening = screen_raters(single, rng=choices.make_rng(KEY))
-    everyone = screening.table["participant"].nunique()
     models, more_notes = _fit_models(single)
     slopes, steps = list(_vary(table, screening, choices)), parts.find_table_steps(table)
     return Section(
@@ -154,12 +153,7 @@ def compute(table: Table, choices: parts.Choices) -> Section:
                 place | {key: getattr(model, key) for key in _FIT} for place, model in models
             ),
         ),
-        unseen=tuple(
-            words.count_number(
-                words.name_path("screening_panel", group), len(_list_flagged(screening, group)), n=everyone
-            )
-            for group in GROUPS
-        ),
+        unseen=tuple(_count_flagged(screening)),
         tables={
             "screening": screening.table, "screening_items": screening.items,
             "screening_excerpts": screening.excerpts, "expertise": screening.gauge, "reliability": screening.panel,
@@ -245,6 +239,13 @@ def _describe_consistency(model: RaterModel) -> str:
         own = words.format_number(spread.max(), kind="rating")
     who = f"{names} {'is' if one else 'are'} far less consistent than the others"
     return f"{who} (a standard deviation of {own} points; the others {reach})"
+
+
+def _count_flagged(screening: Screening) -> Iterator[words.Number]:
+    everyone = screening.table["participant"].nunique()
+    for group in GROUPS:
+        size = len(_list_flagged(screening, group))
+        yield words.count_number(words.name_path("screening_panel", group), size, n=everyone)
 
 
 def _list_flagged(screening: Screening, group: str) -> list[Hashable]:
