@@ -8,6 +8,7 @@ type by a TypeError) that says what must be, what was got and what to do; what i
 from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate, tabulate_correlations
+from feel321.analysis.association.rivals import rank_metrics
 from feel321.analysis.choices.embed import embed_triplets
 from feel321.analysis.choices.model import fit_choices
 from feel321.analysis.choices.power import plan_choices
@@ -45,19 +46,19 @@ from feel321.doors import forward_old_names as _forward_old_names
 
 __all__ = [
     "RULES", "Table", "advise", "align_spaces", "benchmark", "bradley_terry", "chart", "compare_dependent",
-    "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate", "discriminate",
-    "embed_triplets", "equivalence", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space",
-    "intraclass", "krippendorff_alpha", "noise_ceiling", "non_inferiority", "p1401", "plan_choices",
-    "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram", "plot_spectrum",
-    "predict_votes", "profile_reducers", "rater_model", "read_table", "refine_metric", "repeated_measures_correlation",
+    "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate", "discriminate", "embed_triplets",
+    "equivalence", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",
+    "krippendorff_alpha", "noise_ceiling", "non_inferiority", "p1401", "plan_choices", "plot_profile",
+    "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram", "plot_spectrum", "predict_votes",
+    "profile_reducers", "rank_metrics", "rater_model", "read_table", "refine_metric", "repeated_measures_correlation",
     "run_multiverse", "screen_raters", "stress", "tabulate_correlations", "write_report",
 ]  # fmt: skip
 
 _RECORDS = (
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "ChoiceModel", "ChoicePower", "Dependent",
     "Difference", "Discrimination", "Ellipses", "Embedding", "Equivalence", "Estimate", "Further", "Intraclass",
-    "MixedFit", "Multiverse", "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "RaterModel",
-    "Refined", "RepeatedMeasures", "Results", "Screening", "Space", "VotePrediction",
+    "MixedFit", "Multiverse", "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "Ranking",
+    "RaterModel", "Refined", "RepeatedMeasures", "Results", "Screening", "Space", "VotePrediction",
 )  # fmt: skip
 
 _OLD = {

@@ -337,3 +337,4 @@ class Claim:
     number: str
     hinges_on: tuple[str, ...] = ()
     better_than: tuple[str, ...] = ()
+    higher: str = "better"

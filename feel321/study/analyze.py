@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import chain, count
 from pathlib import Path
 from shlex import quote
@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from feel321.analysis.report.write import Results, write_report
+from feel321.analysis.table.metrics import list_rivals, make_info
 from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
@@ -28,8 +29,10 @@ from feel321.study.ledger.progress import list_progress, note_estimates, write_r
 from feel321.study.matches import describe_matches, write_matches
 from feel321.study.provenance import find_changes
 from feel321.study.ratings import write_ratings
+from feel321.study.rivals import measure_rivals
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings
+from feel321.types import MetricInfo
 
 Progress = Callable[[int, int], None]
 
@@ -43,6 +46,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     manifest: Path | None = None,
     metrics: Sequence[str] | None = None,
     draws: int | None = None,
+    rivals: bool = False,
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> Results:
@@ -60,6 +64,9 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             f"{', '.join(chosen.metrics)}."
         )
         further = replace(further, notes=(*further.notes, note))
+    if rivals:
+        own = settings if manifest is None else None
+        further = add_rivals(study, own, manifest or study.manifest, further=further)
     return write_report(
         ratings or study.ratings,
         manifest or study.manifest,
@@ -69,9 +76,51 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         metrics=metrics or chosen.metrics,
         sources=list_origins(settings) if settings else {},
         further=further,
+        info=list_info(settings) if settings else {},
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
+
+
+def list_info(settings: Settings) -> dict[str, MetricInfo]:
+    """List what `[metrics.NAME]` declares; a table that only says where a metric's code is declares nothing."""
+    facts = {name: table.to_facts() for name, table in settings.metrics.items()}
+    declared = {field.name for field in fields(MetricInfo)}
+    return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
+
+
+def add_rivals(
+    study: StudyFolder, settings: Settings | None, manifest: Path, *, further: Further
+) -> Further:
+    """Let all metrics of a manifest be compared, and in a study those too that the manifest lacks."""
+    names, measured, note = list_rivals(manifest), pd.DataFrame(), ""
+    if settings:
+        recordings, recipe, reason = _read_unchanged(study, settings)
+        try:
+            measured = (
+                pd.DataFrame()
+                if reason
+                else measure_rivals(recordings, read_stimuli(study.stimuli), recipe)
+            )
+        except ValueError as error:
+            reason = str(error)
+        note = f"Metrics that the manifest lacks are not compared: {reason}." if reason else ""
+    metrics = further.metrics.join(measured, how="outer") if len(measured) else further.metrics
+    notes = (*further.notes, note) if note else further.notes
+    return Further(metrics, notes, rivals=tuple(dict.fromkeys([*names, *map(str, measured)])))
+
+
+def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Recording], Recipe, str]:
+    """Read a study's recordings, if the stimuli are still those of them; else give the reason."""
+    recordings, mistakes = try_recordings(settings, study.path)
+    recipe = make_recipe(settings, study.path)
+    try:
+        digests = {recording.name: recording.sha256 for recording in recordings}
+        problems = mistakes or find_changes(study.stimuli, recipe, digests)
+    except (OSError, ValueError) as error:
+        problems = [str(error)]
+    reason = problems[0].splitlines()[0].rstrip(".") if problems else ""
+    return recordings, recipe, reason
 
 
 def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
@@ -104,15 +153,8 @@ DIGITS = 9
 
 def measure_rotations(study: StudyFolder, settings: Settings, stimuli: StimulusSet) -> Further:
     """Compute mean and spread of the metrics over sensor orientations for every test stimulus."""
-    recordings, mistakes = try_recordings(settings, study.path)
-    recipe = make_recipe(settings, study.path)
-    try:
-        digests = {recording.name: recording.sha256 for recording in recordings}
-        problems = mistakes or find_changes(study.stimuli, recipe, digests)
-    except (OSError, ValueError) as error:
-        problems = [str(error)]
-    if problems:
-        reason = problems[0].splitlines()[0].rstrip(".")
+    recordings, recipe, reason = _read_unchanged(study, settings)
+    if reason:
         note = f"Rotation statistics of the metrics are left out: {reason}."
         return Further(pd.DataFrame(), (note,))
     return compute_rotations(recordings, stimuli, recipe=recipe, seed=settings.study.seed)

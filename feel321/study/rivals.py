@@ -7,34 +7,35 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pandas as pd
 
-from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.condition import condition
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
 from feel321.stimuli.sets.manifest import StimulusSet
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.render import find_reducer
 
 
 def measure_rivals(
-    recordings: Sequence[Recording], stimuli: StimulusSet, steps: Conditioning
+    recordings: Sequence[Recording], stimuli: StimulusSet, recipe: Recipe
 ) -> pd.DataFrame:
     """Measure every rival metric that the manifest lacks, for every test stimulus.
 
-    Like the manifest's match metrics they are those of the reduction: of the recording conditioned by `steps`, at its
-    own rate, before level, resampling and fades. Index stimulus_id, a column per metric, NaN where there is nothing to
-    compare.
+    Like the manifest's match metrics they are those of the reduction: of the recording conditioned by the recipe, at
+    its own rate, before level, resampling and fades. Index stimulus_id, a column per metric, NaN where there is nothing
+    to compare.
     """
     lacking = [name for name in RIVALS if name not in stimuli.to_frame().columns]
     tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
 
     def measure(recording: Recording) -> dict[str, dict[str, float]]:
-        ready = condition(recording, steps)
+        ready = condition(recording, recipe.conditioning)
         names = {one.reducer for one in tests if one.recording == recording.name}
         return {
             name: {
                 metric: float(value)
                 for metric, value in measure_batch(
                     ready.acceleration,
-                    np.asarray(REDUCERS.find(name)(ready.acceleration, ready.rate_hz)),
+                    np.asarray(find_reducer(recipe, name)(ready.acceleration, ready.rate_hz)),
                     ready.rate_hz,
                 ).items()
             }

@@ -190,6 +190,7 @@ class Contents:
             What every function of `feel321.analysis` takes.
         """
         from feel321.analysis.table.reading import read_table
+        from feel321.study.analyze import list_info
         from feel321.study.settings.read import list_origins
 
         self.ratings()
@@ -199,6 +200,7 @@ class Contents:
             self.folder.manifest,
             sources=list_origins(settings),
             metrics=settings.analysis.metrics,
+            info=list_info(settings),
         )
 
     def _find(self, participant: str) -> Path:
@@ -367,13 +369,15 @@ class Study(Contents):
             findings = tuple(audit_study(self.folder, progress=step))
         return Audit(findings, make_seal(self.folder), tuple(list_remarks(self.folder)))
 
-    def analyze(self, draws: int | None = None) -> Results:
+    def analyze(self, draws: int | None = None, *, rivals: bool = False) -> Results:
         """Relate the ratings to the match metrics and write the report into `report/`.
 
         Parameters
         ----------
         draws : int, optional
             Bootstrap draws per interval; as `study.toml` declares by default.
+        rivals : bool
+            Also say which of all metrics predicts best, corrected for how many were tried.
 
         Returns
         -------
@@ -383,4 +387,4 @@ class Study(Contents):
         from feel321.study.analyze import analyze_study
 
         with follow(self.progress, "analyze") as step:
-            return analyze_study(self.folder, draws=draws, progress=step)
+            return analyze_study(self.folder, draws=draws, rivals=rivals, progress=step)

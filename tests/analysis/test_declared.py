@@ -5,12 +5,18 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.p1401 import p1401
+from feel321.analysis.refined.refine import refine_metric
+from feel321.analysis.report import association, primary
+from feel321.analysis.report.parts import Choices
 from feel321.analysis.table.metrics import find_steps, order_reducers
 from feel321.analysis.table.reading import Further, read_table
-from feel321.stimuli.match import METRICS
+from feel321.analysis.words import declaring
+from feel321.stimuli.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import MetricInfo
 
@@ -119,4 +125,79 @@ def test_steps_fit_the_spread_of_a_metric(
 
 def test_own_names_come_from_their_registries(small: object) -> None:
     assert order_reducers(["zeta", *sorted(REDUCERS)]) == [*REDUCERS, "zeta"]
-    assert set(METRICS) <= {*read(small).info, "spectral_match_bounded"}
+    assert set(MATCHES) <= {*read(small).info, "spectral_match_bounded"}
+
+
+# A distance, of which lower is better, is as good a metric as a match.
+
+
+@pytest.fixture
+def mirrored(files: Callable[..., object]) -> object:
+    """Ratings that follow spectral match, and a distance in dB that says the same upside down."""
+    study = files(scales=("realism",), participants=8, recordings=6, spectral=50.0, noise=4.0)
+    manifest = pd.read_csv(study.manifest)
+    manifest["distance"] = 40 - 30 * manifest["spectral_match"]
+    manifest.to_csv(study.manifest, index=False)
+    return study
+
+
+LOWER = {"distance": MetricInfo("spectral distance", higher="worse", unit="dB")}
+
+
+def tell(study: object, metrics: list[str], **more: object) -> tuple[object, object]:
+    table = read_table(study.ratings, study.manifest, metrics=metrics, **more)
+    choices = Choices(draws=50)
+    with declaring(table.info):
+        return primary.compute(table, choices), association.compute_association(table, choices)
+
+
+def test_lower_ratings_with_a_larger_distance_are_a_success(mirrored: object) -> None:
+    section, _ = tell(mirrored, ["distance", "temporal_match"], info=LOWER)
+    told = section.answers[0]
+    start = "Realism: Spectral distance predicts realism ratings (higher spectral distance, lower ratings)"
+    assert told.startswith(start)
+    assert "each +10 dB with a change of −" in told
+    (claim, _) = section.claims
+    assert (claim.verdict, claim.direction, claim.higher) == ("predicts", "lower", "worse")
+    assert claim.better_than == ("temporal_match",)
+    undeclared, _ = tell(mirrored, ["distance", "temporal_match"])
+    assert "in the opposite direction (higher distance, lower ratings)" in undeclared.answers[0]
+    assert undeclared.claims[0].better_than == ()
+
+
+def test_a_distance_and_its_match_are_told_alike(mirrored: object) -> None:
+    down, down_pooled = tell(mirrored, ["distance", "temporal_match"], info=LOWER)
+    up, up_pooled = tell(mirrored, ["spectral_match", "temporal_match"])
+    numbers = {number.name: number for number in (*down.numbers, *down_pooled.numbers)}
+    plain = {number.name: number for number in (*up.numbers, *up_pooled.numbers)}
+    for name in (
+        "slope_difference.realism.as_is.{}.temporal_match",
+        "difference.realism.as_is.{}.temporal_match.pearson",
+    ):
+        one, other = numbers[name.format("distance")], plain[name.format("spectral_match")]
+        assert (one.value, one.low, one.high) == pytest.approx(
+            (other.value, other.low, other.high), rel=1e-4
+        )
+    slope, match = (
+        found[f"slope.realism.as_is.{name}"]
+        for found, name in ((numbers, "distance"), (plain, "spectral_match"))
+    )
+    # Per +10 dB, which is a third of the match downwards.
+    assert slope.value == pytest.approx(-match.value / 0.1 / 3, rel=1e-4)
+    assert "per +10 dB" in slope.method
+
+
+def test_mapping_and_refined_metric_know_the_direction(mirrored: object) -> None:
+    table = read_table(mirrored.ratings, mirrored.manifest, metrics=["distance"], info=LOWER)
+    falling = p1401(table, "distance", higher="worse")
+    assert falling.plcc == pytest.approx(p1401(table, "distance").plcc)
+    against = p1401(table, "distance", higher="better")
+    assert np.isnan(against.plcc)
+    assert np.ptp(against.mapped) == pytest.approx(0, abs=1e-9)
+    names = ["distance", "temporal_match"]
+    down = refine_metric(table, names, draws=2)
+    up = refine_metric(table, ["spectral_match", "temporal_match"], draws=2)
+    assert down.value == pytest.approx(up.value)
+    assert not down.recommended
+    plain = down.gains.set_index("metric")["plain"]
+    assert plain["distance"] > 0.5

@@ -17,7 +17,6 @@ from feel321.analysis.table import schema
 from feel321.protocols import PROTOCOLS
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.match import PLANNED
-from feel321.stimuli.names import MATCHES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -244,9 +243,7 @@ def test_records_are_found_in_results_and_with_a_warning_here() -> None:
 
 
 def test_names_of_other_packages_are_repeated_rightly() -> None:
-    assert list(schema.MATCHES) == list(MATCHES)
     assert schema.PLANNED == PLANNED
-    assert list(schema.REDUCERS) == list(stimuli.REDUCERS)
     assert schema.SURFACE == SURFACE
     scales = {protocol.scale for protocol in PROTOCOLS.values()}
     assert set(schema.APART) <= scales
@@ -265,7 +262,7 @@ def test_a_report_of_tables_in_memory_is_that_of_their_files(
     assert framed.inputs["ratings"] == whole.inputs["ratings"] == "a table in memory"
     assert len(framed.inputs["manifest_sha256"]) == 64
     assert "manifest" not in whole.inputs
-    with pytest.raises(ValueError, match="sources and further must be left out with a Table"):
+    with pytest.raises(ValueError, match="further and info must be left out with a Table"):
         analysis.write_report(table, metrics=["temporal_match"], folder=tmp_path / "d")
     with pytest.raises(TypeError, match="ratings must be a path"):
         analysis.write_report(frames[0], folder=tmp_path / "d")

@@ -11,6 +11,7 @@ from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS
 from feel321.stimuli.sets.build import build_stimuli
+from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.rivals import measure_rivals
 
@@ -24,7 +25,7 @@ def test_rivals_of_a_set_are_those_of_its_reductions(tmp_path: Path) -> None:
     built = build_stimuli(
         scenes, tmp_path / "set", reducers=["saz321", "dft321"], conditioning=steps
     )
-    found = measure_rivals(scenes, built, steps)
+    found = measure_rivals(scenes, built, Recipe(conditioning=steps))
     tests = [one for one in built if one.role == "test"]
     assert found.index.tolist() == [one.stimulus_id for one in tests]
     assert found.columns.tolist() == list(RIVALS)

@@ -376,3 +376,37 @@ def _draw_mean(axes: Axes, row: Mapping[Hashable, Any], *, height: float, look: 
     strokes |= {"markeredgecolor": "white", "markeredgewidth": style.THIN, "elinewidth": 1.2}
     error = None if np.isnan(spread).any() else spread
     axes.errorbar(row["mean"], height, xerr=error, capsize=2.5, zorder=3, **strokes)
+
+
+# Metrics ranked by how well they predict.
+
+
+def draw_ranking(table: DataFrame, *, ceiling: float, level: float, size: str) -> Figure:
+    """Draw the out-of-fold correlation of every metric, the best first, with the noise ceiling and level alone.
+
+    table: of a `Ranking`; size: of the data, in words. Ceiling and level are NaN where there is none.
+    """
+    look = Look(style.BLUE, "o")
+    rows = fit_rows(
+        ForestRow(
+            format_name(str(row["metric"])),
+            (Mark(row["value"], row["low"], row["high"], look, filled=bool(row["may_be_best"])),),
+        )
+        for row in table.reset_index().to_dict("records")
+    )
+    with style.print_style():
+        figure = style.new_canvas(find_height(rows) + AXIS_CM)
+        axes = figure.subplots()
+        limits = find_limits(rows, 0.0, *filter(np.isfinite, [ceiling, level]))
+        draw_rows(axes, rows, limits=limits, zero=True)
+        if np.isfinite(ceiling):
+            axes.axvline(ceiling, color=style.BLACK, linestyle="--", linewidth=1.0, zorder=1)
+        if np.isfinite(level):
+            axes.axvline(level, color=style.GREY, linestyle=":", linewidth=1.0, zorder=1)
+        axes.set_xlabel("Correlation within recordings, out of fold")
+        style.add_title(
+            figure,
+            f"{len(rows)} metrics, {size}.\n"
+            "Bars: 95 % two-way intervals that hold for all metrics together. Dashed: noise ceiling.",
+        )
+    return figure

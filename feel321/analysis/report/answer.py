@@ -230,7 +230,8 @@ class Finding:
                     worse += [name for name in pair if name != self.metric]
         place, found = self.part.place, (self.verdict, self.direction)
         number = words.name_path("slope", *place, self.metric)
-        return Claim(*place, self.metric, *found, number, turns, better_than=tuple(worse))
+        higher = "better" if self.expected == HIGHER else "worse"
+        return Claim(*place, self.metric, *found, number, turns, tuple(worse), higher)
 
 
 def describe_findings(found: Sequence[Finding], needs: Sequence[str]) -> Iterator[Line]:

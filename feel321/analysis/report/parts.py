@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.primary.model import CENTRED, FEW, fit_slopes
-from feel321.analysis.report.section import NAME, Column, TableForm
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.metrics import TENTH, Step, find_steps
 from feel321.analysis.table.schema import APART
@@ -184,18 +183,6 @@ def add_step(row: Mapping[Any, Any], step: Step) -> dict[Any, Any]:
     share = step.size / TENTH
     ends = {f"_step{end}": row[f"tenth{end}"] * share for end in ("", "_low", "_high")}
     return {**row, **ends, "_per": step.per, "_size": step.size}
-
-
-def word_steps(form: TableForm, steps: Mapping[str, Step]) -> TableForm:
-    """Word a table of slopes for metrics whose steps differ from +0.1: the step then has a column."""
-    if {step.per for step in steps.values()} <= {Step().per}:
-        return form
-    columns: list[Column] = []
-    for column in form.columns:
-        if "+0.1" in column.head:
-            columns.append(Column("Step", "_per", NAME))
-        columns.append(replace(column, head=column.head.replace("+0.1", "step")))
-    return replace(form, columns=columns, caption=form.caption.replace("+0.1", "step"))
 
 
 def join_steps(steps: Mapping[str, Step]) -> str:

@@ -11,6 +11,7 @@ from feel321.analysis.figures.scatter import draw_residuals
 from feel321.analysis.primary.model import Primary, fit_primary, fit_slopes, tabulate_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import find_candidates, measure_influence
+from feel321.analysis.report import parts
 from feel321.analysis.report.answer import (
     NEEDED,
     Finding,
@@ -19,16 +20,6 @@ from feel321.analysis.report.answer import (
     describe_need,
     find_needs,
     orient_differences,
-)
-from feel321.analysis.report.parts import (
-    ITEM,
-    Choices,
-    RatingsPart,
-    add_step,
-    find_table_steps,
-    join_steps,
-    thin_parts,
-    word_steps,
 )
 from feel321.analysis.report.section import (
     DF,
@@ -47,6 +38,7 @@ from feel321.analysis.report.section import (
     make_slug,
     read_methods,
     stack,
+    word_steps,
 )
 from feel321.analysis.table.metrics import Step
 from feel321.analysis.table.reading import Table
@@ -54,7 +46,7 @@ from feel321.analysis.table.schema import STAND_INS
 from feel321.analysis.words import COUNT, TWO_WAY, Claim, Line
 
 Row = dict[Any, Any]
-Fits = Mapping[str, tuple[RatingsPart, Primary]]
+Fits = Mapping[str, tuple[parts.RatingsPart, Primary]]
 
 PER_STEP = "points of rating per {_per} of the metric"
 SLOPE = "slope.{scale}.{level}.{metric}"
@@ -143,7 +135,7 @@ EXCEPTIONS = TableForm(
 )  # fmt: skip
 
 
-def compute(table: Table, choices: Choices) -> Section:
+def compute(table: Table, choices: parts.Choices) -> Section:
     """Fit the primary model of every scale and level."""
     fits, notes, lines, claims = _fit_parts(table, choices)
     slopes = tabulate_slopes({lead: model for lead, (_, model) in fits.items()}) if fits else ()
@@ -172,7 +164,7 @@ def compute(table: Table, choices: Choices) -> Section:
                 ({"ratings": one.part.lead}, one.influence.exceptions.reset_index()) for one in first
             ),
         },
-        pictures=tuple(_draw_models(fits, find_table_steps(table))),
+        pictures=tuple(_draw_models(fits, parts.find_table_steps(table))),
         notes=notes,
         how=read_methods("primary"),
     )  # fmt: skip
@@ -194,10 +186,12 @@ def _stack(fits: Fits, choose: Any) -> Any:  # noqa: ANN401 - a table of a model
     return stack(({"ratings": lead}, choose(model)) for lead, (_, model) in fits.items())
 
 
-def _fit_parts(table: Table, choices: Choices) -> tuple[Fits, list[str], list[Line], list[Claim]]:
+def _fit_parts(
+    table: Table, choices: parts.Choices
+) -> tuple[Fits, list[str], list[Line], list[Claim]]:
     """Fit every part that can be fitted; say why another part, or a metric of one, cannot."""
     fits, notes, lines, claims = {}, [], [], []
-    for part in thin_parts(table, choices):
+    for part in parts.thin_parts(table, choices):
         notes += [part.thinned] if part.thinned else []
         try:
             model = orient_differences(fit_primary(part.rows, table.metrics), table.info)
@@ -212,7 +206,7 @@ def _fit_parts(table: Table, choices: Choices) -> tuple[Fits, list[str], list[Li
     return fits, notes, lines, claims
 
 
-def _explain_loss(part: RatingsPart, metric: str) -> str:
+def _explain_loss(part: parts.RatingsPart, metric: str) -> str:
     varies = part.rows.groupby("recording", observed=True)[metric].nunique().max() > 1
     return (
         "within recordings it follows from the other metrics"
@@ -224,7 +218,7 @@ def _explain_loss(part: RatingsPart, metric: str) -> str:
 def _list_findings(table: Table, fits: Fits, slopes: Any) -> list[Finding]:  # noqa: ANN401 - a table, or none
     """Put every slope together with what single stimuli, recordings and reducers do to it."""
     found: list[Finding] = []
-    steps = find_table_steps(table)
+    steps = parts.find_table_steps(table)
     for lead, (part, model) in fits.items():
         own = slopes["attribute"] == lead
         others = slopes.loc[~own, "p"].tolist()
@@ -236,15 +230,15 @@ def _list_findings(table: Table, fits: Fits, slopes: Any) -> list[Finding]:  # n
             }
             turns = {"turns": not influence.find_moves(row["metric"]).empty}
             more = {**part.keys, "n": model.n_rows, **centred}
-            told = add_step({**turns, **row, **more}, step)
+            told = parts.add_step({**turns, **row, **more}, step)
             found.append(Finding(told, part, model, influence, info, step))
     return found
 
 
 def _build_tables(
-    table: Table, fits: Fits, findings: list[Finding], *, choices: Choices
+    table: Table, fits: Fits, findings: list[Finding], *, choices: parts.Choices
 ) -> tuple[PageTable, ...]:
-    rows, steps = [one.row for one in findings], find_table_steps(table)
+    rows, steps = [one.row for one in findings], parts.find_table_steps(table)
     models = [
         part.keys | {key: getattr(model, key) for key in _MODEL_KEYS}
         | {"fit": "singular" if model.fit.singular else "regular"}
@@ -281,7 +275,8 @@ def _build_influence(
     for one in found.values():
         more = {**one.part.keys, "n": one.model.n_rows}
         rows += [
-            add_step(more | row, steps[row["metric"]]) | {"_unit": f"{row['kind']} {row['unit']}"}
+            parts.add_step(more | row, steps[row["metric"]])
+            | {"_unit": f"{row['kind']} {row['unit']}"}
             for row in one.influence.table.to_dict("records")
         ]
         odd += [
@@ -302,9 +297,10 @@ def _build_influence(
 def _draw_models(fits: Fits, steps: Mapping[str, Step]) -> Iterator[Picture]:
     if not fits:
         return
+    per = parts.join_steps(steps)
     caption = (
-        f"Slope within recordings of ratings on each metric, points per {join_steps(steps)} of it, mixed model; bars "
-        "are 95 % Satterthwaite intervals; hollow: singular fit."
+        f"Slope within recordings of ratings on each metric, points per {per} of it, mixed model; bars are 95 % "
+        "Satterthwaite intervals; hollow: singular fit."
     )
     models = {lead: model for lead, (_, model) in fits.items()}
     yield Picture("slopes", caption, partial(draw_slopes, models, steps=steps))
@@ -339,7 +335,7 @@ PAPER = TableForm(
 )  # fmt: skip
 
 
-def _build_paper(table: Table, fits: Fits, choices: Choices) -> Iterator[PageTable]:
+def _build_paper(table: Table, fits: Fits, choices: parts.Choices) -> Iterator[PageTable]:
     """Build the table of the paper's metric, where the primary analysis uses the bounded one and both are there."""
     if BOUNDED not in table.metrics or RAW not in table.further:
         return
@@ -352,7 +348,7 @@ def _build_paper(table: Table, fits: Fits, choices: Choices) -> Iterator[PageTab
     yield PAPER.build(rows)
 
 
-def _compare_paper(part: RatingsPart, metrics: list[str], choices: Choices) -> Row:
+def _compare_paper(part: parts.RatingsPart, metrics: list[str], choices: parts.Choices) -> Row:
     rng = choices.make_rng("paper", *part.place)
     ranks = correlate(part.rows, RAW, method="within_spearman", draws=choices.draws, rng=rng)
     cells = make_cells(part.rows, metrics)
@@ -361,7 +357,7 @@ def _compare_paper(part: RatingsPart, metrics: list[str], choices: Choices) -> R
         **part.keys, "item": item, "ranks": ranks.value, "ranks_low": ranks.low, "ranks_high": ranks.high,
         "n_items": ranks.n_items,
     }  # fmt: skip
-    for name, some in (("raw", cells), ("rest", cells.leave_out(ITEM, item))):
+    for name, some in (("raw", cells), ("rest", cells.leave_out(parts.ITEM, item))):
         slope = fit_slopes(some).table.loc[RAW]
         row |= {f"{name}{end}": slope[f"tenth{end}"] for end in ("", "_low", "_high")}
         row[f"{name}_n"] = len(some.table)

@@ -6,20 +6,11 @@ from collections.abc import Hashable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from feel321.analysis import words
 from feel321.analysis.contrasts.compare import find_repeat_sd
 from feel321.analysis.figures.choices import draw_raters
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.report.parts import (
-    SIGNIFICANCE,
-    Choices,
-    RatingsPart,
-    add_step,
-    find_table_steps,
-    fit_rest,
-    split_parts,
-    thin_parts,
-    word_steps,
-)
+from feel321.analysis.report import parts
 from feel321.analysis.report.section import (
     METRIC,
     NAME,
@@ -33,21 +24,12 @@ from feel321.analysis.report.section import (
     estimate,
     read_methods,
     stack,
+    word_steps,
 )
 from feel321.analysis.screening.consistency import RaterModel, rater_model
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import Screening, screen_raters
 from feel321.analysis.table.schema import APART, PAIR
-from feel321.analysis.words import (
-    COUNT,
-    count_number,
-    format_interval,
-    format_name,
-    format_number,
-    format_ratings,
-    join_words,
-    name_path,
-)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -74,7 +56,7 @@ RULES_APPLIED = TableForm(
     "nobody.",
     (
         Column("Rule", "rule", TEXT), Column("Source", "source", NAME), Column("Protocols", "protocols", NAME),
-        Column("Flagged", "flagged", NAME), Column("Raters screened", "n_judged", COUNT, "n_judged"),
+        Column("Flagged", "flagged", NAME), Column("Raters screened", "n_judged", words.COUNT, "n_judged"),
     ),
     path="screening.{rule}",
 )  # fmt: skip
@@ -89,8 +71,8 @@ AGREEMENTS = TableForm(
     (
         Column("Scale", "scale", TEXT), Column("Raters", "whose", NAME),
         *(Column(head, key, end=key, method=head, n="n_complete") for key, head in AGREEMENT.items()),
-        Column("Participants", "n_participants", COUNT, "n_participants"),
-        Column("Stimuli rated by all", "n_complete", COUNT, "n_complete"),
+        Column("Participants", "n_participants", words.COUNT, "n_participants"),
+        Column("Stimuli rated by all", "n_complete", words.COUNT, "n_complete"),
     ),
     path="reliability.{scale}.{who}", n="n_items",
 )  # fmt: skip
@@ -100,7 +82,7 @@ SLOPES = TableForm(
     (
         RATINGS, METRIC, Column("Raters", "_whose", NAME),
         estimate("Points per +0.1", "_step", "mixed model, points per {_per}", ends="_step_"), P,
-        Column("Participants", "n_people", COUNT, "n_participants"),
+        Column("Participants", "n_people", words.COUNT, "n_participants"),
     ),
     path="panel.{scale}.{level}.{metric}.{panel}", n="n_people", detail=False,
 )  # fmt: skip
@@ -120,7 +102,7 @@ MODEL = TableForm(
             NORMAL_INTERVAL, ends="inconsistency_",
         ),
         Column("Weight", "weight", end="weight", method=f"{OF_MODEL}, share in the qualities of stimuli"),
-        Column("Ratings", "n", COUNT, "n"), Column("Apart", "_apart", NAME),
+        Column("Ratings", "n", words.COUNT, "n"), Column("Apart", "_apart", NAME),
     ),
     path="rater_model.{scale}.{level}.{participant}",
 )  # fmt: skip
@@ -133,7 +115,7 @@ LIKELIHOOD = TableForm(
             Column(head, key, "slope", key, f"{OF_MODEL}, per rating")
             for head, key in (("Log-likelihood", "loglikelihood"), ("AIC", "aic"), ("BIC", "bic"))
         ),
-        Column("Parameters", "n_parameters", COUNT, "n_parameters"),
+        Column("Parameters", "n_parameters", words.COUNT, "n_parameters"),
     ),
     path="rater_model_fit.{scale}.{level}", n="n_ratings",
 )  # fmt: skip
@@ -147,7 +129,7 @@ REPEATED = TableForm(
 )  # fmt: skip
 
 
-def compute(table: Table, choices: Choices) -> Section:
+def compute(table: Table, choices: parts.Choices) -> Section:
     """Screen raters, measure their agreement, and repeat the primary analysis without those flagged."""
     rows = table.rows
     single = rows[~rows["scale"].isin(APART) & (rows["role"] != PAIR)]
@@ -155,9 +137,8 @@ def compute(table: Table, choices: Choices) -> Section:
         why = "Raters were not screened: no stimulus was rated by itself."
         return Section(KEY, TITLE, notes=(why,))
     screening = screen_raters(single, rng=choices.make_rng(KEY))
-    everyone = screening.table["participant"].nunique()
     models, more_notes = _fit_models(single)
-    slopes, steps = list(_vary(table, screening, choices)), find_table_steps(table)
+    slopes, steps = list(_vary(table, screening, choices)), parts.find_table_steps(table)
     return Section(
         key=KEY,
         title=TITLE,
@@ -165,17 +146,14 @@ def compute(table: Table, choices: Choices) -> Section:
         grids=(
             RULES_APPLIED.build(_list_rules(screening)),
             AGREEMENTS.build(_list_agreements(screening)),
-            word_steps(SLOPES, steps).build(add_step(row, steps[row["metric"]]) for row in slopes),
+            word_steps(SLOPES, steps).build(parts.add_step(row, steps[row["metric"]]) for row in slopes),
             REPEATED.build(_list_repeats(table)),
             MODEL.build(_list_raters(models)),
             LIKELIHOOD.build(
                 place | {key: getattr(model, key) for key in _FIT} for place, model in models
             ),
         ),
-        unseen=tuple(
-            count_number(name_path("screening_panel", group), len(_list_flagged(screening, group)), n=everyone)
-            for group in GROUPS
-        ),
+        unseen=tuple(_count_flagged(screening)),
         tables={
             "screening": screening.table, "screening_items": screening.items,
             "screening_excerpts": screening.excerpts, "expertise": screening.gauge, "reliability": screening.panel,
@@ -225,9 +203,9 @@ def _describe_models(models: Models) -> Iterator[str]:
     """Say in words who rates high or low, and whether somebody's ratings are unlike all others in consistency."""
     several = len({place["level"] for place, _ in models}) > 1
     for place, model in models:
-        subject = format_name(place["scale"])
-        subject += f" (level {format_name(place['level'])})" if several else ""
-        told = f"Rater model of {format_ratings(subject)}: {_describe_biases(model)}"
+        subject = words.format_name(place["scale"])
+        subject += f" (level {words.format_name(place['level'])})" if several else ""
+        told = f"Rater model of {words.format_ratings(subject)}: {_describe_biases(model)}"
         yield f"{told}; {_describe_consistency(model)}."
 
 
@@ -236,9 +214,9 @@ def _describe_biases(model: RaterModel) -> str:
     from scipy.stats import norm
 
     rows = model.to_frame().sort_values("bias").to_dict("records")
-    limit = float(norm.isf(SIGNIFICANCE / 2 / len(rows)))
+    limit = float(norm.isf(parts.SIGNIFICANCE / 2 / len(rows)))
     told = [
-        f"{row['participant']} rates {format_number(abs(row['bias']), kind='rating')} points {way}"
+        f"{row['participant']} rates {words.format_number(abs(row['bias']), kind='rating')} points {way}"
         for row, way in ((rows[-1], "higher"), (rows[0], "lower"))
         if abs(row["bias"]) > limit * row["bias_se"]
     ]
@@ -251,16 +229,23 @@ def _describe_consistency(model: RaterModel) -> str:
     """Name the raters whose inconsistency is unlike the others', and give the range of the rest."""
     spread = model.raters["inconsistency"]
     rest = spread[~model.raters["apart"]]
-    reach = format_interval(rest.min(), rest.max(), kind="rating")
+    reach = words.format_interval(rest.min(), rest.max(), kind="rating")
     if not model.apart:
         return f"inconsistency runs from {reach} points, and nobody's is unlike the others'"
-    names = join_words(model.apart)
-    own = format_interval(spread[list(model.apart)].min(), spread.max(), kind="rating")
+    names = words.join_words(model.apart)
+    own = words.format_interval(spread[list(model.apart)].min(), spread.max(), kind="rating")
     one = len(model.apart) == 1
     if one:
-        own = format_number(spread.max(), kind="rating")
+        own = words.format_number(spread.max(), kind="rating")
     who = f"{names} {'is' if one else 'are'} far less consistent than the others"
     return f"{who} (a standard deviation of {own} points; the others {reach})"
+
+
+def _count_flagged(screening: Screening) -> Iterator[words.Number]:
+    everyone = screening.table["participant"].nunique()
+    for group in GROUPS:
+        size = len(_list_flagged(screening, group))
+        yield words.count_number(words.name_path("screening_panel", group), size, n=everyone)
 
 
 def _list_flagged(screening: Screening, group: str) -> list[Hashable]:
@@ -275,7 +260,7 @@ def _list_rules(screening: Screening) -> Iterator[dict[str, Any]]:
         share = screening.table.loc[screening.table["rule"] == rule, "share"]
         yield {
             "rule": rule, "source": RULES[rule].source,
-            "protocols": ", ".join(map(format_name, RULES[rule].protocols)) or "all",
+            "protocols": ", ".join(map(words.format_name, RULES[rule].protocols)) or "all",
             "flagged": ", ".join(map(str, hits)) or "–", "n_judged": int(share.notna().sum()), "n": len(share),
         }  # fmt: skip
 
@@ -287,15 +272,15 @@ def _list_agreements(screening: Screening) -> Iterator[dict[Any, Any]]:
 
 
 def _list_repeats(table: Table) -> Iterator[dict[str, Any]]:
-    for part in split_parts(table):
+    for part in parts.split_parts(table):
         sd, n = find_repeat_sd(part.rows)
         if n:
             yield part.keys | {"sd": sd, "n": n}
 
 
-def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[dict[str, Any]]:
+def _vary(table: Table, screening: Screening, choices: parts.Choices) -> Iterator[dict[str, Any]]:
     """Fit each part without those whom each group leaves out; the same people are fitted once."""
-    for part in thin_parts(table, choices):
+    for part in parts.thin_parts(table, choices):
         fitted: dict[tuple[Hashable, ...], list[dict[Any, Any]]] = {}
         for group, whose in GROUPS.items():
             out = tuple(_list_flagged(screening, group))
@@ -306,13 +291,13 @@ def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[dict
 
 
 def _fit(
-    part: RatingsPart, out: tuple[Hashable, ...], metrics: tuple[str, ...]
+    part: parts.RatingsPart, out: tuple[Hashable, ...], metrics: tuple[str, ...]
 ) -> Iterator[dict[Any, Any]]:
     left = part.rows[~part.rows["participant"].isin(out)]
     n_people = len(left["participant"].unique())
     try:
         people = part.rows["participant"].nunique()
-        slopes = fit_rest(make_cells(part.rows, metrics), out, people=people)
+        slopes = parts.fit_rest(make_cells(part.rows, metrics), out, people=people)
     except ValueError as error:
         empty = dict.fromkeys(("tenth", "tenth_low", "tenth_high", "p"), float("nan"))
         for name in metrics:
@@ -324,7 +309,7 @@ def _fit(
 
 def _describe_rules(screening: Screening) -> str:
     says = [
-        f"{format_name(rule)}: {RULES[rule].says.format(limit=limit)}"
+        f"{words.format_name(rule)}: {RULES[rule].says.format(limit=limit)}"
         for rule, limit in screening.limits.items()
     ]
     return f"Screening rules: {'; '.join(says)}."

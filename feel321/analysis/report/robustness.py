@@ -27,7 +27,6 @@ from feel321.analysis.report.parts import (
     fit_rest,
     join_steps,
     split_parts,
-    word_steps,
 )
 from feel321.analysis.report.section import (
     METRIC,
@@ -43,6 +42,7 @@ from feel321.analysis.report.section import (
     make_slug,
     read_methods,
     stack,
+    word_steps,
 )
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.words import COUNT, TWO_WAY, Line

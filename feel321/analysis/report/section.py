@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.association.correlate import Panel
+    from feel321.analysis.table.metrics import Step
 
     Record = Mapping[Any, Any]
     from markupsafe import Markup
@@ -171,6 +172,18 @@ class TableForm:
         words = frozenset(i for i, kind in enumerate(kinds) if kind in {TEXT, NAME})
         caption = caption or self.caption
         return PageTable(caption, head, tuple(shown), tuple(numbers), words, self.detail)
+
+
+def word_steps(form: TableForm, steps: Mapping[str, Step]) -> TableForm:
+    """Word a table of slopes for metrics whose steps differ from +0.1: the step then has a column."""
+    if {step.per for step in steps.values()} <= {"+0.1"}:
+        return form
+    columns: list[Column] = []
+    for column in form.columns:
+        if "+0.1" in column.head:
+            columns.append(Column("Step", "_per", NAME))
+        columns.append(replace(column, head=column.head.replace("+0.1", "step")))
+    return replace(form, columns=columns, caption=form.caption.replace("+0.1", "step"))
 
 
 def _fill(path: str, row: Record) -> str:

@@ -16,6 +16,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from feel321.analysis import words
 from feel321.analysis.association.correlate import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.report import (
@@ -25,6 +26,7 @@ from feel321.analysis.report import (
     primary,
     raters,
     reducers,
+    rivals,
     robustness,
     standard,
 )
@@ -36,15 +38,6 @@ from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.items import find_sources, format_recordings
 from feel321.analysis.table.reading import Further, Table, find_tables, read_table
 from feel321.analysis.table.roster import ROSTER_FILE
-from feel321.analysis.words import (
-    Claim,
-    Line,
-    Number,
-    count_number,
-    declaring,
-    format_note,
-    make_declaring,
-)
 from feel321.doors import as_seed, follow
 from feel321.records import Result
 from feel321.types import MetricInfo, PathLike, Progress, Rng
@@ -94,8 +87,8 @@ class Results(Result):
     """
 
     verdict: tuple[str, ...]
-    verdicts: tuple[Claim, ...]
-    numbers: tuple[Number, ...]
+    verdicts: tuple[words.Claim, ...]
+    numbers: tuple[words.Number, ...]
     answers: Mapping[str, tuple[str, ...]]
     figures: Mapping[str, str]
     captions: tuple[str, ...]
@@ -165,7 +158,7 @@ def _without_nan(fields: dict[str, object]) -> dict[str, object]:
     }
 
 
-def collect_numbers(table: Table, numbers: Iterable[Number]) -> tuple[Number, ...]:
+def collect_numbers(table: Table, numbers: Iterable[words.Number]) -> tuple[words.Number, ...]:
     """Put the sizes of a table before the numbers of its sections."""
     gathered = {repr(number): number for number in chain(_count_table(table), numbers)}.values()
     times = Counter(number.name for number in gathered)
@@ -176,14 +169,14 @@ def collect_numbers(table: Table, numbers: Iterable[Number]) -> tuple[Number, ..
     return tuple(gathered)
 
 
-def _count_table(table: Table) -> Iterator[Number]:
+def _count_table(table: Table) -> Iterator[words.Number]:
     rows = table.rows
     columns = ("participant", "recording", "stimulus_id", "reducer", "scale")
     sizes = {name: rows[name].nunique() for name in columns}
     sizes |= {"source": find_sources(rows).nunique(), "judgements": len(rows)}
     sizes["simulated_judgements"] = int(rows["simulated"].sum())
     for name, size in sizes.items():
-        yield count_number(f"size.{name}", size, n=len(rows))
+        yield words.count_number(f"size.{name}", size, n=len(rows))
 
 
 IN_MEMORY = "a table in memory"
@@ -234,6 +227,7 @@ def list_versions() -> dict[str, str]:
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     primary.compute,
+    rivals.compute,
     association.compute_association,
     reducers.compute_levels,
     reducers.compute_profile,
@@ -328,7 +322,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
         table, given = _open(ratings_path, manifest_path, **choice)
         inputs = describe_inputs(given, table=table, further=further, choices=choices)
-        with declaring(table.info):
+        with words.declaring(table.info):
             results = _write(table, choices, target, move=move, inputs=inputs)
     return replace(results, path=target.path)
 
@@ -382,7 +376,7 @@ def compute_sections(
     table: Table, choices: Choices, *, progress: Progress | None = False
 ) -> tuple[Section, ...]:
     """Run the whole analysis; returns its sections in the report's order, figures numbered through."""
-    with follow(progress or False, "report") as move, declaring(table.info):
+    with follow(progress or False, "report") as move, words.declaring(table.info):
         return tuple(_reconcile(list(_compute(table, choices, move))))
 
 
@@ -411,7 +405,7 @@ def _declare(picture: Picture, table: Table) -> Picture:
     """Let a figure that is drawn later call metrics by their labels."""
     if not callable(picture.drawing):
         return picture
-    return replace(picture, drawing=partial(make_declaring, table.info, picture.drawing))
+    return replace(picture, drawing=partial(words.make_declaring, table.info, picture.drawing))
 
 
 def _reconcile(sections: Sequence[Section]) -> list[Section]:
@@ -422,7 +416,7 @@ def _reconcile(sections: Sequence[Section]) -> list[Section]:
     def add(section: Section) -> Section:
         told = {panel: association.reconcile(panel, claims) for panel in section.panels}
         lines = [
-            Line(text, association.name_subject(panel, several=several), "pooled")
+            words.Line(text, association.name_subject(panel, several=several), "pooled")
             for panel, text in told.items()
             if text
         ]
@@ -436,8 +430,9 @@ def gather_results(
 ) -> Results:
     """Gather what ``results.json`` holds."""
     rows = table.rows
-    names = [*rows["scale"].unique(), *rows["level"].unique(), *table.metrics, *table.further]
-    own = [format_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
+    names = [*rows["scale"].unique(), *rows["level"].unique()]
+    names += [*table.metrics, *table.further, *table.rivals]
+    own = [words.format_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
     pictures = _gather(sections, "pictures")
     return Results(
         verdict=tuple(dict.fromkeys(map(str, _gather(sections, "verdict")))),
@@ -486,7 +481,7 @@ def render_page(
     )
 
 
-def group_lines(sections: Iterable[Section]) -> dict[str, list[Line]]:
+def group_lines(sections: Iterable[Section]) -> dict[str, list[words.Line]]:
     """Put together what opens the page about the same ratings; what is about all of them comes last."""
     lines = dict.fromkeys(_gather(sections, "verdict"))
     subjects = dict.fromkeys(line.subject for line in lines)

@@ -37,6 +37,9 @@ MOST_ROUNDS = 10_000
 FLOOR = 1e-8
 """Added to squared inconsistencies, over the variance of the votes: a rater without noise would be all that counts."""
 
+LONE = 0.5
+"""Share of all weights at which one rater is all that counts: the estimates have run away."""
+
 FEWEST_VOTES, FEWEST_RATERS = 3, 3
 FEWEST_COMPARED = 6
 """Raters below which none can stand out: nobody knows how far honest ones differ."""
@@ -137,7 +140,8 @@ def rater_model(
     bias, weighted by one over inconsistency squared), until qualities settle. Standard errors: inconsistency / sqrt(n)
     of a bias and inconsistency / sqrt(2 n) of an inconsistency; of a quality the standard deviation of the stimulus's
     residuals over sqrt(n) (``se``), and one over the root of the summed weights (``se_raters``, SUREAL's
-    ``MLE_CO_AP``).
+    ``MLE_CO_AP``). With few raters the likelihood may grow without bound as the qualities become the ratings of one
+    of them; where one has half of all weights, all count alike instead, and a note says so.
 
     Who stands apart: honest raters differ in inconsistency too, by a factor that is about log-normal, so the
     logarithms are tested by Rosner's generalised extreme studentised deviate, one-sided, for up to a quarter of the
@@ -163,15 +167,15 @@ def rater_model(
     (('7',), 9)
     """
     votes = _read(ratings, scale, level)
-    order, counts = _project(votes), np.bincount(votes.rater)
-    quality, bias, spread, rounds = order
+    counts = np.bincount(votes.rater)
+    quality, bias, spread, rounds, lone = _project(votes)
     residual = votes.points - quality[votes.item] - bias[votes.rater]
     n, n_items = len(votes.points), np.bincount(votes.item)
     held = np.maximum(spread, math.sqrt(FLOOR) * votes.points.std())
     likely = -np.log(held) - math.log(2 * math.pi) / 2
     loglikelihood = float((likely[votes.rater] - (residual / held[votes.rater]) ** 2 / 2).mean())
     n_parameters = len(quality) + 2 * len(bias)
-    weights = 1 / held**2
+    weights = np.ones_like(held) if lone else 1 / held**2
     means = np.bincount(votes.item, residual) / n_items
     own = np.bincount(votes.item, (residual - means[votes.item]) ** 2) / n_items
     apart, notes = find_apart(spread)
@@ -189,13 +193,13 @@ def rater_model(
         stimuli=pd.DataFrame(
             {
                 "quality": quality, "se": np.sqrt(own / n_items),
-                "se_raters": 1 / np.sqrt(np.bincount(votes.item, weights[votes.rater])), "n": n_items,
+                "se_raters": 1 / np.sqrt(np.bincount(votes.item, 1 / held[votes.rater] ** 2)), "n": n_items,
             },
             index=pd.Index(votes.items, name=STIMULUS, dtype=object),
         ),
         loglikelihood=loglikelihood, aic=2 * n_parameters / n - 2 * loglikelihood,
         bic=math.log(n) * n_parameters / n - 2 * loglikelihood,
-        n_ratings=n, n_parameters=n_parameters, n_rounds=rounds, notes=tuple(notes),
+        n_ratings=n, n_parameters=n_parameters, n_rounds=rounds, notes=(*notes, *lone),
     )  # fmt: skip
 
 
@@ -252,8 +256,27 @@ def _read(ratings: Table | DataFrame | ArrayLike, scale: str | None, level: str 
     return _Votes(values, rater, item, tuple(map(str, raters)), tuple(map(str, items)))
 
 
-def _project(votes: _Votes) -> tuple[Values, Values, Values, int]:
-    """Estimate qualities, biases and inconsistencies in turn; also count the rounds."""
+def _project(votes: _Votes) -> tuple[Values, Values, Values, int, list[str]]:
+    """Estimate qualities, biases and inconsistencies; with equal weights, and a note, where one rater alone counts.
+
+    The likelihood has no maximum: it grows without bound as the qualities become one rater's own ratings. With many
+    raters the projections settle at the maximum that is meant; with few they may run away to one of them.
+    """
+    quality, bias, spread, rounds = _alternate(votes, floor=FLOOR)
+    weights = 1 / (spread**2 + FLOOR * votes.points.var())
+    if weights.max() < LONE * weights.sum():
+        return quality, bias, spread, rounds, []
+    who = votes.raters[int(weights.argmax())]
+    note = (
+        f"Weighted by consistency, the ratings of {who} alone would be the qualities, as happens with few raters; all "
+        "raters count alike instead."
+    )
+    quality, bias, spread, rounds = _alternate(votes, floor=math.inf)
+    return quality, bias, spread, rounds, [note]
+
+
+def _alternate(votes: _Votes, *, floor: float) -> tuple[Values, Values, Values, int]:
+    """Estimate qualities, biases and inconsistencies in turn; an infinite floor makes all weights equal."""
     values, rater, item = votes.points, votes.rater, votes.item
     counts, n_items = np.bincount(rater), np.bincount(item)
     quality, size = np.bincount(item, values) / n_items, float(values.std())
@@ -262,7 +285,9 @@ def _project(votes: _Votes) -> tuple[Values, Values, Values, int]:
         means = np.bincount(rater, residual) / counts
         bias = means - means.mean()
         spread = np.sqrt(np.bincount(rater, (residual - means[rater]) ** 2) / counts)
-        weights = (1 / (spread**2 + FLOOR * size**2))[rater]
+        weights = (
+            1 / (spread**2 + floor * size**2) if math.isfinite(floor) else np.ones_like(spread)
+        )[rater]
         quality = np.bincount(item, weights * (values - bias[rater])) / np.bincount(item, weights)
         if np.linalg.norm(quality - before) < SETTLED * size:
             return quality, bias, spread, rounds

@@ -396,6 +396,7 @@ EXAMPLE = """\b
 Example: feel321 analyze my-study
          feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
          feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match --metric temporal_match
+         feel321 analyze my-study --rivals
 """
 
 
@@ -419,21 +420,28 @@ Example: feel321 analyze my-study
     metavar="NAME",
     help="A numeric column of the manifest as a metric of the primary analysis; repeatable.  [default: as declared]",
 )
+@click.option(
+    "--rivals",
+    is_flag=True,
+    help="Also say which of all metrics predicts best, corrected for how many were tried.",
+)
 @shared.json_option
-def analyze(
+def analyze(  # noqa: PLR0913 - one per option
     folder: Path,
     *,
     ratings: Path | None,
     manifest: Path | None,
     out: Path | None,
     metrics: tuple[str, ...],
+    rivals: bool,
     as_json: bool,
 ) -> None:
     """Relate the ratings to the match metrics and write the report.
 
     Fits the mixed models, correlations with two-way bootstrap intervals, contrasts of reducers, screening of raters
     and all else that the ratings allow. Writes index.html, results.json (every number of the page; --json prints it),
-    tables/ and figures/. Metrics, bootstrap draws and margin of equivalence are declared in study.toml, [analysis].
+    tables/ and figures/. Metrics, bootstrap draws and margin of equivalence are declared in study.toml, [analysis];
+    which way a metric points, its bounds, label and unit in [metrics.NAME].
     """
     if manifest is not None and ratings is None:
         raise click.UsageError(
@@ -448,6 +456,7 @@ def analyze(
             ratings=ratings,
             manifest=manifest,
             metrics=metrics or None,
+            rivals=rivals,
             out=out,
             progress=progress,
         )

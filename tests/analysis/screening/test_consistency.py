@@ -123,6 +123,19 @@ def test_ratings_that_say_too_little_are_refused(
         rater_model(change(make_votes(1)))
 
 
+def test_the_ratings_of_one_do_not_become_the_qualities() -> None:
+    """With few raters the likelihood grows without bound towards one of them."""
+    collapsed = 0
+    for seed in range(20):
+        rows = make_votes(seed, spread=12.0, items=24)
+        rows = rows[rows["participant"].isin(PEOPLE[:4])]
+        model = rater_model(rows)
+        assert model.raters["weight"].max() < 0.5
+        assert model.raters["inconsistency"].min() > 3
+        collapsed += any("count alike" in note for note in model.notes)
+    assert collapsed
+
+
 def test_few_raters_are_not_compared() -> None:
     rows = make_votes(1)
     model = rater_model(rows[rows["participant"].isin(PEOPLE[:5])])

@@ -1,0 +1,203 @@
+"""Metrics ranked: planted ones are named, none where nothing is planted; the numbers are those of plain loops."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from feel321.analysis.association.rivals import rank_metrics
+from feel321.analysis.report import rivals
+from feel321.analysis.report.parts import Choices
+from feel321.analysis.table.metrics import list_rivals
+from feel321.analysis.table.reading import Further, read_table
+from feel321.types import MetricInfo
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PEOPLE, RECORDINGS, REDUCERS = 12, 8, 6
+REDUCER = np.tile(np.arange(REDUCERS), RECORDINGS)
+RECORDING = np.repeat(np.arange(RECORDINGS), REDUCERS)
+NAMES = [*(f"m{number:02d}" for number in range(11)), "level_difference"]
+
+
+def make_study(
+    seed: int, *, planted: float = 0.0, reducer_sd: float = 0.0
+) -> tuple[pd.DataFrame, np.ndarray]:
+    """Make ratings, and metrics that resemble each other as those of reducers do; m03 says something if planted."""
+    rng = np.random.default_rng([321, seed])
+    size = len(REDUCER)
+    common = rng.normal(size=size)
+    metrics = {
+        name: 0.4 * common + 0.6 * rng.normal(size=REDUCERS)[REDUCER] + 0.5 * rng.normal(size=size)
+        for name in NAMES
+    }
+    felt = 50 + planted * metrics["m03"] + rng.normal(0, 6, RECORDINGS)[RECORDING]
+    felt += rng.normal(0, 8, size) + rng.normal(0, reducer_sd, REDUCERS)[REDUCER]
+    rows = pd.DataFrame({
+        "participant": np.repeat(np.arange(PEOPLE), size),
+        "recording": np.tile(RECORDING, PEOPLE),
+        "reducer": np.tile(REDUCER, PEOPLE),
+        **{name: np.tile(values, PEOPLE) for name, values in metrics.items()},
+    })
+    noise = np.repeat(rng.normal(0, 8, PEOPLE), size) + rng.normal(0, 10, len(rows))
+    return rows.assign(rating=np.tile(felt, PEOPLE) + noise), felt
+
+
+def correlate_plainly(rows: pd.DataFrame, metric: str) -> float:
+    """Correlate out of fold, recording by recording."""
+    items = rows.groupby(["recording", "reducer"])[[metric, "rating"]].mean()
+    items -= items.groupby("recording").transform("mean")
+    predicted = []
+    for recording, own in items.groupby("recording"):
+        rest = items.drop(recording, level="recording")
+        slope = max(0.0, (rest[metric] * rest["rating"]).sum() / (rest[metric] ** 2).sum())
+        predicted.append(slope * own[metric])
+    found = pd.concat(predicted)
+    both = np.sqrt((found**2).sum() * (items["rating"] ** 2).sum())
+    return float((found * items["rating"]).sum() / both) if both else 0.0
+
+
+def test_values_are_those_of_plain_loops() -> None:
+    rows, _ = make_study(1, planted=6.0)
+    ranking = rank_metrics(rows, NAMES, draws=20)
+    expected = {name: correlate_plainly(rows, name) for name in NAMES}
+    assert ranking.table["value"].to_dict() == pytest.approx(expected)
+    assert ranking.best == max(expected, key=lambda name: expected[name])
+    # Votes that are missing weigh stimuli by who is left; a duplicate changes nothing.
+    thin = rows.drop(rows.index[::7])
+    assert rank_metrics(thin, NAMES, draws=20).table.loc["m03", "value"] == pytest.approx(
+        correlate_plainly(thin.groupby(["recording", "reducer"]).mean().reset_index(), "m03")
+    )
+
+
+@pytest.mark.parametrize("reducer_sd", [0.0, 5.0])
+def test_where_nothing_is_planted_nothing_is_said(reducer_sd: float) -> None:
+    above_level, above_zero, missing = 0, 0, 0
+    for seed in range(40):
+        rows, felt = make_study(1000 + seed, reducer_sd=reducer_sd)
+        ranking = rank_metrics(rows, NAMES, draws=200, rng=seed)
+        table = ranking.table
+        above_level += bool(ranking.better)
+        above_zero += bool(((table["p"] < 0.05) & (table["value"] > 0)).any())
+        missing += ranking.alone
+        assert len(felt) == ranking.n_items
+    # Of 40 at 5 %: more than 6 in 3 of 1000 runs.
+    assert max(above_level, above_zero, missing) <= 6
+
+
+def test_a_planted_metric_is_named_and_stays_in_the_set_of_the_best() -> None:
+    better = first = inside = alone = wrong = 0
+    for seed in range(12):
+        rows, _ = make_study(2000 + seed, planted=25.0)
+        ranking = rank_metrics(rows, NAMES, draws=200, rng=seed)
+        better += "m03" in ranking.better
+        first += ranking.best == "m03"
+        inside += "m03" in ranking.candidates
+        alone += ranking.alone
+        wrong += ranking.alone and ranking.best != "m03"
+    assert (first, inside, wrong) == (12, 12, 0)
+    assert min(better, alone) >= 9
+
+
+def test_picking_the_best_of_nothing_is_worth_nothing() -> None:
+    found = [rank_metrics(make_study(3000 + seed)[0], NAMES, draws=2) for seed in range(40)]
+    honest = [one.honest_value for one in found]
+    fitted = [one.table["fitted"].max() for one in found]
+    # Standard error of a mean of 40 about 0.04; in fold, the best of twelve is far from zero.
+    assert np.mean(honest) < 0.12
+    assert np.mean(fitted) > 0.15
+
+
+def test_direction_is_that_which_is_declared() -> None:
+    rows, _ = make_study(4, planted=25.0)
+    worse = rows.assign(distance=100 - 7 * rows["m03"]).drop(columns="m03")
+    names = ["distance", *(name for name in NAMES if name != "m03")]
+    info = {"distance": MetricInfo("distance", higher="worse")}
+    ranking = rank_metrics(worse, names, draws=100, info=info)
+    plain = rank_metrics(rows, NAMES, draws=100)
+    assert ranking.best == "distance"
+    assert ranking.table.loc["distance", "value"] == pytest.approx(plain.table.loc["m03", "value"])
+    # Undeclared, higher is taken for better, and it predicts nothing that way.
+    assert rank_metrics(worse, names, draws=20).table.loc["distance", "value"] == 0
+
+
+def test_copies_and_constants_do_no_harm() -> None:
+    rows, _ = make_study(5, planted=25.0)
+    more = rows.assign(copy=2 * rows["m03"], same=1.0, each=rows["recording"])
+    ranking = rank_metrics(more, [*NAMES, "copy", "same", "each"], draws=100)
+    assert not ranking.alone
+    assert set(ranking.candidates) == {"m03", "copy"}
+    assert "Not ranked, the same for all stimuli of a recording: same, each." in ranking.notes
+    assert {"m03", "copy"} <= set(ranking.better)
+
+
+def test_ranks_withstand_an_outlier() -> None:
+    rows, _ = make_study(6, planted=25.0)
+    wild = rows.assign(m03=rows["m03"].where((rows["recording"] > 0) | (rows["reducer"] > 0), -1e4))
+    by_ranks = rank_metrics(wild, NAMES, method="spearman", draws=50)
+    assert by_ranks.best == "m03"
+    assert by_ranks.table.loc["m03", "value"] > 0.6
+    assert rank_metrics(wild, NAMES, draws=50).table.loc["m03", "value"] < 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "more", "message"),
+    [
+        (lambda rows: rows[rows["participant"] < 2], {}, "3 participants or more"),
+        (lambda rows: rows[rows["recording"] < 3], {}, "4 recordings of their own or more"),
+        (lambda rows: rows.assign(source="one"), {}, "4 recordings of their own or more"),
+        (lambda rows: rows, {"metrics": ["m01"]}, "2 metrics that vary"),
+        (lambda rows: rows, {"baseline": "hardness"}, "baseline must be one of"),
+        (lambda rows: rows, {"method": "kendall"}, "method must be one of pearson, spearman"),
+    ],
+)
+def test_what_cannot_be_ranked_is_refused(
+    change: Callable[[pd.DataFrame], pd.DataFrame], more: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        rank_metrics(change(make_study(1)[0]), **{"metrics": NAMES, "draws": 5} | more)
+
+
+# In the report.
+
+
+def add_columns(study: object, **columns: np.ndarray) -> None:
+    frame = pd.read_csv(study.manifest)
+    tests = frame["role"] == "test"
+    for name, values in columns.items():
+        frame[name] = np.nan
+        frame.loc[tests, name] = values[: int(tests.sum())]
+    frame.to_csv(study.manifest, index=False)
+
+
+def rank(study: object, **more: object) -> object:
+    further = Further(pd.DataFrame(), rivals=tuple(list_rivals(study.manifest)))
+    table = read_table(study.ratings, study.manifest, further=further, **more)
+    return rivals.compute(table, Choices(draws=100))
+
+
+def test_the_first_sentence_is_true_of_nothing_and_of_something(
+    files: Callable[..., object],
+) -> None:
+    rng = np.random.default_rng(7)
+    nothing = files(scales=("realism",), participants=8, recordings=6, spectral=0.0)
+    add_columns(nothing, level_difference=rng.normal(size=99), rough=rng.normal(size=99))
+    section = rank(nothing)
+    start = "Realism, best metric: None of the 3 other metrics is shown to predict realism ratings better than level"
+    assert section.answers[0].startswith(start)
+    assert str(section.verdict[0]) == section.answers[0]
+    something = files(scales=("realism",), participants=8, recordings=6, spectral=60.0, noise=4.0)
+    add_columns(something, level_difference=rng.normal(size=99), rough=rng.normal(size=99))
+    info = {"spectral_match": MetricInfo("spectral quality")}
+    told = rank(something, info=info).answers[0]
+    start = "Realism, best metric: Of 4 metrics, spectral match predicts realism ratings better than every other"
+    assert told.startswith(start)
+
+
+def test_no_comparison_where_none_is_asked_for(files: Callable[..., object]) -> None:
+    study = files(scales=("realism",))
+    assert rivals.compute(read_table(study.ratings, study.manifest), Choices(draws=10)).is_empty
