@@ -17,11 +17,13 @@ __all__ = [
     "Method",
     "Metric",
     "MetricInfo",
+    "OnGap",
     "PathLike",
     "Progress",
     "Reducer",
     "Rng",
     "Samples",
+    "Stream",
 ]
 
 Samples: TypeAlias = NDArray[np.float64]
@@ -52,11 +54,27 @@ Direction: TypeAlias = Literal["better", "worse"]
 """Which way a metric points: whether a larger value means a better match or a worse one."""
 
 
+OnGap: TypeAlias = Literal["raise", "hold", "zero"]
+"""What can stand for a missing sample: an error, the last sample that arrived (0 before the first), or 0."""
+
+
 class Reducer(Protocol):
     """A 321 transform."""
 
     def __call__(self, acceleration: Samples, rate_hz: float, /) -> Samples:
         """Reduce three axes, shape (..., 3, n), to one, shape (..., n)."""
+
+
+class Stream(Protocol):
+    """A reducer that is fed block by block; `latency_samples` is its constant delay."""
+
+    latency_samples: int
+
+    def process(self, block: Samples, /) -> Samples:
+        """Reduce the next samples, (3, k), to as many, (k,)."""
+
+    def flush(self) -> Samples:
+        """Return the last samples, as many as the latency."""
 
 
 class Metric(Protocol):

@@ -1,4 +1,4 @@
-"""`python -m feel321.stimuli`: golden vectors for a DFT321 in another language, out as WAV files and back."""
+"""`python -m feel321.stimuli`: golden vectors for reducers in another language, out as WAV files and back."""
 
 import argparse
 import sys
@@ -6,6 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from feel321.stimuli.conform import FORMS, check_outputs, golden_vectors, write_vectors
+from feel321.stimuli.conform_stream import (
+    LIST,
+    STREAMING,
+    check_stream_outputs,
+    stream_vectors,
+    write_stream_vectors,
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -18,21 +25,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("verb", choices=("write-vectors", "check-vectors"))
     parser.add_argument("folder", type=Path)
-    form = "which form the port implements"
-    parser.add_argument("--form", choices=FORMS, default="whole", help=form)
+    form = "which form the port implements; streaming: block by block, see vectors.json"
+    parser.add_argument("--form", choices=(*FORMS, "streaming"), default="whole", help=form)
+    reducer = "which streaming reducer the port implements"
+    parser.add_argument("--reducer", choices=STREAMING, default="dft321_windowed", help=reducer)
     chosen = parser.parse_args(arguments)
     try:
-        if chosen.verb == "write-vectors":
-            count = len(write_vectors(chosen.folder, form=chosen.form))
-            answer = "answer each NAME.wav with NAME.out.wav, then: check-vectors"
-            print(f"{count} inputs in {chosen.folder}; {answer}")
-        else:
-            check_outputs(chosen.folder, form=chosen.form)
-            print(f"conforms: {len(golden_vectors(chosen.form))} vectors")
+        print(_stream(chosen) if chosen.form == "streaming" else _convert(chosen))
     except (OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
     return 0
+
+
+def _convert(chosen: argparse.Namespace) -> str:
+    if chosen.verb == "write-vectors":
+        count = len(write_vectors(chosen.folder, form=chosen.form))
+        answer = "answer each NAME.wav with NAME.out.wav, then: check-vectors"
+        return f"{count} inputs in {chosen.folder}; {answer}"
+    check_outputs(chosen.folder, form=chosen.form)
+    return f"conforms: {len(golden_vectors(chosen.form))} vectors"
+
+
+def _stream(chosen: argparse.Namespace) -> str:
+    if chosen.verb == "write-vectors":
+        count = len(write_stream_vectors(chosen.folder, chosen.reducer))
+        answer = f"feed them as {LIST} says, answer with NAME.out.wav, latency included, then: check-vectors"
+        return f"{count} inputs in {chosen.folder}; {answer}"
+    check_stream_outputs(chosen.folder, chosen.reducer)
+    return f"conforms: {len(stream_vectors(chosen.reducer))} vectors"
 
 
 if __name__ == "__main__":

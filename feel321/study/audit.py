@@ -26,6 +26,7 @@ from feel321.protocols.questions import PREFIX, find_question
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import ASIDE, MATCHING, RATING_RANGE, Page, Trial
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
+from feel321.study.exploration.track import MOTION, name_track
 from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
 from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
 from feel321.study.ledger.rigs import describe_rigs, find_rig_use
@@ -343,21 +344,26 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
     steps = list(audit_steps(chain.records, plan))
     yield from steps
     if not steps:  # else records need not be as they should
-        yield from _audit_delivered(chain.records, path.parent / DELIVERED)
+        yield from _audit_files(chain.records, path.parent)
 
 
-def _audit_delivered(records: Sequence[Record], folder: Path) -> Iterator[str]:
-    """Compare the files of what was rendered or measured with their digests in the journal."""
+def _audit_files(records: Sequence[Record], folder: Path) -> Iterator[str]:
+    """Compare the files of what was rendered, measured or explored with their digests in the journal."""
     for record in records:
         played = record.content if record.event == events.PartPlayed.event else None
-        if not isinstance(played, events.PartPlayed) or not played.delivered_sha256:
+        if not isinstance(played, events.PartPlayed):
             continue
-        path = folder / name_delivered(int(played.measured.get("file_number", 0)))
-        name = f", line {record.sequence + 1}: {folder.name}/{path.name}"
-        if not path.is_file():
-            yield f"{name} is gone; restore it from a copy"
-        elif hashlib.sha256(path.read_bytes()).hexdigest() != played.delivered_sha256:
-            yield f"{name} was changed since it was written; restore it from a copy"
+        delivered = name_delivered(int(played.measured.get("file_number", 0)))
+        track = name_track(int(played.motion.get("file_number", 0)))
+        for path, sha256 in (
+            (folder / DELIVERED / delivered, played.delivered_sha256),
+            (folder / MOTION / track, played.motion_sha256),
+        ):
+            name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
+            if sha256 and not path.is_file():
+                yield f"{name} is gone; restore it from a copy"
+            elif sha256 and hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+                yield f"{name} was changed since it was written; restore it from a copy"
 
 
 def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) -> Iterator[str]:

@@ -14,6 +14,7 @@ from pathlib import Path
 from threading import Event, Lock
 from typing import TYPE_CHECKING
 
+from feel321.study.exploration.track import MOTION
 from feel321.study.observer.participant import (
     SPECTRAL,
     ObserverModel,
@@ -26,11 +27,12 @@ from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import Journal, list_journals, read_journal
 from feel321.study.session.plan import TOMBSTONE_FILE, Plan
-from feel321.study.settings.read import make_identity
+from feel321.study.settings.read import find_modes, make_identity
 
 if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
     from feel321.study.folder import StudyFolder
+    from feel321.study.session.ports import Presenter
     from feel321.study.settings.schema import Settings
 
 from feel321.stimuli.sets.manifest import read_stimuli
@@ -176,7 +178,9 @@ def _run(
         room,
         plan,
         identity=make_identity(settings, room.study.path, presenter),
-        make_presenter=partial(_make_observer, casting=casting),
+        make_presenter=partial(
+            _make_observer, casting=casting, settings=settings, study=room.study
+        ),
         on_step=lambda place: count(place.done),
     )
     return notice
@@ -184,8 +188,14 @@ def _run(
 
 @contextmanager
 def _make_observer(
-    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting
-) -> Iterator[SimulatedObserver]:
+    plan: Plan,
+    journal: Journal,
+    stimuli: Mapping[str, Stimulus],
+    *,
+    casting: Casting,
+    settings: Settings,
+    study: StudyFolder,
+) -> Iterator[Presenter]:
     observer = SimulatedObserver(
         casting.model,
         seed=casting.seed,
@@ -194,6 +204,16 @@ def _make_observer(
         elapsed_s=journal.records.find_elapsed(),
     )
     observer.recall(journal.records, plan.trials, stimuli=stimuli)
+    if modes := find_modes(settings):
+        from feel321.study.exploration.simulated import MovingPresenter
+
+        folder = study.sessions / plan.participant / MOTION
+        own = settings.session.exploration
+        yield MovingPresenter(
+            observer, modes, folder=folder, reference_m_s=own.reference_m_s,
+            seeds=(casting.seed, find_person(plan.participant)),
+        )  # fmt: skip
+        return
     yield observer
 
 

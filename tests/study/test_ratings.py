@@ -52,7 +52,7 @@ def test_columns_are_those_that_were_promised() -> None:
         "participant, session, protocol, block, trial, repeat, stimulus_id, recording, reducer, level, reference_id, "
         "scale, rating, response_time_s, onset_s, underruns, rejected, simulated, spectral_match_delivered, "
         "temporal_match_delivered, spectral_match_bounded_delivered, level_error_db, delivered_by, sensation_level_db, "
-        "other_id"
+        "other_id, motion_distance_m, motion_mean_speed_m_s"
     )
 
 
@@ -156,7 +156,8 @@ def test_a_row_has_what_was_delivered_of_the_playback_that_was_judged(
     (row,) = (
         row for row in read_judgements(tmp_path / "sessions" / "p01", stimuli) if row["trial"] == 11
     )
-    assert tuple(row[name] for name in RATING_COLUMNS[-7:-2]) == expected
+    first = RATING_COLUMNS.index("spectral_match_delivered")
+    assert tuple(row[name] for name in RATING_COLUMNS[first : first + 5]) == expected
 
 
 def test_a_session_that_was_begun_anew_counts_no_more_and_is_kept(

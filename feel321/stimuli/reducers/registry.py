@@ -20,7 +20,7 @@ References
 from collections.abc import Callable
 from functools import partial
 from inspect import signature
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -41,10 +41,7 @@ from feel321.stimuli.recording import (
     largest,
 )
 from feel321.stimuli.reducers import axes, fourier
-from feel321.types import Reducer, Samples
-
-OnGap = Literal["raise", "hold", "zero"]
-"""What can stand for a missing sample: an error, the last sample that arrived (0 before the first), or 0."""
+from feel321.types import OnGap, Reducer, Samples
 
 REDUCERS: Registry[Reducer] = Registry(
     "reducer",

@@ -26,6 +26,8 @@ from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify
 from feel321.study.actuator.simulated import SIMULATED, SimulatedStream
 from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
+from feel321.study.exploration.explorer import Explorer
+from feel321.study.exploration.track import find_latencies
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
 from feel321.types import Samples
@@ -54,9 +56,17 @@ class Output(Protocol):
         """Rig, device, rate and channels, for the journal's header; compared when a session is resumed."""
 
     def start(
-        self, stimulus: Stimulus | Tone | Scaled, *, gap_s: float, goes_on: bool = False
+        self,
+        stimulus: Stimulus | Tone | Scaled,
+        *,
+        gap_s: float,
+        goes_on: bool = False,
+        explorer: Explorer | None = None,
     ) -> None:
-        """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped."""
+        """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped.
+
+        explorer: what plays it as the hand moves.
+        """
 
     @property
     def is_playing(self) -> bool:
@@ -121,13 +131,23 @@ class FileOutput:
         }
 
     def start(
-        self, stimulus: Stimulus | Tone | Scaled, *, gap_s: float, goes_on: bool = False
+        self,
+        stimulus: Stimulus | Tone | Scaled,
+        *,
+        gap_s: float,
+        goes_on: bool = False,
+        explorer: Explorer | None = None,
     ) -> None:
         """Begin a playback."""
         scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         self._name = stimulus.stimulus_id
         self._cue = self._mixer.start(
-            self._name, gap_s=gap_s, scale=scale, goes_on=goes_on, lead_s=self.lead_s
+            self._name,
+            gap_s=gap_s,
+            scale=scale,
+            goes_on=goes_on,
+            lead_s=self.lead_s,
+            explorer=explorer,
         )
         self._blocks = []
         self._begin_s, self._first_frame = self._clock(), self._mixer.frame
@@ -156,6 +176,7 @@ class FileOutput:
             raise ValueError("no playback is over; start one and wait until is_playing is False")
         sent_s = self._begin_s + (cue.onset_frame - self._first_frame) / self._rate_hz
         error, sha256, measured = "", "", _measure_place(cue)
+        measured |= _measure_motion(cue, sent_s, rate_hz=self._rate_hz)
         try:
             samples = np.concatenate(self._blocks).T
             number, sha256 = write_delivered(self._folder, samples, rate_hz=self._rate_hz)
@@ -330,7 +351,12 @@ class StreamOutput:
         self._connection.close()
 
     def start(
-        self, stimulus: Stimulus | Tone | Scaled | str, *, gap_s: float, goes_on: bool = False
+        self,
+        stimulus: Stimulus | Tone | Scaled | str,
+        *,
+        gap_s: float,
+        goes_on: bool = False,
+        explorer: Explorer | None = None,
     ) -> None:
         """Schedule silence, then a stimulus; a dead device is opened again first, if it can be."""
         self._name = name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
@@ -345,7 +371,7 @@ class StreamOutput:
         self._take = take  # before the mixer knows, so that no block is missed
         scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         take.cue = self._mixer.start(
-            name, gap_s=gap_s, scale=scale, goes_on=goes_on, lead_s=self.lead_s
+            name, gap_s=gap_s, scale=scale, goes_on=goes_on, lead_s=self.lead_s, explorer=explorer
         )
         ahead_s = stream.compare_clocks(self._clock)
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
@@ -380,16 +406,15 @@ class StreamOutput:
                 self._requested_s, None, completed=False, error=self._error or "nothing was started"
             )
         cue, onset_s = take.cue, None
-        measured = {
-            **_measure_place(cue),
-            "blocks": float(take.n_blocks),
-            "callback_ms_max": take.longest_s * 1e3,
-        }
+        measured = {**_measure_place(cue), "blocks": float(take.n_blocks)}
+        measured["callback_ms_max"] = take.longest_s * 1e3
         if take.onset_s is not None:
-            measured["dac_time_s"] = take.onset_s
-            onset_s = take.onset_s + ahead_s + cue.lead_frames / self._rate_hz
+            sent_s = take.onset_s + ahead_s
+            onset_s = sent_s + cue.lead_frames / self._rate_hz
+            late = _measure_motion(cue, sent_s, rate_hz=self._rate_hz)
+            measured |= {"dac_time_s": take.onset_s, **late}
         was_cut = 0 < cue.n_played < len(cue.sound)
-        if self._stopped_s is not None and take.end_s is not None and was_cut:
+        if was_cut and self._stopped_s is not None and take.end_s is not None:
             measured["stop_s"] = take.end_s + ahead_s - self._stopped_s
         sensed, sha256 = self._scale_sensed(take), ""
         try:
@@ -448,11 +473,21 @@ def _measure_place(cue: Cue) -> dict[str, float]:
     return {"n_samples": float(cue.n_played), **before}
 
 
+def _measure_motion(cue: Cue, first_s: float, *, rate_hz: float) -> dict[str, float]:
+    """Measure how long after its report a motion is felt, where the hand drives the playback."""
+    if cue.explorer is None or not cue.n_played:
+        return {}
+    return find_latencies(cue.explorer, first_s=first_s, rate_hz=rate_hz)
+
+
 def _describe(
     check: Check | None, stimulus_id: str, cue: Cue, *, measured: ArrayLike | None
 ) -> Mapping[str, float]:
-    """Compare a playback that came to its end with what was asked; at another level than the set's, it is not."""
-    if check is None or not cue.is_complete or cue.scale != 1:
+    """Compare a playback that came to its end with what was asked.
+
+    At another level than the set's it is not, nor where the hand decided what was played.
+    """
+    if check is None or not cue.is_complete or cue.scale != 1 or cue.explorer is not None:
         return {}
     return check.describe(stimulus_id, cue.sound, measured)
 

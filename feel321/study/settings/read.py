@@ -226,6 +226,7 @@ def make_identity(
         "rig": settings.rig.of_stimuli(),
         "calibration": calibration,
         "presenter": presenter,
+        **identify_exploration(settings),
     }
 
 
@@ -242,6 +243,23 @@ def _leave_out_later(texts: dict[str, Any], protocols: Sequence[str]) -> None:
         texts["pages"].pop(f"instructions.{name}", None)
     for key in ASIDE:
         texts["pages"].pop(key, None)
+
+
+EXPLORABLE = ("realism", "similarity")
+"""Protocols whose stimuli the hand may drive."""
+
+
+def find_modes(settings: Settings) -> dict[str, str]:
+    """Find what the hand drives in each protocol that explores."""
+    tasks = ((name, settings.tasks.get(name)) for name in settings.session.protocols)
+    return {name: task.explore for name, task in tasks if task is not None and task.explore}
+
+
+def identify_exploration(settings: Settings) -> dict[str, Any]:
+    """Describe how a session explores, if it does, for the header of its journal."""
+    if not (modes := find_modes(settings)):
+        return {}
+    return {"exploration": {**settings.session.exploration.model_dump(), "modes": modes}}
 
 
 # What each table of `study.toml` may say by itself, but not together with the others.
@@ -292,6 +310,8 @@ def _check_matching(settings: Settings) -> Iterator[str]:
 
 def _check_tasks(settings: Settings) -> Iterator[str]:
     for name, table in settings.tasks.items():
+        if table.explore and name not in EXPLORABLE:
+            yield f"tasks.{name}.explore goes with {' and '.join(EXPLORABLE)} only; take it out"
         # Each setting by itself, so that every mistake is found; then all together.
         alone = [TaskTable(**{key: value}) for key, value in table if key in table.model_fields_set]
         found = [line for one in alone if (line := _try_task(name, one))]

@@ -1,0 +1,1 @@
+"""Active exploration: the hand's motion drives how a stimulus is played."""
