@@ -230,21 +230,6 @@ def make_identity(
     }
 
 
-LATER = ("triplet", "preference")
-"""Protocols that came when there were sessions already."""
-
-
-def _leave_out_later(texts: dict[str, Any], protocols: Sequence[str]) -> None:
-    """Leave out texts that came later and that a session does not show, so that one begun before can go on."""
-    # Pages aside from the plan ask nothing, and the plan holds what questions ask.
-    del texts["questions"]
-    for name in (name for name in LATER if name not in protocols):
-        texts["scales"].pop(name, None)
-        texts["pages"].pop(f"instructions.{name}", None)
-    for key in ASIDE:
-        texts["pages"].pop(key, None)
-
-
 EXPLORABLE = ("realism", "similarity")
 """Protocols whose stimuli the hand may drive."""
 
@@ -260,6 +245,21 @@ def identify_exploration(settings: Settings) -> dict[str, Any]:
     if not (modes := find_modes(settings)):
         return {}
     return {"exploration": {**settings.session.exploration.model_dump(), "modes": modes}}
+
+
+LATER = ("triplet", "preference")
+"""Protocols that came when there were sessions already."""
+
+
+def _leave_out_later(texts: dict[str, Any], protocols: Sequence[str]) -> None:
+    """Leave out texts that came later and that a session does not show, so that one begun before can go on."""
+    # Pages aside from the plan ask nothing, and the plan holds what questions ask.
+    del texts["questions"]
+    for name in (name for name in LATER if name not in protocols):
+        texts["scales"].pop(name, None)
+        texts["pages"].pop(f"instructions.{name}", None)
+    for key in ASIDE:
+        texts["pages"].pop(key, None)
 
 
 # What each table of `study.toml` may say by itself, but not together with the others.
