@@ -4,22 +4,10 @@ from dataclasses import dataclass, replace
 
 from feel321.protocols.questions import MOST_LETTERS, Answer, Question
 from feel321.study.keys import KeysTable, label_key
+from feel321.study.screen import view as ui
 from feel321.study.screen.drawing import GROUND, INK, Box, Sheet, Target
 from feel321.study.screen.input import InputEvent
-from feel321.study.screen.view import (
-    BLUE,
-    BODY,
-    DIM,
-    LINE,
-    PANEL,
-    QUESTION,
-    SMALL,
-    Button,
-    ScreenTexts,
-    View,
-    add_buttons,
-    add_hints,
-)
+from feel321.study.screen.view import ScreenTexts, View
 
 ENTER, BACKSPACE = "enter", "backspace"
 NUMBER_SIGNS = frozenset("0123456789.,-")
@@ -105,11 +93,11 @@ def add_question(sheet: Sheet, view: View, question: Question, *, texts: ScreenT
     body, unit = sheet.find_strip("body"), sheet.unit
     width = body.width if question.kind == "likert" else min(COLUMN * unit, body.width)
     left = (sheet.width - width) / 2
-    lines = sheet.wrap(question.question, width, QUESTION, bold=True)
-    height = sheet.find_height(len(lines), QUESTION)
+    lines = sheet.wrap(question.question, width, ui.QUESTION, bold=True)
+    height = sheet.find_height(len(lines), ui.QUESTION)
     needed = height + 3 * unit + _find_height(sheet, question, width)
     top = body.top + max(0.0, body.height - needed) * 0.4
-    sheet.write(Box(left, top, width, 0), lines, QUESTION, bold=True)
+    sheet.write(Box(left, top, width, 0), lines, ui.QUESTION, bold=True)
     top += height + 3 * unit
     box = Box(left, top, width, body.bottom - top)
     own = _QuestionLayout(sheet, view, question)
@@ -121,30 +109,32 @@ def add_question(sheet: Sheet, view: View, question: Question, *, texts: ScreenT
         own.add_options(box)
     if not question.required:
         strip = sheet.find_strip("top")
-        sheet.write(strip, texts.questions["optional"], SMALL, color=DIM)
-    leave = [Button(texts.keys["leave"], "pause")]
+        sheet.write(strip, texts.questions["optional"], ui.SMALL, color=ui.DIM)
+    leave = [ui.Button(texts.keys["leave"], "pause")]
     is_ready = question.name in view.felt
-    go_on = Button(texts.keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=True)
-    add_buttons(sheet, leave, [go_on])
-    add_hints(sheet, _list_hints(question, texts))
+    go_on = ui.Button(
+        texts.keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=True
+    )
+    ui.add_buttons(sheet, leave, [go_on])
+    ui.add_hints(sheet, _list_hints(question, texts))
 
 
 def find_question_overflows(question: Question, sheet: Sheet) -> list[str]:
     """Find what of a question is too long for a screen."""
     body, unit = sheet.find_strip("body"), sheet.unit
     width = min(COLUMN * unit, body.width)
-    lines = sheet.wrap(question.question, width, QUESTION, bold=True)
-    height = sheet.find_height(len(lines), QUESTION) + 3 * unit
+    lines = sheet.wrap(question.question, width, ui.QUESTION, bold=True)
+    height = sheet.find_height(len(lines), ui.QUESTION) + 3 * unit
     height += _find_height(sheet, question, width)
     room = width - 10 * unit
     if question.kind == "likert":
         room = _find_point_width(sheet, question)
         words = [word for text in question.options for word in text.split()]
-        too_wide = [word for word in words if sheet.measure(word, SMALL) > room]
-        wrapped = [sheet.wrap(text, room, SMALL) for text in question.options]
+        too_wide = [word for word in words if sheet.measure(word, ui.SMALL) > room]
+        wrapped = [sheet.wrap(text, room, ui.SMALL) for text in question.options]
         too_wide += [" ".join(block) for block in wrapped if len(block) > POINT_LINES]
     else:
-        too_wide = [text for text in question.options if sheet.measure(text, BODY) > room]
+        too_wide = [text for text in question.options if sheet.measure(text, ui.BODY) > room]
     faults = [f"its option {text!r} is too long for the screen; shorten it" for text in too_wide]
     if height > body.height:
         faults.append(
@@ -157,10 +147,10 @@ def _find_height(sheet: Sheet, question: Question, width: float) -> float:
     """Find the height of what is answered, in pixels."""
     unit = sheet.unit
     if question.kind == "likert":
-        return POINT * unit + sheet.find_height(POINT_LINES, SMALL)
+        return POINT * unit + sheet.find_height(POINT_LINES, ui.SMALL)
     if question.kind == "text":
-        letters = sheet.measure("n" * MOST_LETTERS, BODY)
-        return sheet.find_height(letters // (width - 6 * unit) + 2, BODY)
+        letters = sheet.measure("n" * MOST_LETTERS, ui.BODY)
+        return sheet.find_height(letters // (width - 6 * unit) + 2, ui.BODY)
     return (len(question.options) or 1.5) * ROW * unit
 
 
@@ -188,12 +178,16 @@ class _QuestionLayout:
             is_chosen = view.chosen == str(place)
             ink = GROUND if is_chosen else INK
             sheet.fill(
-                field, BLUE if is_chosen else PANEL, line=LINE, round_px=unit, line_px=0.2 * unit
+                field,
+                ui.BLUE if is_chosen else ui.PANEL,
+                line=ui.LINE,
+                round_px=unit,
+                line_px=0.2 * unit,
             )
             mark = Box(field.left + 2 * unit, field.top, 3 * unit, field.height)
-            sheet.write(mark, CHOSEN if is_chosen else OPEN, BODY, color=ink)
+            sheet.write(mark, CHOSEN if is_chosen else OPEN, ui.BODY, color=ink)
             words = Box(mark.right + 1.5 * unit, field.top, field.width - 10 * unit, field.height)
-            sheet.write(words, option, BODY, color=ink, bold=is_chosen)
+            sheet.write(words, option, ui.BODY, color=ink, bold=is_chosen)
             sheet.targets.append(Target(field, "choose", str(place)))
 
     def add_points(self, box: Box) -> None:
@@ -205,21 +199,27 @@ class _QuestionLayout:
             field = Box(box.left + place * step, box.top, step - 1.2 * unit, (POINT - 3) * unit)
             is_chosen = view.chosen == str(place)
             sheet.fill(
-                field, BLUE if is_chosen else PANEL, line=LINE, round_px=unit, line_px=0.2 * unit
+                field,
+                ui.BLUE if is_chosen else ui.PANEL,
+                line=ui.LINE,
+                round_px=unit,
+                line_px=0.2 * unit,
             )
             ink = GROUND if is_chosen else INK
             upper = Box(field.left, field.top, field.width, field.height * 0.62)
             lower = Box(field.left, upper.bottom, field.width, field.height * 0.38)
-            sheet.write(upper, str(place + 1), QUESTION, color=ink, bold=True, align="center")
+            sheet.write(upper, str(place + 1), ui.QUESTION, color=ink, bold=True, align="center")
             mark = CHOSEN if is_chosen else OPEN
-            sheet.write(lower, mark, SMALL, color=ink, align="center")
+            sheet.write(lower, mark, ui.SMALL, color=ink, align="center")
             sheet.targets.append(Target(field, "choose", str(place)))
             align, left = "center", field.left + field.width / 2 - room / 2
             if room > step:  # the words of the ends stand over several points
                 align = "left" if place == 0 else "right"
                 left = field.left if place == 0 else field.right - room
             words = Box(left, field.bottom + unit, room, 0)
-            sheet.write(words, sheet.wrap(text, room, SMALL) if text else [], SMALL, align=align)
+            sheet.write(
+                words, sheet.wrap(text, room, ui.SMALL) if text else [], ui.SMALL, align=align
+            )
 
     def add_field(self, box: Box) -> None:
         """Draw a field with what was typed, and a cursor."""
@@ -227,28 +227,28 @@ class _QuestionLayout:
         words = f"{view.typed}_"
         if question.kind == "number":
             field = Box(box.left, box.top, FIELD * unit, 1.5 * ROW * unit)
-            sheet.fill(field, PANEL, line=BLUE, round_px=unit, line_px=0.3 * unit)
+            sheet.fill(field, ui.PANEL, line=ui.BLUE, round_px=unit, line_px=0.3 * unit)
             inner = Box(field.left + 3 * unit, field.top, field.width - 6 * unit, field.height)
-            sheet.write(inner, words, QUESTION, bold=True)
+            sheet.write(inner, words, ui.QUESTION, bold=True)
             beside = Box(field.right + 3 * unit, field.top, box.right - field.right, field.height)
             if question.low is not None or question.high is not None:
-                sheet.write(beside, question.describe_range(), BODY, color=DIM)
+                sheet.write(beside, question.describe_range(), ui.BODY, color=ui.DIM)
             return
         field = Box(box.left, box.top, box.width, _find_height(sheet, question, box.width))
-        sheet.fill(field, PANEL, line=BLUE, round_px=unit, line_px=0.3 * unit)
+        sheet.fill(field, ui.PANEL, line=ui.BLUE, round_px=unit, line_px=0.3 * unit)
         room = field.width - 6 * unit
         lines = [
-            piece for line in sheet.wrap(words, room, BODY) for piece in _cut(sheet, line, room)
+            piece for line in sheet.wrap(words, room, ui.BODY) for piece in _cut(sheet, line, room)
         ]
-        most = max(1, int((field.height - 2 * unit) // sheet.find_height(1, BODY)))
-        sheet.write(Box(field.left + 3 * unit, field.top + unit, room, 0), lines[-most:], BODY)
+        most = max(1, int((field.height - 2 * unit) // sheet.find_height(1, ui.BODY)))
+        sheet.write(Box(field.left + 3 * unit, field.top + unit, room, 0), lines[-most:], ui.BODY)
 
 
 def _cut(sheet: Sheet, line: str, room: float) -> list[str]:
     """Cut a line that holds no space where it is too wide."""
     pieces, piece = [], ""
     for letter in line:
-        if piece and sheet.measure(piece + letter, BODY) > room:
+        if piece and sheet.measure(piece + letter, ui.BODY) > room:
             pieces.append(piece)
             piece = ""
         piece += letter

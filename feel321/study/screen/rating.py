@@ -4,25 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from feel321.protocols.trial import RATING_RANGE, Scale, Trial
+from feel321.study.screen import view as ui
 from feel321.study.screen.drawing import GROUND, INK, Box, Photo, Sheet, Target
-from feel321.study.screen.view import (
-    BLUE,
-    BODY,
-    DIM,
-    FELT,
-    LINE,
-    LINES,
-    LOOP,
-    ORANGE,
-    PANEL,
-    QUESTION,
-    SMALL,
-    Button,
-    ScreenTexts,
-    View,
-    add_buttons,
-    add_hints,
-)
+from feel321.study.screen.view import ScreenTexts, View
 
 BLOCK, BLOCK_TRACK, LEAST_PICTURE = 15.0, 4.0, 12.0
 """Heights, in units, of a slider where a trial has several, of its track, and of the least picture beside them."""
@@ -54,7 +38,7 @@ def _count_label_lines(scale: Scale, sheet: Sheet) -> int:
     """Count the lines that the longer label of a slider takes."""
     width = LABEL * _find_slider_width(sheet)
     labels = (scale.low_label, scale.high_label)
-    return max(len(sheet.wrap(label, width, BODY)) for label in labels)
+    return max(len(sheet.wrap(label, width, ui.BODY)) for label in labels)
 
 
 def _find_slider_width(sheet: Sheet) -> float:
@@ -64,7 +48,7 @@ def _find_slider_width(sheet: Sheet) -> float:
 
 def _add_track(sheet: Sheet, track: Box, *, is_ready: bool) -> None:
     """Draw a line with ends; none of its places stands out but these."""
-    color = DIM if is_ready else LINE
+    color = ui.DIM if is_ready else ui.LINE
     thick = max(2.0, 0.45 * sheet.unit)
     middle = track.top + track.height / 2
     sheet.fill(Box(track.left, middle - thick / 2, track.width, thick), color)
@@ -87,31 +71,33 @@ def _label_anchors(sheet: Sheet, track: Box, scale: Scale, *, top: float) -> Non
     """Write the words between the ends of a scale where they belong."""
     count = len(scale.anchors)
     for place, word in enumerate(scale.anchors):
-        width = sheet.measure(word, SMALL)
+        width = sheet.measure(word, ui.SMALL)
         x = track.left + track.width * (place / (count - 1) if count > 1 else 0.5)
-        box = Box(x - width / 2, top, width, sheet.find_height(1, SMALL))
-        sheet.write(box, word, SMALL, color=DIM, align="center")
+        box = Box(x - width / 2, top, width, sheet.find_height(1, ui.SMALL))
+        sheet.write(box, word, ui.SMALL, color=ui.DIM, align="center")
 
 
 def _label_inside(sheet: Sheet, below: Box, words: Sequence[str]) -> None:
     """Write words evenly along a slider, none of them beyond its ends."""
     for place, word in enumerate(words):
-        width = sheet.measure(word, SMALL)
+        width = sheet.measure(word, ui.SMALL)
         share = place / (len(words) - 1) if len(words) > 1 else 0.5
         left = below.left + share * below.width - width / 2
         left = min(max(left, below.left), below.right - width)
-        sheet.write(Box(left, below.top, width, below.height), word, SMALL, color=DIM)
+        sheet.write(Box(left, below.top, width, below.height), word, ui.SMALL, color=ui.DIM)
 
 
 def _add_bands(sheet: Sheet, grid: Box, scale: Scale) -> None:
     """Cut a list of sliders into equal bands, each with its word above: ITU-R BS.1534-3, attachment 1."""
     count, unit = len(scale.anchors), sheet.unit
-    height = sheet.find_height(1, SMALL)
+    height = sheet.find_height(1, ui.SMALL)
     for place, word in enumerate(scale.anchors):
         left, width = grid.left + place * grid.width / count, grid.width / count
-        sheet.write(Box(left, grid.top, width, height), word, SMALL, color=DIM, align="center")
+        sheet.write(
+            Box(left, grid.top, width, height), word, ui.SMALL, color=ui.DIM, align="center"
+        )
         if place:
-            sheet.fill(Box(left - 0.1 * unit, grid.top, 0.2 * unit, grid.height), LINE)
+            sheet.fill(Box(left - 0.1 * unit, grid.top, 0.2 * unit, grid.height), ui.LINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,10 +119,10 @@ class _TrialLayout:
             top += 10.5 * unit
         is_list = view.kind == "scales" and view.state != "stroking"
         if not is_list:
-            lines = sheet.wrap(self.find_question(), body.width, QUESTION, bold=True)
+            lines = sheet.wrap(self.find_question(), body.width, ui.QUESTION, bold=True)
             box = Box(body.left, top, body.width, 0)
-            sheet.write(box, lines, QUESTION, bold=True, align="center")
-            top += sheet.find_height(len(lines), QUESTION) + (1.5 if is_rows else 3.0) * unit
+            sheet.write(box, lines, ui.QUESTION, bold=True, align="center")
+            top += sheet.find_height(len(lines), ui.QUESTION) + (1.5 if is_rows else 3.0) * unit
         box = Box(body.left, top, body.width, body.bottom - top)
         if view.picture and not is_rows and not is_list:
             below = self.find_slider_height() if view.kind == "slider" else 0.0
@@ -146,13 +132,13 @@ class _TrialLayout:
             box = Box(box.left, top, box.width, body.bottom - top)
         self.add_answer(box)
         _add_left(sheet, view)
-        add_buttons(sheet, [Button(self.texts.keys["pause"], "pause")], self.list_buttons())
+        ui.add_buttons(sheet, [ui.Button(self.texts.keys["pause"], "pause")], self.list_buttons())
         if view.can_answer:
             hints = [self.texts.keys[key] for key in HINTS[view.kind]]
             if view.kind == "scales":
                 arrows = self.texts.keys["choose"].partition("  ")[0]
                 hints.insert(0, f"{arrows}  {self.texts.questions['pick']}")
-            add_hints(sheet, hints)
+            ui.add_hints(sheet, hints)
 
     def add_answer(self, box: Box) -> None:
         """Add what is answered."""
@@ -164,18 +150,18 @@ class _TrialLayout:
         prompt = self.texts.prompts["surface" if self.view.sample else "surface_unnamed"]
         return prompt.format(sample=self.view.sample)
 
-    def list_buttons(self) -> list[Button]:
+    def list_buttons(self) -> list[ui.Button]:
         keys, state = self.texts.keys, self.view.state
         is_open = state == "answering" or self.view.loops
         is_ready = state == "stroking" or (is_open and self.view.is_done)
-        confirm = Button(
+        confirm = ui.Button(
             keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=is_open
         )
         if state == "feeling":
-            return [Button(keys["stop"], "stop"), confirm]
+            return [ui.Button(keys["stop"], "stop"), confirm]
         if self.trial.timing == "strict":
             return [confirm]
-        return [Button(keys["again"], "again", is_ready=state == "answering"), confirm]
+        return [ui.Button(keys["again"], "again", is_ready=state == "answering"), confirm]
 
     def add_parts(self, top: float) -> None:
         sheet, unit = self.sheet, self.sheet.unit
@@ -185,12 +171,12 @@ class _TrialLayout:
             for part in self.trial.parts
         }
         # Wide enough that a tick stands apart from the name, which stays in the middle.
-        width = max(sheet.measure(name, BODY, bold=True) for name in names.values()) + 14 * unit
+        width = max(sheet.measure(name, ui.BODY, bold=True) for name in names.values()) + 14 * unit
         left = (sheet.width - len(names) * width - (len(names) - 1) * 2 * unit) / 2
         can_feel = self.view.state == "answering" and self.trial.timing != "strict"
         for part, name in names.items():
             box = Box(left, top, width, 7 * unit)
-            self.add_part(box, part, name, size=BODY)
+            self.add_part(box, part, name, size=ui.BODY)
             if can_feel:
                 sheet.targets.append(Target(box, "feel", part))
             left += width + 2 * unit
@@ -199,23 +185,23 @@ class _TrialLayout:
         """Draw a part: filled while it is on, ticked once it was felt."""
         sheet, size_px = self.sheet, size * self.sheet.unit
         is_on, is_felt = part == self.view.playing, part in self.view.felt
-        ink = GROUND if is_on else INK if is_felt else DIM
-        tick = sheet.measure(FELT, size, bold=True)
-        fill, line = (BLUE, "") if is_on else (PANEL, LINE)
+        ink = GROUND if is_on else INK if is_felt else ui.DIM
+        tick = sheet.measure(ui.FELT, size, bold=True)
+        fill, line = (ui.BLUE, "") if is_on else (ui.PANEL, ui.LINE)
         sheet.fill(box, fill, line=line, round_px=size_px / 2.5, line_px=size_px / 12)
         inner = Box(box.left + 1.6 * tick, box.top, box.width - 3.2 * tick, box.height)
         sheet.write(inner, name, size, color=ink, bold=True, align="center")
         if self.view.loops and is_on:
             left = Box(box.left + 0.5 * tick, box.top, tick, box.height)
-            sheet.write(left, LOOP, size, color=ink, bold=True)
+            sheet.write(left, ui.LOOP, size, color=ink, bold=True)
         if is_felt:
             right = Box(box.right - 1.5 * tick, box.top, tick, box.height)
-            sheet.write(right, FELT, size, color=ink, bold=True)
+            sheet.write(right, ui.FELT, size, color=ink, bold=True)
 
     def find_slider_height(self) -> float:
         """Compute the height of a slider with the number over it and the words under it, in pixels."""
         lines = 1 + bool(self.scale.anchors) + _count_label_lines(self.scale, self.sheet)
-        return (ABOVE + TRACK + UNDER) * self.sheet.unit + self.sheet.find_height(lines, BODY)
+        return (ABOVE + TRACK + UNDER) * self.sheet.unit + self.sheet.find_height(lines, ui.BODY)
 
     def add_slider(self, box: Box) -> None:
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
@@ -229,18 +215,18 @@ class _TrialLayout:
         if view.typed or value is not None:
             at = 0.5 if view.typed or value is None else value / RATING_RANGE[1]
             words = f"{view.typed}_" if view.typed or value is None else f"{value:.0f}"
-            number, size = sheet.measure("100_", QUESTION, bold=True), QUESTION * unit
+            number, size = sheet.measure("100_", ui.QUESTION, bold=True), ui.QUESTION * unit
             left = track.left + at * track.width - number / 2
-            over = Box(left, track.top - 1.9 * size, number, sheet.find_height(1, QUESTION))
-            sheet.write(over, words, QUESTION, bold=True, align="center")
-        _add_marker(sheet, track, value, color=BLUE if is_ready else LINE)
+            over = Box(left, track.top - 1.9 * size, number, sheet.find_height(1, ui.QUESTION))
+            sheet.write(over, words, ui.QUESTION, bold=True, align="center")
+        _add_marker(sheet, track, value, color=ui.BLUE if is_ready else ui.LINE)
         if is_ready:
             sheet.targets.append(Target(track.grow(2 * unit), "mark", part, track))
 
     def label_ends(self, track: Box) -> None:
         """Write the numbers and words of both ends under the track, and what stands in between."""
         sheet, scale = self.sheet, self.scale
-        step, top = sheet.find_height(1, BODY), track.bottom + UNDER * sheet.unit
+        step, top = sheet.find_height(1, ui.BODY), track.bottom + UNDER * sheet.unit
         if scale.anchors:
             _label_anchors(sheet, track, self.scale, top=top)
             top += step
@@ -250,15 +236,15 @@ class _TrialLayout:
             (RATING_RANGE[1], scale.high_label, "right", track.right - width),
         ):
             box = Box(left, top, width, step)
-            sheet.write(box, f"{number:.0f}", SMALL, color=DIM, align=align)
-            lines = sheet.wrap(label, width, BODY)
-            sheet.write(Box(left, top + step, width, step), lines, BODY, align=align)
+            sheet.write(box, f"{number:.0f}", ui.SMALL, color=ui.DIM, align=align)
+            lines = sheet.wrap(label, width, ui.BODY)
+            sheet.write(Box(left, top + step, width, step), lines, ui.BODY, align=align)
 
     def add_choice(self, box: Box) -> None:
         """Set what can be chosen side by side; what was chosen is framed and marked."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
         count, names = len(self.scale.choices), map(self.texts.name_part, self.scale.choices)
-        widest = max(sheet.measure(name, 2 * QUESTION, bold=True) for name in names)
+        widest = max(sheet.measure(name, 2 * ui.QUESTION, bold=True) for name in names)
         width, height = max(34 * unit, widest + 6 * unit), min(22 * unit, box.height)
         gap = 8 * unit
         left = (sheet.width - count * width - (count - 1) * gap) / 2
@@ -266,11 +252,11 @@ class _TrialLayout:
         for place, name in enumerate(self.scale.choices):
             field = Box(left + place * (width + gap), top, width, height)
             is_chosen = name == view.chosen
-            ink = GROUND if is_chosen else INK if view.can_answer else DIM
-            fill = BLUE if is_chosen else PANEL
-            sheet.fill(field, fill, line=LINE, round_px=2 * unit, line_px=0.3 * unit)
+            ink = GROUND if is_chosen else INK if view.can_answer else ui.DIM
+            fill = ui.BLUE if is_chosen else ui.PANEL
+            sheet.fill(field, fill, line=ui.LINE, round_px=2 * unit, line_px=0.3 * unit)
             words = self.texts.name_part(name)
-            sheet.write(field, words, 2 * QUESTION, color=ink, bold=True, align="center")
+            sheet.write(field, words, 2 * ui.QUESTION, color=ink, bold=True, align="center")
             if view.can_answer:
                 sheet.targets.append(Target(field, "choose", name))
 
@@ -289,15 +275,15 @@ class _RowsLayout(_TrialLayout):
         sheet, unit = self.sheet, self.sheet.unit
         rated = [judgement.part for judgement in self.trial.judgements]
         names = {part.name: self.texts.name_part(part.name) for part in self.trial.parts}
-        width = max(sheet.measure(name, SMALL, bold=True) for name in names.values()) + 9 * unit
-        step = sheet.find_height(1, SMALL)
+        width = max(sheet.measure(name, ui.SMALL, bold=True) for name in names.values()) + 9 * unit
+        step = sheet.find_height(1, ui.SMALL)
         left, head = box.left + width + 6 * unit, 2 * step + 1.2 * unit
         track = Box(left, box.top, box.right - 11 * unit - left, 0)
         row = min(ROW * unit, (box.height - head) / len(rated))
         half = track.width / 2
-        sheet.write(Box(left, box.top, half, step), self.scale.low_label, SMALL)
+        sheet.write(Box(left, box.top, half, step), self.scale.low_label, ui.SMALL)
         high = Box(left + half, box.top, half, step)
-        sheet.write(high, self.scale.high_label, SMALL, align="right")
+        sheet.write(high, self.scale.high_label, ui.SMALL, align="right")
         grid = Box(track.left, box.top + step, track.width, step + 1.2 * unit + len(rated) * row)
         _add_bands(sheet, grid, self.scale)
         fields = {
@@ -312,21 +298,21 @@ class _RowsLayout(_TrialLayout):
                 sheet.targets.append(Target(target, "mark", name, own))
             fields[name] = Box(box.left + unit, line.top + 0.04 * row, width - unit, 0.92 * row)
         for name, spot in fields.items():
-            self.add_part(spot, name, names[name], size=SMALL)
+            self.add_part(spot, name, names[name], size=ui.SMALL)
             sheet.targets.append(Target(spot, "feel", name))
 
     def add_row(self, name: str, line: Box, track: Box) -> None:
         sheet, unit = self.sheet, self.sheet.unit
         is_selected, value = name == self.view.selected, self.view.markers.get(name)
         if is_selected:
-            sheet.fill(line, "", line=LINE, line_px=0.2 * unit)
-            sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), BLUE)
+            sheet.fill(line, "", line=ui.LINE, line_px=0.2 * unit)
+            sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), ui.BLUE)
         _add_track(sheet, track, is_ready=self.view.can_rate(name))
-        _add_marker(sheet, track, value, color=BLUE if is_selected else INK)
+        _add_marker(sheet, track, value, color=ui.BLUE if is_selected else INK)
         if value is not None:
             width = line.right - track.right - 4 * unit
             box = Box(track.right + 3 * unit, line.top, width, line.height)
-            sheet.write(box, f"{value:.0f}", BODY, bold=True, align="right")
+            sheet.write(box, f"{value:.0f}", ui.BODY, bold=True, align="right")
 
 
 class _ScalesLayout(_TrialLayout):
@@ -360,24 +346,26 @@ class _ScalesLayout(_TrialLayout):
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
         is_selected, value = key == view.selected, view.markers.get(key)
         left, width = line.left + MARGIN * unit, line.width - (2 * MARGIN + VALUE) * unit
-        head = Box(left, line.top, width, sheet.find_height(1, BODY))
-        ink = INK if view.can_answer else DIM
-        sheet.write(head, f"{number}  {scale.question}", BODY, color=ink, bold=True)
+        head = Box(left, line.top, width, sheet.find_height(1, ui.BODY))
+        ink = INK if view.can_answer else ui.DIM
+        sheet.write(head, f"{number}  {scale.question}", ui.BODY, color=ink, bold=True)
         track = Box(left, head.bottom + 0.4 * unit, width, BLOCK_TRACK * unit)
         if is_selected:
-            sheet.fill(Box(line.left, head.top, 0.8 * unit, track.bottom - head.top), BLUE)
+            sheet.fill(Box(line.left, head.top, 0.8 * unit, track.bottom - head.top), ui.BLUE)
         _add_track(sheet, track, is_ready=view.can_answer)
-        _add_marker(sheet, track, value, color=BLUE if is_selected else INK)
+        _add_marker(sheet, track, value, color=ui.BLUE if is_selected else INK)
         words = f"{view.typed}_" if view.typed and is_selected else ""
         words = words or ("" if value is None else f"{value:.0f}")
         beside = Box(track.right + unit, track.top, (MARGIN + VALUE - 1) * unit, track.height)
-        sheet.write(beside, words, BODY, bold=True, align="right")
-        below = Box(track.left, track.bottom + 0.2 * unit, track.width, sheet.find_height(1, SMALL))
+        sheet.write(beside, words, ui.BODY, bold=True, align="right")
+        below = Box(
+            track.left, track.bottom + 0.2 * unit, track.width, sheet.find_height(1, ui.SMALL)
+        )
         if scale.anchors:
             _label_inside(sheet, below, scale.anchors)
         else:
-            sheet.write(below, scale.low_label, SMALL, color=DIM)
-            sheet.write(below, scale.high_label, SMALL, color=DIM, align="right")
+            sheet.write(below, scale.low_label, ui.SMALL, color=ui.DIM)
+            sheet.write(below, scale.high_label, ui.SMALL, color=ui.DIM, align="right")
         if view.can_answer:
             target = Box(
                 track.left - unit, head.top, track.width + 2 * unit, below.bottom - head.top
@@ -388,8 +376,8 @@ class _ScalesLayout(_TrialLayout):
 def _add_left(sheet: Sheet, view: View) -> None:
     """Write how long an answer may still take, where that is limited."""
     if view.state == "answering" and view.left_s:
-        color = ORANGE if view.left_s <= SOON_S else DIM
-        sheet.write(sheet.find_strip("top"), f"{view.left_s} s", SMALL, color=color)
+        color = ui.ORANGE if view.left_s <= SOON_S else ui.DIM
+        sheet.write(sheet.find_strip("top"), f"{view.left_s} s", ui.SMALL, color=color)
 
 
 def find_scale_overflows(scale: Scale, sheet: Sheet, *, is_shared: bool) -> list[str]:
@@ -399,11 +387,11 @@ def find_scale_overflows(scale: Scale, sheet: Sheet, *, is_shared: bool) -> list
 
 def _find_alone(scale: Scale, sheet: Sheet) -> list[str]:
     width = sheet.find_strip("body").width
-    question = len(sheet.wrap(scale.question, width, QUESTION, bold=True))
+    question = len(sheet.wrap(scale.question, width, ui.QUESTION, bold=True))
     return [
         f"scale {scale.name!r}: its {name} must take at most {most} lines, got {count}; shorten it"
         for name, count, most in (
-            ("question", question, LINES),
+            ("question", question, ui.LINES),
             ("longer label", _count_label_lines(scale, sheet), LABEL_LINES),
         )
         if count > most
@@ -413,13 +401,13 @@ def _find_alone(scale: Scale, sheet: Sheet) -> list[str]:
 def _find_shared(scale: Scale, sheet: Sheet) -> list[str]:
     width = sheet.find_strip("body").width - (2 * MARGIN + VALUE) * sheet.unit
     faults = []
-    if sheet.measure(f"0  {scale.question}", BODY, bold=True) > width:
+    if sheet.measure(f"0  {scale.question}", ui.BODY, bold=True) > width:
         faults.append("question must take one line")
-    longest = max(sheet.measure(words, SMALL) for words in (scale.low_label, scale.high_label))
+    longest = max(sheet.measure(words, ui.SMALL) for words in (scale.low_label, scale.high_label))
     if not scale.anchors and longest > LABEL * width:
         faults.append("longer label must take less than half a line")
     count = len(scale.anchors)
-    if any(sheet.measure(word, SMALL) > width / count for word in scale.anchors):
+    if any(sheet.measure(word, ui.SMALL) > width / count for word in scale.anchors):
         faults.append("anchors must fit side by side")
     return [
         f"scale {scale.name!r}: its {fault} where several scales are asked; shorten it"

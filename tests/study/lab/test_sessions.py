@@ -13,6 +13,7 @@ import pytest
 
 from feel321.stimuli.wav import read_wav
 from feel321.study.analyze import analyze_study
+from feel321.study.answers import write_answers
 from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
@@ -135,6 +136,68 @@ def test_choices_by_keys_are_killed_resumed_and_analysed(
     assert (rows["reference_id"] != "").tolist() == (rows["scale"] == "triplet").tolist()
     answers = json.loads((study.report / "results.json").read_text(encoding="utf-8"))["answers"]
     assert answers["choices"][0].startswith("Whether a metric predicts which of two stimuli ")
+
+
+ASKING = """
+[tasks.realism]
+scales = ["realism", "roughness", "hardness"]
+answer_timeout_s = 600.0
+[scales.roughness]
+question = "How rough did it feel?"
+low = "Smooth"
+high = "Rough"
+[scales.hardness]
+question = "How hard did it feel?"
+low = "Soft"
+high = "Hard"
+[[session.questions]]
+name = "age"
+kind = "number"
+question = "How old are you?"
+low = -5
+high = 99
+personal = true
+[[session.questions]]
+name = "hand"
+kind = "choice"
+question = "Which hand?"
+options = ["right", "left", "either"]
+[[session.questions]]
+name = "tired"
+kind = "likert"
+question = "How tired is your hand?"
+points = 7
+low = "not at all"
+high = "very tired"
+when = "between"
+[[session.questions]]
+name = "words"
+kind = "text"
+question = "What did you feel?"
+when = "after"
+"""
+
+
+def test_several_scales_and_questions_are_answered_by_keys(
+    lab: Any, make_study: Callable[..., StudyFolder], tmp_path: Path
+) -> None:
+    study = make_study("realism", reducers=("sax321", "mag321"))
+    with study.settings.open("a", encoding="utf-8") as file:
+        file.write(ASKING)
+    code, _, err = lab.run(study, "sim001", *HAND)
+    assert (code, err) == (0, "")
+    assert audit_study(study) == []
+    alone = ask_minds_alone(study, tmp_path / "alone")
+    assert list_answers(study) == list_answers(alone)
+    assert {tuple(values) for _, values in list_answers(study)} == {
+        ("test", "test:roughness", "test:hardness")
+    }
+    names = ("question", "occasion", "answer", "personal")
+    own, others = (
+        [[row[name] for name in names] for row in write_answers(one)] for one in (study, alone)
+    )
+    assert own == others
+    assert [row[0] for row in own] == ["age", "hand", "tired", "words"]
 
 
 def test_a_reference_of_three_axes_is_felt_through_the_sound_server(

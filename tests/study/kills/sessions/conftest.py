@@ -16,10 +16,12 @@ import pytest
 
 from feel321.protocols.detection import ThresholdBlock
 from feel321.protocols.matching import MatchingBlock
+from feel321.protocols.options import refine_task
+from feel321.protocols.questions import Question, label_points
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import read_scales
 from feel321.protocols.threshold import USUAL
-from feel321.protocols.trial import Flow
+from feel321.protocols.trial import Flow, Scale
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.audit import audit_study
 from feel321.study.folder import StudyFolder
@@ -39,7 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from feel321.protocols.trial import Page, Part, Scale, Task, Trial
+    from feel321.protocols.trial import Page, Part, Task, Trial
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.session.journal import Journal, Record
     from feel321.study.session.plan import Plan
@@ -62,7 +64,9 @@ TASKS: Mapping[str, tuple[Task, ...]] = {
         "realism": make_task("realism", surface=True),
         "similarity-strict": make_task("similarity", timing="strict", reference="surface"),
         "similarity-replay": make_task("similarity", timing="replay"),
-        "dissimilarity": make_task("dissimilarity"),
+        "dissimilarity": refine_task(
+            make_task("dissimilarity"), scales=["dissimilarity", "roughness"]
+        ),
         "mushra": make_task("mushra"),
         "abx": make_task("abx"),
         "triplet": make_task("triplet", reference="surface"),
@@ -70,7 +74,17 @@ TASKS: Mapping[str, tuple[Task, ...]] = {
         "blocks": make_task("realism"),
     }.items()
 }
-"""What each session consists of: every protocol, every timing, surfaces to stroke; thresholds and matches first."""
+"""What each session consists of: every protocol, every timing, surfaces to stroke; several scales and questions in one
+of them; thresholds and matches first."""
+
+SCALES = read_scales("en") | {"roughness": Scale("roughness", "How rough?", "Smooth", "Rough")}
+
+QUESTIONS = (
+    Question("age", "number", "How old?", low=18, high=99, personal=True),
+    Question("hand", "choice", "Which hand?", ("left", "right")),
+    Question("tired", "likert", "How tired?", label_points(7, "not", "very"), when="between"),
+    Question("last", "text", "Anything?", when="after", required=False),
+)
 
 BLOCK = ThresholdBlock(
     "bayesian", (40.0, 250.0), replace(USUAL, trials=4, catch_every=2), practice=1
@@ -100,6 +114,13 @@ class Scripted:
         if page.key == "break" and self._is_first("tired"):
             return Abort(self._pass(), "tired")
         return Confirm(self._pass(), {}, page.least_s)
+
+    def show_question(self, question: Question, place: Place) -> Confirm:
+        rng = np.random.default_rng([len(question.name), place.attempt])
+        value = question.low or "a word"
+        if question.choices:
+            value = question.choices[rng.integers(len(question.choices))]
+        return Confirm(self._pass(), {question.name: value}, 1.0)
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         self._mood = MOODS[(trial.number + 2 * place.attempt) % len(MOODS)]
@@ -180,6 +201,7 @@ class Session:
             flow=FLOW,
             threshold=BLOCK if self.task == "blocks" else None,
             matching=MatchingBlock("as_is") if self.task == "blocks" else None,
+            questions=QUESTIONS if self.task == "dissimilarity" else (),
         )
 
     def make_study(self, path: Path) -> StudyFolder:
@@ -198,7 +220,7 @@ class Session:
         ledger, _ = open_study_ledger(study)
         number = claim_slots(ledger, ["sim001"], simulated=True, now=now)["sim001"]
         plan = make_plan(self.design, self.stimuli, "sim001", number=number, simulated=True)
-        room = Room(study, self.stimuli, read_scales("en"), ledger, Stale(6.0, self.policy), now)
+        room = Room(study, self.stimuli, SCALES, ledger, Stale(6.0, self.policy), now)
         make_presenter = partial(self._make_presenter, memory=set())
         identity = {"presenter": identify_observer(MODEL, seed=3)}
         with pytest.MonkeyPatch.context() as patch:

@@ -1,0 +1,88 @@
+"""Answers of a whole study: simulated, derived, and gone with who withdraws."""
+
+from __future__ import annotations
+
+import csv
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+from feel321.protocols.questions import READY
+from feel321.study.answers import ANSWERS_FILE, write_answers
+from feel321.study.audit import audit_study
+from feel321.study.ledger.withdrawal import withdraw_participant
+from feel321.study.simulation import simulate_study
+from feel321.study.study import Study
+
+if TYPE_CHECKING:
+    from feel321.study.folder import StudyFolder
+
+ASKING = """
+[tasks.realism]
+scales = ["roughness", "realism"]
+[scales.roughness]
+question = "How rough did it feel?"
+low = "Smooth"
+high = "Rough"
+[[session.questions]]
+use = "demographics"
+"""
+
+
+def now() -> datetime:
+    return datetime.now(UTC)
+
+
+def read(study: StudyFolder, name: str) -> list[dict[str, str]]:
+    with (study.path / name).open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_scales_and_answers_from_session_to_table(smallest: StudyFolder) -> None:
+    with smallest.settings.open("a", encoding="utf-8") as file:
+        file.write(ASKING)
+    simulate_study(smallest, participants=2, seed=3, now=now)
+    assert audit_study(smallest) == []
+    ratings = read(smallest, "ratings.csv")
+    assert [row["scale"] for row in ratings] == ["roughness", "realism"] * 4
+    by_scale = {
+        scale: [row["rating"] for row in ratings if row["scale"] == scale]
+        for scale in ("roughness", "realism")
+    }
+    assert by_scale["roughness"] != by_scale["realism"]
+    answers = read(smallest, ANSWERS_FILE)
+    assert [row["question"] for row in answers] == [*READY["demographics"]] * 2
+    assert {row["personal"] for row in answers} == {"true"}
+    assert all(5 <= float(row["answer"]) <= 120 for row in answers if row["question"] == "age")
+    frame = Study(smallest).answers()
+    assert frame["answer"].tolist() == [row["answer"] for row in answers]
+    before = (smallest.path / ANSWERS_FILE).read_bytes()
+    simulate_study(
+        smallest, participants=2, seed=3, now=now
+    )  # finished sessions stay what they are
+    assert (smallest.path / ANSWERS_FILE).read_bytes() == before
+    withdraw_participant(smallest, "sim001", now=now)
+    assert {row["participant"] for row in read(smallest, ANSWERS_FILE)} == {"sim002"}
+    withdraw_participant(smallest, "sim002", now=now)
+    assert read(smallest, ANSWERS_FILE) == write_answers(smallest) == []
+
+
+def test_a_study_that_asks_nothing_has_no_table_of_answers(smallest: StudyFolder) -> None:
+    simulate_study(smallest, participants=1, seed=3, now=now)
+    assert not (smallest.path / ANSWERS_FILE).exists()
+
+
+def test_the_own_scale_is_answered_as_without_others(smallest: StudyFolder) -> None:
+    simulate_study(smallest, participants=2, seed=3, now=now)
+    alone = [row["rating"] for row in read(smallest, "ratings.csv")]
+    for name in ("sim001", "sim002"):
+        withdraw_participant(smallest, name, now=now)
+    other = smallest.path.parent / "other"
+    smallest.path.rename(other)
+    moved = type(smallest)(other)
+    for path in (moved.sessions, moved.ratings):
+        path.rename(path.with_name(f"former-{path.name}"))
+    with moved.settings.open("a", encoding="utf-8") as file:
+        file.write(ASKING)
+    simulate_study(moved, participants=2, seed=3, now=now)
+    own = [row["rating"] for row in read(moved, "ratings.csv") if row["scale"] == "realism"]
+    assert own == alone
