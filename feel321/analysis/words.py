@@ -72,7 +72,7 @@ def format_name(name: str) -> str:
     """
     plain = name.replace("spectral_match_bounded", "bounded_spectral_match").replace("_", " ")
     info = _DECLARED.get().get(name)
-    return plain if info is None or info.label.casefold() in {name, plain} else info.label
+    return plain if info is None or info.label == name else info.label
 
 
 Made = TypeVar("Made")

@@ -188,8 +188,11 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     best metric, each metric as the control of all others, one-sided (multiple comparisons with the best): the truly
     best metric is missing from the set in at most 5 % of studies.
 
-    In simulated studies of 12 people, 8 recordings, 6 reducers and 12 metrics of which none says anything, any was said
-    to predict, or to be better than the baseline, in 1 to 4 % (tests/analysis/test_ranking.py).
+    In simulated studies of 12 people, 8 recordings, 6 reducers and 12 metrics of which none says anything (120 a case),
+    any was said to predict in 0, 2 and 15 %, to be better than the baseline in 0, 0 and 7 %, where reducers differ by a
+    standard deviation of 0, 3 and 8 points for reasons that no metric knows: reducers are taken as these ones, others
+    may rank metrics differently. A metric that explains 25 points per unit of itself was said to be better than the
+    baseline in 98 %, and than every other metric in 89 %; one of 10 points in 42 and 16 %.
 
     References
     ----------

@@ -143,6 +143,7 @@ def _list_picked(found: list[tuple[RatingsPart, Ranking]]) -> Iterator[dict[Any,
 
 
 LEAD = "best metric"
+OTHERS = "Other reducers may rank metrics differently."
 
 
 def describe_ranking(part: RatingsPart, ranking: Ranking) -> Iterator[Line]:
@@ -172,14 +173,12 @@ def _describe_best(part: RatingsPart, ranking: Ranking) -> str:
     lead = f"Of {len(table)} metrics, "
     if ranking.alone:
         than = f", {level} included" if level else ""
-        return (
-            f"{lead}{best} predicts {ratings} better than every other{than}: out of fold {found}."
-        )
+        return f"{lead}{best} predicts {ratings} better than every other{than}: out of fold {found}. {OTHERS}"
     named = ranking.better if level else shown
     predict = f"{_name(named)} predict{'s' * (len(named) == 1)} {ratings}"
     return (
         f"{lead}{predict}{f' better than {level}' if level else ''}; which metric is best is open "
-        f"({len(ranking.candidates)} may be). {highest}"
+        f"({len(ranking.candidates)} may be). {highest} {OTHERS}"
     )
 
 
