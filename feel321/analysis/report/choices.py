@@ -231,7 +231,8 @@ def _describe(arm: _Arm, found: VotePrediction) -> str:
     shares, asked = found.shares, ASKED[arm.scale]
     lead = f"{arm.subject}: " if arm.several else ""
     if shares["p"].isna().all():
-        few = f"{found.n_participants} participants and {found.n_recordings} recordings"
+        counts = {"participant": found.n_participants, "recording": found.n_recordings}
+        few = " and ".join(f"{n} {name}{'s' * (n > 1)}" for name, n in counts.items())
         return f"{lead}Whether a metric predicts {asked} cannot be estimated with {few}."
     clear = shares[shares["p_holm"] < SIGNIFICANCE].sort_values("share", ascending=False)
     right, wrong = clear[clear["share"] > CHANCE], clear[clear["share"] < CHANCE]

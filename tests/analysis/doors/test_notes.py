@@ -13,7 +13,8 @@ from feel321.analysis.association.correlate import correlate
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.metrics import describe_further, describe_manifest
-from feel321.analysis.table.reading import ROSTER, read_table
+from feel321.analysis.table.reading import read_table
+from feel321.analysis.table.roster import ROSTER
 from feel321.analysis.table.schema import RATINGS
 from feel321.stimuli.sets.manifest import COLUMN_UNITS
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
