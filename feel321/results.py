@@ -19,6 +19,7 @@ from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.refined.refine import Refined
 from feel321.analysis.report.write import Results
+from feel321.analysis.screening.consistency import RaterModel
 from feel321.analysis.screening.screen import Screening
 from feel321.analysis.space import Alignment, Ellipses, Space
 from feel321.analysis.table.items import Table
@@ -37,49 +38,10 @@ from feel321.study.session.ports import Act, Place
 from feel321.study.status import Status
 
 __all__ = [
-    "P1401",
-    "Act",
-    "Advice",
-    "Alignment",
-    "Alpha",
-    "Association",
-    "Audit",
-    "Benchmark",
-    "BradleyTerry",
-    "Card",
-    "Chart",
-    "ChoiceModel",
-    "ChoicePower",
-    "Dependent",
-    "Difference",
-    "Discrimination",
-    "Ellipses",
-    "Embedding",
-    "Equivalence",
-    "Estimate",
-    "Further",
-    "Intraclass",
-    "MixedFit",
-    "Multiverse",
-    "NonInferiority",
-    "P1401Difference",
-    "Page",
-    "Part",
-    "Place",
-    "Primaries",
-    "Primary",
-    "Problems",
-    "ReducerDifference",
-    "Refined",
-    "RepeatedMeasures",
-    "Results",
-    "RotationStatistics",
-    "Screening",
-    "SessionEvent",
-    "Signal",
-    "Space",
-    "Status",
-    "Stress",
-    "Table",
-    "VotePrediction",
+    "P1401", "Act", "Advice", "Alignment", "Alpha", "Association", "Audit", "Benchmark", "BradleyTerry", "Card",
+    "Chart", "ChoiceModel", "ChoicePower", "Dependent", "Difference", "Discrimination", "Ellipses", "Embedding",
+    "Equivalence", "Estimate", "Further", "Intraclass", "MixedFit", "Multiverse", "NonInferiority", "P1401Difference",
+    "Page", "Part", "Place", "Primaries", "Primary", "Problems", "RaterModel", "ReducerDifference", "Refined",
+    "RepeatedMeasures", "Results", "RotationStatistics", "Screening", "SessionEvent", "Signal", "Space", "Status",
+    "Stress", "Table", "VotePrediction",
 ]  # fmt: skip

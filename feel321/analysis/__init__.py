@@ -34,6 +34,7 @@ from feel321.analysis.primary.model import fit_attributes, fit_primary
 from feel321.analysis.primary.multiverse import run_multiverse
 from feel321.analysis.refined.refine import refine_metric
 from feel321.analysis.report.write import write_report
+from feel321.analysis.screening.consistency import rater_model
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.space import align_spaces, fit_space
@@ -48,15 +49,15 @@ __all__ = [
     "embed_triplets", "equivalence", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space",
     "intraclass", "krippendorff_alpha", "noise_ceiling", "non_inferiority", "p1401", "plan_choices",
     "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram", "plot_spectrum",
-    "predict_votes", "profile_reducers", "read_table", "refine_metric", "repeated_measures_correlation",
+    "predict_votes", "profile_reducers", "rater_model", "read_table", "refine_metric", "repeated_measures_correlation",
     "run_multiverse", "screen_raters", "stress", "tabulate_correlations", "write_report",
 ]  # fmt: skip
 
 _RECORDS = (
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "ChoiceModel", "ChoicePower", "Dependent",
     "Difference", "Discrimination", "Ellipses", "Embedding", "Equivalence", "Estimate", "Further", "Intraclass",
-    "MixedFit", "Multiverse", "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "Refined",
-    "RepeatedMeasures", "Results", "Screening", "Space", "VotePrediction",
+    "MixedFit", "Multiverse", "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "RaterModel",
+    "Refined", "RepeatedMeasures", "Results", "Screening", "Space", "VotePrediction",
 )  # fmt: skip
 
 _OLD = {

@@ -11,7 +11,7 @@ between two steps.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -28,7 +28,9 @@ from feel321.analysis.arrays import (
     read_groups,
 )
 from feel321.analysis.table.items import Table, is_tidy, make_items
+from feel321.doors import check_name
 from feel321.records import Result
+from feel321.types import Direction
 
 UNIT = (0.0, 1.0)
 
@@ -43,8 +45,10 @@ FEW_ITEMS = 30
 """With fewer items a cubic bends to noise: the first order leads."""
 
 
-def fit_monotone_cubic(x: Values, y: Values, *, span: tuple[float, float]) -> Polynomial:
-    """Least-squares cubic that rises, or falls, over all of an interval.
+def fit_monotone_cubic(
+    x: Values, y: Values, *, span: tuple[float, float], sign: int = 0
+) -> Polynomial:
+    """Least-squares cubic that rises, or falls, over all of an interval; by sign 1, -1, or 0 for whichever fits better.
 
     Notes
     -----
@@ -62,22 +66,21 @@ def fit_monotone_cubic(x: Values, y: Values, *, span: tuple[float, float]) -> Po
     """
     u = (x - span[0]) / (span[1] - span[0])
     cubic = Polynomial.fit(u, y, 3, domain=UNIT, window=UNIT)
-    if not _is_monotone(cubic):
+    if not _is_monotone(cubic, sign):
         # The best rising or falling cubic among those whose slope is 0 somewhere.
-        falling = (-cubic for cubic in _list_candidates(u, -y))
-        cubic = min(
-            (*_list_candidates(u, y), *falling),
-            key=lambda cubic: float(((y - cubic(u)) ** 2).sum()),
-        )
+        rising = _list_candidates(u, y) if sign >= 0 else ()
+        falling = (-cubic for cubic in _list_candidates(u, -y)) if sign <= 0 else ()
+        cubic = min((*rising, *falling), key=lambda cubic: float(((y - cubic(u)) ** 2).sum()))
     return Polynomial(cubic.coef, domain=span, window=UNIT)
 
 
-def _is_monotone(cubic: Polynomial) -> bool:
+def _is_monotone(cubic: Polynomial, sign: int = 0) -> bool:
     slope = cubic.deriv()
     turn = slope.deriv()
     inner = -turn.coef[0] / turn.coef[1] if turn.coef[1] else 0.0
     extremes = slope(np.array([*UNIT, inner if 0 < inner < 1 else 0.0]))
-    return bool((extremes >= 0).all() or (extremes <= 0).all())
+    rises, falls = bool((extremes >= 0).all()), bool((extremes <= 0).all())
+    return (rises and sign >= 0) or (falls and sign <= 0)
 
 
 def _list_candidates(u: Values, y: Values) -> Iterator[Polynomial]:
@@ -168,12 +171,13 @@ class P1401(Result):
 
 
 class _Votes(NamedTuple):
-    """Items: metric, mean vote, half its interval, and the mapping's order."""
+    """Items: metric, mean vote, half its interval, the mapping's order, and its direction (0: either)."""
 
     x: Values
     mos: Values
     interval: Values
     order: int
+    sign: int = 0
 
 
 def p1401(
@@ -182,6 +186,7 @@ def p1401(
     *,
     order: int = 3,
     groups: ArrayLike | None = None,
+    higher: Direction | None = None,
 ) -> P1401:
     """Judge a metric against votes as ITU-T P.1401 does.
 
@@ -199,6 +204,8 @@ def p1401(
         What each item belongs to, usually its recording (``"recording"`` for ratings). Given, every item is predicted
         by a mapping fitted without its group; without it, the errors are those of a mapping fitted to the same
         items, and flatter the metric.
+    higher : {"better", "worse"}, optional
+        Which way the metric points: the mapping may only rise, or only fall. Whichever fits better if left out.
 
     Returns
     -------
@@ -209,8 +216,9 @@ def p1401(
     -----
     Per item with n votes and standard deviation s (n - 1): MOS, and ci = q s / √n with q = t(.975, n - 1)
     below 30 votes and 1.96 from there on. The mapping is least squares and monotone over the metric's whole
-    range, rising or falling, whichever fits better. Out of fold, a cubic is held at its
-    end for items beyond the range that it was fitted on, where it would shoot off; a note counts them. With
+    range. A metric that goes against its declared direction is mapped to a constant, and has no PLCC. Out of fold, a
+    cubic is held at its end for items beyond the range that it was fitted on, where it would shoot off; a note counts
+    them. With
     e = MOS - MOSp and d = 4 (cubic), 2 (line) or 1 (none, and out of fold: nothing was fitted to the item)::
 
         rmse  = √(Σ e² / (N - d))
@@ -242,7 +250,7 @@ def p1401(
         votes, metric = items.ratings.T, items.metrics[0]
         groups = items.recordings if isinstance(groups, str) else groups
     check_labels(votes, metric, what="metric")
-    given = _read_votes(votes, metric, order)
+    given = _read_votes(votes, metric, order)._replace(sign=_find_sign(higher))
     mapping, notes = _fit_mapping(given, np.ones(len(given.x), bool)), list[str]()
     mapped = np.asarray(mapping(given.x), np.float64)
     if groups is not None:
@@ -270,6 +278,13 @@ def p1401(
         rmse_n1=root_mean_square(errors, n - 1), rmse_star_n1=root_mean_square(excess, n - 1),
         mos=mos, interval=given.interval, mapped=mapped, held_out=groups is not None, notes=tuple(notes),
     )  # fmt: skip
+
+
+def _find_sign(higher: Direction | None) -> int:
+    """Find which way a mapping may go: 1 up, -1 down, 0 either."""
+    if higher is None:
+        return 0
+    return 1 if check_name(higher, get_args(Direction), "higher") == "better" else -1
 
 
 def _explain(plcc: float, given: _Votes) -> Iterator[str]:
@@ -326,8 +341,10 @@ def _fit_mapping(given: _Votes, chosen: Values) -> Polynomial:
     if given.order == 0:
         return Polynomial([0.0, 1.0])
     if given.order == 1:
-        return Polynomial.fit(x, mos, 1, domain=span, window=UNIT)
-    return fit_monotone_cubic(x, mos, span=span)
+        line = Polynomial.fit(x, mos, 1, domain=span, window=UNIT)
+        against = line.coef[1] * given.sign < 0
+        return Polynomial([mos.mean(), 0.0], domain=span, window=UNIT) if against else line
+    return fit_monotone_cubic(x, mos, span=span, sign=given.sign)
 
 
 def _list_coefficients(mapping: Polynomial, order: int) -> tuple[float, ...]:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.contrasts.compare import profile_reducers, stimulus_means
-from feel321.analysis.table.items import Table, open_tests, order_reducers
+from feel321.analysis.table.items import Table, open_tests
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.words import capitalise, format_axis, format_measure, format_name
 
 if TYPE_CHECKING:

@@ -3,11 +3,20 @@
 One place formats names and numbers for a reader, so that text, tables and figures agree.
 """
 
+from __future__ import annotations
+
 import math
 import re
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from feel321.types import MetricInfo
 
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"
@@ -27,6 +36,12 @@ TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SP
 
 PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
 """Suffix of a metric's name in a model -> how it is written."""
+
+_DECLARED: ContextVar[Mapping[str, MetricInfo]] = ContextVar(
+    "declared", default=MappingProxyType({})
+)
+"""What the metrics of the report that is being written declare. Not an argument: names are put into words in some
+eighty places, most of which take what they name from a table's cell, and a report is written as a whole."""
 
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",
@@ -55,7 +70,28 @@ def format_name(name: str) -> str:
     >>> format_name("equal_intensity"), format_name("spectral_match_bounded_delivered")
     ('equal intensity', 'bounded spectral match delivered')
     """
-    return name.replace("spectral_match_bounded", "bounded_spectral_match").replace("_", " ")
+    plain = name.replace("spectral_match_bounded", "bounded_spectral_match").replace("_", " ")
+    info = _DECLARED.get().get(name)
+    return plain if info is None or info.label.casefold() in {name, plain} else info.label
+
+
+Made = TypeVar("Made")
+
+
+@contextmanager
+def declaring(info: Mapping[str, MetricInfo]) -> Iterator[None]:
+    """Call metrics by the labels that they declare, while a report is written."""
+    token = _DECLARED.set(info)
+    try:
+        yield
+    finally:
+        _DECLARED.reset(token)
+
+
+def make_declaring(info: Mapping[str, MetricInfo], make: Callable[[], Made]) -> Made:
+    """Make a figure, perhaps in another process, in which metrics are called by the labels that they declare."""
+    with declaring(info):
+        return make()
 
 
 def keep_together(value: object) -> object:
@@ -145,8 +181,14 @@ def format_measure(scale: str) -> str:
 
 
 def format_axis(metric: str) -> str:
-    """Label an axis by its metric."""
-    return METRIC_AXES.get(metric, capitalise(format_name(metric)))
+    """Label an axis by its metric, with its unit, and where lower is better."""
+    if metric in METRIC_AXES:
+        return METRIC_AXES[metric]
+    info, name = _DECLARED.get().get(metric), capitalise(format_name(metric))
+    if info is None:
+        return name
+    more = ", ".join(filter(None, (info.unit, "lower is better" * (info.higher == "worse"))))
+    return f"{name} ({more})" if more else name
 
 
 def join_words(names: Sequence[str], last: str = "and") -> str:

@@ -6,6 +6,7 @@ Knows nothing of signals, screens or files: a trial names a stimulus by its id.
 from feel321.doors import forward_old_names as _forward_old_names
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.balance import Balance, measure_balance
+from feel321.protocols.options import refine_task
 from feel321.protocols.order import ORDERS, make_order
 from feel321.protocols.questions import Question
 from feel321.protocols.tasks import PROTOCOLS, make_task, score_trial
@@ -28,6 +29,7 @@ __all__ = [
     "make_task",
     "measure_balance",
     "read_scales",
+    "refine_task",
     "score_trial",
 ]
 

@@ -10,6 +10,7 @@ from math import gcd
 from typing import TYPE_CHECKING, Any
 
 from feel321.doors import Registry, as_rng, check_name, describe
+from feel321.protocols.arms import ask_on_scales
 from feel321.protocols.balance import MIXABLE, shuffle_rows, williams_square
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import RATING_RANGE, Comparison, Item, Task, Trial, Trials
@@ -43,7 +44,8 @@ class TaskTrials:
         turn += index + list(self.groups).index(recording)
         chosen = protocol.arrange(groups[recording][index], turn)
         names = (protocol.name, protocol.scale, task.timing, recording)
-        return Trial(0, 0, 0, *names, chosen.parts, chosen.judgements, phase, chosen.catch)
+        asked = ask_on_scales(chosen.judgements, task.scales, own=protocol.scale)
+        return Trial(0, 0, 0, *names, chosen.parts, asked, phase, chosen.catch)
 
 
 def _gather_trials(items: Sequence[Item], tasks: Sequence[Task]) -> Iterator[TaskTrials]:

@@ -67,6 +67,7 @@ from feel321.protocols.choosing import (
     teach_abx,
 )
 from feel321.protocols.trial import (
+    FREE,
     ORIGINAL,
     RATING_RANGE,
     SURFACE,
@@ -110,6 +111,11 @@ class Protocol:
     def scale(self) -> str:
         """Name of its scale."""
         return self.name
+
+    @property
+    def has_slider(self) -> bool:
+        """Whether a trial has one slider, beside which there may be others."""
+        return not self.choices and FREE not in self.timings
 
     def make_lessons(self, items: Items, task: Task) -> Comparisons:
         """Make the comparisons of training."""
@@ -237,7 +243,7 @@ _ALL = (
         "mushra",
         ("recording", "level"),
         _compare_mushra,
-        timings=("free",),
+        timings=(FREE,),
         references=(ORIGINAL, "reducer"),
         arrange=_arrange_mushra,
         sure_end=RATING_RANGE[1],
@@ -373,7 +379,7 @@ def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, fl
     Returns
     -------
     dict of str to float
-        Points, 0 to 100, by the part that is judged, in the trial's order.
+        Points, 0 to 100, by the part that is judged (and the scale), in the trial's order.
 
     Raises
     ------
@@ -395,7 +401,7 @@ def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, fl
     """
     protocol = PROTOCOLS[trial.protocol]
     parts = {part.name: part.stimulus_id for part in trial.parts}
-    return {j.part: protocol.score(j, values[j.part], parts) for j in trial.judgements}
+    return {j.key: protocol.score(j, values[j.key], parts) for j in trial.judgements}
 
 
 def find_other(trial: Trial, judgement: Judgement) -> str | None:
@@ -409,11 +415,11 @@ def find_other(trial: Trial, judgement: Judgement) -> str | None:
 
 def is_as_expected(trial: Trial, values: Mapping[str, float | str]) -> bool | None:
     """Check whether all answers lie where those of someone who has understood do; None where any will do."""
-    known = [(judgement.part, j) for judgement in trial.judgements if (j := judgement.expected)]
+    known = [(judgement.key, j) for judgement in trial.judgements if (j := judgement.expected)]
     if not known:
         return None
     points = score_trial(trial, values)
-    return all(low <= points[part] <= high for part, (low, high) in known)
+    return all(low <= points[key] <= high for key, (low, high) in known)
 
 
 def measure_chance(trial: Trial) -> float:

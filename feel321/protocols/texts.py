@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.resources import files
@@ -71,10 +71,15 @@ def read_scales(language: str | PathLike = MODEL) -> dict[str, Scale]:
     >>> protocols.read_scales("en")["similarity"].high_label
     'Identical'
     """
+    return make_scales(read_texts(language))
+
+
+def make_scales(texts: Mapping[str, Any]) -> dict[str, Scale]:
+    """Make the scales of all texts of a language, by name."""
     scales = {}
-    for name, own in read_texts(language)["scales"].items():
-        texts: dict[str, Any] = {k: tuple(t) if isinstance(t, list) else t for k, t in own.items()}
-        scales[name] = Scale(name, **texts)
+    for name, own in texts["scales"].items():
+        words: dict[str, Any] = {k: tuple(t) if isinstance(t, list) else t for k, t in own.items()}
+        scales[name] = Scale(name, **words)
     return scales
 
 
@@ -134,10 +139,33 @@ language = "{language}"  # of all that is not changed here
 def _read_own(path: Path) -> dict[str, Any]:
     own, base = _parse_own(path)
     texts = _merge(base, own)
-    if gaps := find_gaps(texts, read_texts()):
+    if gaps := find_gaps(_leave_out_own_scales(texts), read_texts()):
         known = [place for place, _ in _flatten(base)]
         raise ValueError("\n".join(f"{path}: {gap}{_advise(gap, known)}" for gap in gaps))
     return texts
+
+
+_SCALE = {"question", "low_label", "high_label"}
+"""The texts of a scale; it may have `anchors` too."""
+
+
+def _leave_out_own_scales(texts: dict[str, Any]) -> dict[str, Any]:
+    """Leave out scales of a lab's own that have all their texts."""
+    scales = texts["scales"]
+    if not isinstance(scales, dict):
+        return texts
+    known = read_texts()["scales"]
+    return texts | {
+        "scales": {k: entry for k, entry in scales.items() if k in known or not _is_scale(entry)}
+    }
+
+
+def _is_scale(entry: object) -> bool:
+    if not isinstance(entry, dict) or not _SCALE <= entry.keys() <= _SCALE | {"anchors"}:
+        return False
+    anchors = entry.get("anchors", ["-"])
+    words = [*(entry[name] for name in _SCALE), *(anchors if isinstance(anchors, list) else [0])]
+    return all(isinstance(word, str) and word.strip() for word in words)
 
 
 def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 RATING_RANGE = (0.0, 100.0)
 """Lowest and highest rating of every scale, in points."""
 
-TIMINGS = ("strict", "replay", "free")
+FREE = "free"
+TIMINGS = ("strict", "replay", FREE)
 """How the parts of a trial are felt: once in order; in order and again at will; at will from the start."""
 
 SURFACE = "surface"
@@ -35,13 +36,13 @@ FLAGS = ("underrun", "clipped", "device_error", "not_delivered", "too_fast", "no
 PAGES = (
     "welcome", "consent", "threshold_next", "threshold_done", "matching_done", "instructions", "training", "expected",
     "unexpected", "training_passed", "training_again", "training_failed", "practice", "main", "break", "rest", "pause",
-    "ready", "call_us", "warm_up", "end",
+    "ready", "call_us", "timed_out", "warm_up", "end",
 )  # fmt: skip
 """Keys of all pages; that of `instructions` is followed by a dot and the protocol."""
 
-ASIDE = ("ready", "call_us")
-"""Pages that no plan holds: they wait for the participant after an interruption, or for the experimenter after a
-failure of the device, and change nothing about what comes next."""
+ASIDE = ("ready", "call_us", "timed_out")
+"""Pages that no plan holds: they wait for the participant after an interruption or an answer that did not come in time,
+or for the experimenter after a failure of the device, and change nothing about what comes next."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +61,8 @@ class Scale:
         Words along the slider, evenly spaced from 0 to 100; may be none.
     choices : tuple of str
         Names of the parts to choose from; none where there is a slider.
+    further : tuple of Scale
+        The other scales of the same trial, where it asks for several.
     """
 
     name: str
@@ -68,6 +71,22 @@ class Scale:
     high_label: str
     anchors: tuple[str, ...] = ()
     choices: tuple[str, ...] = ()
+    further: tuple[Scale, ...] = ()
+
+    def find(self, name: str) -> Scale:
+        """Find the scale of a judgement.
+
+        Parameters
+        ----------
+        name : str
+            Its name; empty for the trial's own.
+
+        Returns
+        -------
+        Scale
+            This one, or one of the others of the same trial.
+        """
+        return next((scale for scale in self.further if scale.name == name), self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,13 +137,20 @@ class Judgement:
     """One answer that a trial asks for; it becomes one row of `ratings.csv`.
 
     reference_id: a stimulus, `surface`, or None where the judgement is absolute. expected: lowest and highest
-    rating of a participant who has understood the task; None where any rating will do.
+    rating of a participant who has understood the task; None where any rating will do. scale: where it is not that of
+    the trial.
     """
 
     part: str
     stimulus_id: str
     reference_id: str | None = None
     expected: tuple[float, float] | None = None
+    scale: str = ""
+
+    @property
+    def key(self) -> str:
+        """What names its answer: the part, and the scale where it is not that of the trial."""
+        return f"{self.part}:{self.scale}" if self.scale else self.part
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,14 +209,14 @@ class Trial:
 
     @property
     def judged(self) -> list[str]:
-        """Names of the parts that are judged.
+        """Names of the answers: of the parts that are judged, each followed by a scale that is not the trial's own.
 
         Returns
         -------
         list of str
-            In the order of the judgements.
+            In the order of the judgements, such as `test` and `test:roughness`.
         """
-        return [judgement.part for judgement in self.judgements]
+        return [judgement.key for judgement in self.judgements]
 
 
 class Trials(tuple[Trial, ...]):
@@ -234,9 +260,15 @@ class Trials(tuple[Trial, ...]):
             "catch",
         ]
         rows = [
-            [*(getattr(trial, name) for name in columns), j.part, j.stimulus_id, j.reference_id]
+            {
+                **{name: getattr(trial, name) for name in columns},
+                "scale": judgement.scale or trial.scale,
+                "part": judgement.part,
+                "stimulus_id": judgement.stimulus_id,
+                "reference_id": judgement.reference_id,
+            }
             for trial in self
-            for j in trial.judgements
+            for judgement in trial.judgements
         ]
         return pd.DataFrame(rows, columns=[*columns, "part", "stimulus_id", "reference_id"])
 
@@ -329,6 +361,14 @@ class Task:
         Number of trials with feedback, and of trials without feedback that do not count, before the first that does.
     pairs : int or None
         Number of pairs of each recording and level that are compared in a task that may have some only; None for all.
+    scales : tuple of str
+        The scales of each trial, in order, where there are several.
+    gap_s : float or None
+        Silence in s before each part; None for the session's.
+    answer_timeout_s : float or None
+        Time for an answer, in s, from when it can be given; None for any.
+    onset_s : float or None
+        Time in s from the onset of a trial to that of the next; None to begin when the participant is ready.
 
     Examples
     --------
@@ -344,6 +384,10 @@ class Task:
     training: int = 0
     practice: int = 0
     pairs: int | None = None
+    scales: tuple[str, ...] = ()
+    gap_s: float | None = None
+    answer_timeout_s: float | None = None
+    onset_s: float | None = None
 
 
 # Factors in which participants differ, and the stimuli and tasks of each group.

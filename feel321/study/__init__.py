@@ -18,6 +18,7 @@ from feel321.study.session.ports import (
     Playback,
     Presenter,
     Scaled,
+    TimedOut,
     Tone,
 )
 from feel321.study.study import Study
@@ -39,6 +40,7 @@ __all__ = [
     "Scaled",
     "Settings",
     "Study",
+    "TimedOut",
     "Tone",
     "run_session",
 ]

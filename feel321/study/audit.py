@@ -41,6 +41,7 @@ from feel321.study.session.journal import (
     name_journal,
     read_journal,
 )
+from feel321.study.session.pace import TIMED_OUT, Schedule
 from feel321.study.session.plan import (
     PLAN_FILE,
     TOMBSTONE_FILE,
@@ -118,6 +119,7 @@ class _Course:
 
     def __init__(self, plan: Plan) -> None:
         self._agenda = Agenda(plan.trials, plan.flow, plan.questions)
+        self._pace = Schedule({task.protocol: task for task in plan.tasks})
         self._questions, self._asked = plan.questions, Counter[str]()
         self._flow = plan.flow
         self._trials = {trial.number: trial for trial in plan.trials}
@@ -164,12 +166,19 @@ class _Course:
             case events.TrialRated():
                 self._check_rated(event, attempt, record.data["values"])
                 self._attempt = None
+            case events.TrialScheduled() if not self._pace.is_fixed(attempt.trial):
+                raise ValueError(f"schedules trial {event.trial}, whose onset is not fixed")
             case events.TrialSpoiled():
-                flags = attempt.list_flags(flow=self._flow)
-                if events.ENDS_UNANSWERED.isdisjoint(flags):
-                    raise ValueError(f"spoils trial {event.trial}, with which nothing was wrong")
-                _check_flags(event.flags, flags)
+                self._check_spoiled(event, attempt)
                 self._attempt = None
+
+    def _check_spoiled(self, event: events.TrialSpoiled, attempt: events.Attempt) -> None:
+        flags = attempt.list_flags(flow=self._flow)
+        if TIMED_OUT in event.flags and self._pace.find_limit(attempt.trial) is not None:
+            flags, self._aside = [*flags, TIMED_OUT], TIMED_OUT
+        elif events.ENDS_UNANSWERED.isdisjoint(flags):
+            raise ValueError(f"spoils trial {event.trial}, with which nothing was wrong")
+        _check_flags(event.flags, flags)
 
     def _check_tone(self, event: events.TonePresented, trial: Trial) -> None:
         """Check that a trial of the threshold block presents what follows from the answers before it."""

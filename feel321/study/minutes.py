@@ -18,13 +18,14 @@ from feel321.protocols.detection import name_tone
 from feel321.protocols.trial import Page
 from feel321.study.observer.participant import STROKE_S, UNHURRIED
 from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
+from feel321.study.session.pace import find_gap
 from feel321.study.session.plan import make_trials, read_dossier, replay
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from feel321.protocols.questions import Question
-    from feel321.protocols.trial import Flow, Item, Trial
+    from feel321.protocols.trial import Flow, Item, Task, Trial
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Records
@@ -85,20 +86,22 @@ class Sitting:
     flow: Flow
     durations: Mapping[str, float]
     questions: Sequence[Question] = ()
+    tasks: Mapping[str, Task] = field(default_factory=dict)
 
     @classmethod
     def plan(cls, course: Plan | Course, flow: Flow, durations: Mapping[str, float]) -> Sitting:
         """Take trials from a plan, and the duration of tones from its threshold block, if it has one."""
+        tasks = {task.protocol: task for task in course.tasks}
         if (block := course.threshold) is None:
-            return cls(course.trials, flow, durations, course.questions)
+            return cls(course.trials, flow, durations, course.questions, tasks)
         # Silence before a tone is the block's own.
         tone_s = block.duration_s + block.gap_s - flow.gap_s
         tones = {name_tone(frequency): tone_s for frequency in block.frequencies_hz}
-        return cls(course.trials, flow, {**durations, **tones}, course.questions)
+        return cls(course.trials, flow, {**durations, **tones}, course.questions, tasks)
 
     def measure_felt(self, trial: Trial) -> float:
         """Compute how long it takes to feel every part of a trial once, in s."""
-        gap_s = 0.0 if trial.timing == "free" else self.flow.gap_s
+        gap_s = find_gap(trial, self.tasks.get(trial.protocol), self.flow)
         stimulus_s = gap_s + self.durations.get(trial.recording, 0.0)
         return sum(stimulus_s if part.stimulus_id else STROKE_S for part in trial.parts)
 
@@ -119,7 +122,9 @@ class Sitting:
                 agenda.tell_page(step.key, time_s=clock_s)
             else:
                 answer_s = pace.answer_s.get(step.protocol, pace.other_s) * len(step.judgements)
-                clock_s += self.measure_felt(step) + answer_s
+                task = self.tasks.get(step.protocol)
+                least_s = (task.onset_s or 0.0) if task else 0.0
+                clock_s += max(self.measure_felt(step) + answer_s, least_s)
                 is_known = any(judgement.expected for judgement in step.judgements)
                 agenda.tell_trial(
                     step.number, accepted=True, as_expected=is_known or None, time_s=clock_s

@@ -112,7 +112,8 @@ def _list_judgements(plan: Plan, records: Records, *, path: Path) -> Iterator[di
                 played.append(part)
             case TrialRated() as rated if (trial := trials[rated.trial]).phase == "main":
                 felt = {part.part for part in played if part.completed}
-                if missing := [name for name in trial.judged if name not in felt]:
+                parts = dict.fromkeys(judgement.part for judgement in trial.judgements)
+                if missing := [name for name in parts if name not in felt]:
                     raise ValueError(
                         f"{path}, line {record.sequence + 1}: trial {trial.number} is rated, but {', '.join(missing)} "
                         "was not played since it was shown; restore the file from a copy"
@@ -133,8 +134,8 @@ def _judge(
             "repeat": trial.repeat,
             "stimulus_id": judgement.stimulus_id,
             "reference_id": judgement.reference_id,
-            "scale": trial.scale,
-            "rating": points[judgement.part],
+            "scale": judgement.scale or trial.scale,
+            "rating": points[judgement.key],
             "response_time_s": rated.response_time_s,
             "onset_s": felt[judgement.part].onset_s,
             "underruns": sum(part.underruns for part in played),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321.protocols.texts import read_scales
+from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.ledger.progress import Anchor, check_anchors
 from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
@@ -20,7 +20,7 @@ from feel321.study.session.events import SessionFinished
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.plan import Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Place, Presenter
-from feel321.study.settings.read import find_language, make_design, make_recipe
+from feel321.study.settings.read import make_design, make_recipe, read_study_texts
 
 if TYPE_CHECKING:
     from sqlalchemy import Engine
@@ -176,7 +176,7 @@ def open_room(
 ) -> tuple[Room, str]:
     """Open the shared surroundings of a study's sessions."""
     ledger, notice = open_study_ledger(study, now=now)
-    scales = read_scales(find_language(settings, study.path))
+    scales = make_scales(read_study_texts(settings, study.path))
     return Room(
         study, stimuli, scales, ledger, Stale(**settings.session.stale.model_dump()), now
     ), notice

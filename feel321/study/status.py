@@ -144,7 +144,7 @@ def _split(
     run = _gather_blocks(trials)
     for block, own in run.items():
         task = own[0].protocol
-        pages = [trial for trial in own if len(trial.judgements) > 1]
+        pages = [trial for trial in own if len({j.part for j in trial.judgements}) > 1]
         for page in pages:
             slots = [judgement.stimulus_id for judgement in page.judgements]
             yield task, "slots", tuple(sorted(slots)), slots

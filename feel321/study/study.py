@@ -115,7 +115,7 @@ class Contents:
 
         plan = require_plan(self._find(participant) / PLAN_FILE)
         rows = [
-            {**asdict(trial), **asdict(judgement)}
+            {**asdict(trial), **asdict(judgement), "scale": judgement.scale or trial.scale}
             for trial in plan.trials
             for judgement in trial.judgements
         ]

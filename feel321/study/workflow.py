@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from feel321.protocols.order import find_crowding
-from feel321.protocols.texts import list_borrowed, read_scales
+from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
 from feel321.stimuli.condition import condition, fade
 from feel321.stimuli.recording import Recording
@@ -273,7 +273,7 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
 
     language = find_language(settings, study.path)
     try:
-        texts, scales = read_study_texts(settings, study.path), read_scales(language)
+        texts = read_study_texts(settings, study.path)
         questions = make_design(settings, study.path).questions
     except OSError as error:
         return [
@@ -283,7 +283,12 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
         return str(error).splitlines()
     return [
         f"texts in {language}: {problem}"
-        for problem in find_overflows(make_screen_texts(texts), scales.values(), questions)
+        for problem in find_overflows(
+            make_screen_texts(texts),
+            make_scales(texts).values(),
+            questions,
+            together={name for table in settings.tasks.values() for name in table.scales},
+        )
     ]
 
 

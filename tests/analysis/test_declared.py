@@ -112,7 +112,9 @@ def test_steps_fit_the_spread_of_a_metric(
     values: list[float], info: MetricInfo, step: float
 ) -> None:
     items = pd.DataFrame({"recording": "r", "a": values})
-    assert find_steps(items, ["a"], {"a": info}) == {"a": pytest.approx(step)}
+    assert find_steps(items, ["a"], {"a": info}) == {
+        "a": (pytest.approx(step), f"+{step:g} {info.unit}".rstrip())
+    }
 
 
 def test_own_names_come_from_their_registries(small: object) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from feel321 import analysis, results, types
 
-HEAVY = ("pandas", "scipy", "matplotlib", "statsmodels", "jinja2", "feel321.stimuli")
+HEAVY = ("pandas", "scipy", "matplotlib", "statsmodels", "jinja2", "joblib", "soxr")
 
 
 def test_face_is_flat_and_sorted() -> None:

@@ -22,7 +22,8 @@ from feel321.analysis.figures.style import (
     assign_looks,
     save_figure,
 )
-from feel321.analysis.table.items import order_reducers, split_tests
+from feel321.analysis.table.items import split_tests
+from feel321.analysis.table.metrics import order_reducers
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from feel321.analysis.table.items import order_reducers
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.reading import read_table
 from feel321.stimuli.reducers.registry import REDUCERS
 

@@ -20,7 +20,7 @@ from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playba
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from feel321.protocols.questions import Question
     from feel321.protocols.trial import Page, Part, Scale, Trial
@@ -195,11 +195,7 @@ class ScriptedPresenter:
         self.shown += 1
         self.log.append(f"show {trial.number}.{place.attempt} {scale.name}")
         key = (trial.number, place.attempt)
-        usual = Confirm(
-            0.0,
-            {judgement.part: "a" if scale.choices else 50.0 for judgement in trial.judgements},
-            1.5,
-        )
+        usual = Confirm(0.0, dict.fromkeys(trial.judged, "a" if scale.choices else 50.0), 1.5)
         free: list[Act] = [Feel(0.0, "")] if trial.timing == "free" else []
         self._waiting = self.acts.get(key, [*free, usual])
         self._playbacks = self.playbacks.get(key, [])
@@ -267,6 +263,7 @@ def make_present(
         stimuli: StimulusSet = stimuli,
         stale: Stale | None = None,
         now: Clock = now,
+        scales: Mapping[str, Scale] | None = None,
     ) -> list[Any]:
         folder = path / "sessions" / plan.participant
         identity = {"presenter": {"simulated": True}}
@@ -275,7 +272,7 @@ def make_present(
             journal,
         ):
             presenter.time_s = journal.records.find_elapsed()
-            run_session(stored, presenter, stimuli=stimuli, journal=journal)
+            run_session(stored, presenter, stimuli=stimuli, journal=journal, scales=scales)
             return Records(journal.records)
 
     return run

@@ -42,11 +42,11 @@ from feel321.doors import as_rng, check_name
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pandas import DataFrame
 
-    from feel321.types import Rng
+    from feel321.types import MetricInfo, Rng
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -494,19 +494,37 @@ def refuse_untested(table: Table) -> None:
         )
 
 
+def find_sign(info: Mapping[str, MetricInfo] | None, metric: str) -> float:
+    """Find the sign that makes higher values of a metric better: -1 where lower ones are."""
+    worse = info is not None and metric in info and info[metric].higher == "worse"
+    return -1.0 if worse else 1.0
+
+
 def make_panel(
-    part: DataFrame, metrics: tuple[str, ...], *, draws: int, rng: np.random.Generator
+    part: DataFrame,
+    metrics: tuple[str, ...],
+    *,
+    draws: int,
+    rng: np.random.Generator,
+    info: Mapping[str, MetricInfo] | None = None,
 ) -> Panel:
     """Correlate the ratings of one scale and one level with every metric, by every method."""
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
     seed, items = int(rng.integers(2**63)), make_items(part, metrics)
     of = [correlate_items(items, metrics, method, draws=draws, rng=seed) for method in METHODS]
+    signs = np.array([find_sign(info, name) for name in metrics])
+    compared = of
+    if (signs < 0).any():
+        turned = replace(items, metrics=items.metrics * signs[:, None])
+        compared = [correlate_items(turned, metrics, how, draws=draws, rng=seed) for how in METHODS]
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
     return Panel(
         scale=str(part["scale"].iloc[0]),
         level=str(part["level"].iloc[0]),
         associations=tuple(one.associate(metric) for metric in metrics for one in of),
-        differences=tuple(one.compare(*pair) for pair in combinations(metrics, 2) for one in of),
+        differences=tuple(
+            one.compare(*pair) for pair in combinations(metrics, 2) for one in compared
+        ),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
     )

@@ -27,7 +27,9 @@ CURVE_CM, ROW_CM, UNIVERSES_AXIS_CM = 4.0, 0.36, 1.2
 LABEL_CM = 2.9
 
 
-def draw_multiverse(curve: DataFrame, *, rules: Sequence[str], counts: tuple[int, int]) -> Figure:
+def draw_multiverse(
+    curve: DataFrame, *, rules: Sequence[str], counts: tuple[int, int], per: str = "+0.1"
+) -> Figure:
     """Draw the estimate for every distinct set of raters, from the smallest up, and the rules that leave it.
 
     curve, rules: of a `Multiverse`. counts: combinations of rules, and distinct sets without an estimate.
@@ -41,7 +43,7 @@ def draw_multiverse(curve: DataFrame, *, rules: Sequence[str], counts: tuple[int
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
         _draw_curve(upper, curve, alone=~curve[rules].any(axis=1).to_numpy(bool))
         _draw_rules(lower, curve[rules].to_numpy(bool).T, names=rules)
-        upper.set_ylabel("Points per +0.1")
+        upper.set_ylabel(f"Points per {per}")
         lower.set_xlabel("Sets of raters, from the smallest estimate up")
         style.add_title(figure, _describe_sets(counts, curve))
     return figure

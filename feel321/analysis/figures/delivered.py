@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.analysis.figures import style
-from feel321.analysis.table.items import order_reducers
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.words import capitalise, format_name
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.figures import style
 from feel321.analysis.figures.style import Look
 from feel321.analysis.table.items import format_recordings
+from feel321.analysis.table.metrics import TENTH, Step
 from feel321.analysis.table.schema import HIGHEST, LOWEST, ROLES
 from feel321.analysis.words import format_name, format_number, format_span, wrap_name
 
@@ -146,9 +147,15 @@ RESCALED = "ratings rescaled"
 """Headings: of variants that come once per name, and of those that follow them."""
 
 
-def draw_slopes(models: Mapping[str, Primary], *, variants: DataFrame | None = None) -> Figure:
-    """Draw the slopes of the primary model per attribute and metric, points per +0.1 with Satterthwaite intervals.
+def draw_slopes(
+    models: Mapping[str, Primary],
+    *,
+    variants: DataFrame | None = None,
+    steps: Mapping[str, Step] | None = None,
+) -> Figure:
+    """Draw the slopes of the primary model per attribute and metric, points per step with Satterthwaite intervals.
 
+    steps: of the metrics, +0.1 if left out.
     variants: what `vary_primary` returns of a single attribute: a second panel of standardised slopes, which alone
     compare across units.
     """
@@ -157,13 +164,16 @@ def draw_slopes(models: Mapping[str, Primary], *, variants: DataFrame | None = N
     metrics = [str(name) for model in models.values() for name in model.slopes.index]
     metrics += [] if variants is None else list(map(str, variants["metric"]))
     looks = style.assign_looks(list(dict.fromkeys(metrics)))
+    steps = {name: (steps or {}).get(name, Step()) for name in looks}
     with style.print_style():
-        panels = [fit_rows(_list_slopes(models, looks))]
+        panels = [fit_rows(_list_slopes(models, looks, steps))]
         panels += [] if variants is None else [fit_rows(_list_variants(variants, looks))]
         heights = list(map(find_height, panels))
         figure = style.new_canvas(sum(heights) + AXIS_CM * (1 + len(panels)))
         both = figure.subplots(len(panels), 1, height_ratios=heights, squeeze=False)[:, 0]
-        labels = ("Points of rating per +0.1 of metric", STANDARDISED)
+        told = {step.per for step in steps.values()}
+        per = told.pop() if len(told) == 1 else "step"
+        labels = (f"Points of rating per {per} of metric", STANDARDISED)
         for axes, rows, label in zip(both, panels, labels, strict=False):
             draw_rows(axes, rows, limits=find_limits(rows, 0), zero=True)
             axes.set_xlabel(label)
@@ -174,13 +184,18 @@ def draw_slopes(models: Mapping[str, Primary], *, variants: DataFrame | None = N
     return figure
 
 
-def _list_slopes(models: Mapping[str, Primary], looks: Mapping[str, Look]) -> Iterator[ForestRow]:
+def _list_slopes(
+    models: Mapping[str, Primary], looks: Mapping[str, Look], steps: Mapping[str, Step]
+) -> Iterator[ForestRow]:
+    several = len({step.per for step in steps.values()}) > 1
     for attribute, model in models.items():
         yield ForestRow(format_name(attribute))
         for metric, row in zip(model.slopes.index, model.slopes.to_dict("records"), strict=True):
-            ends = row["tenth"], row["tenth_low"], row["tenth_high"]
+            share = steps[metric].size / TENTH
+            value, low, high = (row[f"tenth{end}"] * share for end in ("", "_low", "_high"))
+            name = format_name(metric) + f", per {steps[metric].per}" * several
             yield ForestRow(
-                format_name(metric), (Mark(*ends, looks[metric], filled=not model.fit.singular),)
+                name, (Mark(value, low, high, looks[metric], filled=not model.fit.singular),)
             )
 
 

@@ -49,8 +49,7 @@ def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, 
             for name, look in looks.items()
             if name in parts
         }
-        values = panel.stimuli[association.metric].to_numpy(np.float64)
-        _mark_clipped(axes, values, falling=association.value < 0)
+        _mark_clipped(axes, panel.stimuli, association.metric, falling=association.value < 0)
         axes.set(xlabel=format_axis(association.metric), ylabel=style.label_scale(panel.scale))
         axes.set_ylim(LOWEST - 3, HIGHEST + 3)
         axes.locator_params(axis="x", nbins=5)
@@ -65,25 +64,32 @@ def scatter_reducer(
     """Draw the stimuli of one reducer, with markers of so many points."""
     true = stimuli[metric].to_numpy(np.float64)
     mean, low, high = stimuli[["mean", "low", "high"]].to_numpy(np.float64).T
-    shown, inside = np.maximum(true, CUT), true >= CUT
+    cut = find_cut(metric)
+    shown, inside = np.maximum(true, cut), true >= cut
     axes.vlines(shown, low, high, colors=style.GREY, linewidths=0.35, alpha=0.6, zorder=1)
     hollow: dict[str, Any] = {"filled": False, "markeredgewidth": style.THIN}
     style.plot_marks(axes, shown[~inside], mean[~inside], look=look, size=size, **hollow)
     return style.plot_marks(axes, shown[inside], mean[inside], look=look, size=size)
 
 
-def count_clipped(metric: NDArray[np.float64]) -> int:
+def count_clipped(stimuli: DataFrame, metric: str) -> int:
     """Count the stimuli that a scatter cannot show in their place."""
-    return int((metric < CUT).sum())
+    return int((stimuli[metric] < find_cut(metric)).sum())
 
 
-def _mark_clipped(axes: Axes, metric: NDArray[np.float64], *, falling: bool) -> None:
+def find_cut(metric: str) -> float:
+    """Find below what values of a metric are drawn at the edge: those of eq. 1, which has no lower bound, only."""
+    is_raw = metric.startswith("spectral_match") and "bounded" not in metric
+    return CUT if is_raw else -np.inf
+
+
+def _mark_clipped(axes: Axes, stimuli: DataFrame, metric: str, *, falling: bool) -> None:
     # The corner that a rising (or falling) cloud of points leaves free.
     height, side = (0.01, "bottom") if falling else (0.99, "top")
-    number = count_clipped(metric)
+    number = count_clipped(stimuli, metric)
     if number:
-        edge, lowest = format_number(CUT, kind="count"), format_number(float(metric.min()))
-        count = f"{number} of {len(metric)} stimuli"
+        edge, lowest = format_number(CUT, kind="count"), format_number(float(stimuli[metric].min()))
+        count = f"{number} of {len(stimuli)} stimuli"
         text = f"← hollow: {count} below {edge}\n    (lowest {lowest}), drawn at {edge}"
         axes.text(0.02, height, text, transform=axes.transAxes, va=side)
 
@@ -148,7 +154,7 @@ def _draw_panels(
         -(-len(parts) // columns), columns, sharex=True, sharey=True, squeeze=False
     )
     values = stimuli[metric].to_numpy(np.float64)
-    x = np.linspace(max(values.min(), CUT), values.max(), CURVE_POINTS)
+    x = np.linspace(max(values.min(), find_cut(metric)), values.max(), CURVE_POINTS)
     width = (style.COLUMN_CM - 1.6) / columns
     shown: dict[str, Line2D] = {}
     for axes, (name, part) in zip(grid.flat, parts, strict=False):
@@ -194,7 +200,7 @@ def _draw_strip(axes: Axes, association: Association) -> None:
 
 def _describe_mapping(stimuli: DataFrame, judged: P1401, association: Association) -> str:
     ceiling = format_number(association.ceiling)
-    clipped = count_clipped(stimuli[association.metric].to_numpy(np.float64))
+    clipped = count_clipped(stimuli, association.metric)
     edge = format_number(CUT, kind="count")
     there = f" Hollow: below {edge}, drawn there ({clipped} of {len(stimuli)}), the curve fitted where they are."
     hollow = there if clipped else ""

@@ -35,7 +35,7 @@ from feel321.analysis.primary.plan import (
     make_cells,
     select_rows,
 )
-from feel321.analysis.table.items import order_reducers
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import HIGHEST
 from feel321.records import Result
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,17 +11,17 @@ from feel321.analysis.agreement import find_ceiling
 from feel321.analysis.arrays import Values, check_draws
 from feel321.analysis.refined import candidates as search
 from feel321.analysis.resampling import BLOCK, bootstrap_margin, draw_counts, fisher_z
-from feel321.analysis.table.items import Items, Table, choose_metrics, make_items
+from feel321.analysis.table.items import Items, Table, choose_info, choose_metrics, make_items
 from feel321.doors import as_rng
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
     from pandas import DataFrame
 
-    from feel321.types import Rng
+    from feel321.types import MetricInfo, Rng
 
 FEWEST_RECORDINGS, FEWEST_PEOPLE = 5, 3
 """One recording is judged, one chooses, and a weight needs more than two; people are split besides."""
@@ -97,7 +97,7 @@ class Refined(Result):
         return self.gains
 
 
-def refine_metric(
+def refine_metric(  # noqa: PLR0913 - one per choice
     table: Table | DataFrame,
     metrics: Sequence[str] | None = None,
     *,
@@ -105,6 +105,7 @@ def refine_metric(
     within: bool = True,
     draws: int = 400,
     rng: Rng = 0,
+    info: Mapping[str, MetricInfo] | None = None,
 ) -> Refined:
     """Search a better metric among simple functions of metrics, by nested cross-validation.
 
@@ -114,7 +115,7 @@ def refine_metric(
         Tidy table of one scale, one row per judgement: participant, recording, rating, the columns named, and
         stimulus_id or reducer (and level). Rows whose role is not ``test`` are left out.
     metrics : sequence of str, optional
-        Metrics, of which higher is better: what is to be improved upon; those of the Table if left out.
+        Metrics: what is to be improved upon; those of the Table if left out.
     others : sequence of str
         More columns that may enter a sum, such as the level in dB.
     within : bool
@@ -123,6 +124,9 @@ def refine_metric(
         Bootstrap draws, at least 2; every one repeats the whole search.
     rng : int or Generator
         Source of randomness: folds and draws.
+    info : Mapping of str to MetricInfo, optional
+        What metrics declare; a Table's own if left out. Of a metric of which lower is better, the distance below its
+        upper bound takes the place, or below its largest value where it has none.
 
     Returns
     -------
@@ -190,6 +194,7 @@ def refine_metric(
     check_draws(draws, usual=400)
     names, rng = choose_metrics(table, metrics), as_rng(rng)
     items = make_items(table, tuple(dict.fromkeys([*names, *others])))
+    items, worse = _turn(items, names, info or choose_info(table))
     data = _prepare(items, names, others, within=within, rng=rng)
     whole = search.score_draws(
         data, people=np.ones((1, items.n_participants)), recordings=np.ones((1, items.n_recordings))
@@ -198,17 +203,17 @@ def refine_metric(
     n_units = min(items.n_participants, items.n_sources)
     z, drawn_z = fisher_z(whole.correlations[0])[0], fisher_z(drawn.correlations[0])
     low, high = _interval(z, drawn_z, n_units)
-    rmse = float(whole.errors[0, 0])
     with np.errstate(divide="ignore"):  # no error at all has no logarithm, and no interval
-        log_low, log_high = _interval(np.log(rmse), np.log(drawn.errors[0]), n_units)
+        log_low, log_high = _interval(np.log(whole.errors[0, 0]), np.log(drawn.errors[0]), n_units)
     chosen, fit = _choose_finally(data)
     ceiling, notes = find_ceiling(items, within=within)
     gains = _tabulate_gains(data.basis, whole, drawn, n_units=n_units)
     value = float(whole.correlations[0, 0])
     return Refined(
         value=value, low=float(np.tanh(low)), high=float(np.tanh(high)),
-        rmse=rmse, rmse_low=float(np.exp(log_low)), rmse_high=float(np.exp(log_high)),
-        chosen=data.basis.candidates[chosen].name, weights=_tabulate_weights(data.basis, whole, chosen, fit=fit),
+        rmse=float(whole.errors[0, 0]), rmse_low=float(np.exp(log_low)), rmse_high=float(np.exp(log_high)),
+        chosen=data.basis.candidates[chosen].name,
+        weights=_tabulate_weights(data.basis, whole, chosen, fit=fit, worse=worse),
         candidates=_tabulate_candidates(data.basis, whole), gains=gains,
         recommended=data.basis.candidates[chosen].name not in names and bool((gains["z_low"] > 0).all()),
         ceiling=ceiling, share=value / ceiling if not items.n_missing else float("nan"), within=within,
@@ -216,6 +221,17 @@ def refine_metric(
         n_items=items.n_items, n_folds=whole.chosen[0].size, draws=int(np.isfinite(drawn.correlations[0]).sum()),
         notes=(*data.basis.notes, *notes, *_explain(value, low)),
     )  # fmt: skip
+
+
+def _turn(
+    items: Items, names: Sequence[str], info: Mapping[str, MetricInfo]
+) -> tuple[Items, list[str]]:
+    """Turn metrics of which lower is better upside down: better is higher then, and not below 0. Also name them."""
+    worse = [name for name in names if name in info and info[name].higher == "worse"]
+    metrics = items.metrics.copy()
+    for row, high in ((names.index(name), info[name].high) for name in worse):
+        metrics[row] = (high if np.isfinite(high) else metrics[row].max()) - metrics[row]
+    return replace(items, metrics=metrics), worse
 
 
 def _prepare(
@@ -329,18 +345,24 @@ def _tabulate_gains(
 
 
 def _tabulate_weights(
-    basis: search.Basis, whole: search.Searched, chosen: int, *, fit: NDArray[np.float64]
+    basis: search.Basis,
+    whole: search.Searched,
+    chosen: int,
+    *,
+    fit: NDArray[np.float64],
+    worse: Sequence[str],
 ) -> DataFrame:
     """List the weights of what was chosen, and how they change from fold to fold; fit: (n_columns + 2,)."""
     import pandas as pd
 
     columns = list(basis.candidates[chosen].columns)
     weights = fit[1:-1][columns]
+    signs = np.where(np.isin([basis.names[column] for column in columns], worse), -1.0, 1.0)
     over_folds = whole.fits[chosen, 0][..., 1:-1][..., columns].reshape(-1, len(columns))
     return pd.DataFrame({
         "term": [basis.names[column] for column in columns],
         "weight": weights, "lowest": over_folds.min(axis=0), "highest": over_folds.max(axis=0),
-        "per_unit": weights / basis.scales[columns],
+        "per_unit": signs * weights / basis.scales[columns],
     })  # fmt: skip
 
 

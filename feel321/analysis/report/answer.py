@@ -8,11 +8,12 @@ not estimable.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
+from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary.plan import REDUCER, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import (
     ENOUGH,
@@ -26,20 +27,22 @@ from feel321.analysis.primary.sensitivity import (
     find_own,
     find_variances,
 )
-from feel321.analysis.report.parts import ITEM, SIGNIFICANCE, RatingsPart, format_p
+from feel321.analysis.report.parts import ITEM, SIGNIFICANCE, RatingsPart, add_step, format_p
 from feel321.analysis.report.section import METRIC, RATINGS, Column, TableForm
 from feel321.analysis.table.items import format_recordings
+from feel321.analysis.table.metrics import Step
 from feel321.analysis.words import COUNT, Claim, Line
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.primary.model import Primary
+    from feel321.types import MetricInfo
 
 Row = dict[Any, Any]
 
 NEEDS = {
-    "detectable": ("Detectable", "slope", "slope per +0.1 found with 80 % power"),
+    "detectable": ("Detectable", "slope", "slope per {_per} found with 80 % power"),
     "participants": ("Participants", COUNT, "participants for 80 % power"),
     "recordings": ("Recordings", COUNT, "recordings for 80 % power"),
     "infinite": ("Power at infinity", "correlation", "power of infinitely many participants"),
@@ -63,7 +66,7 @@ def find_needs(row: Row, part: RatingsPart, model: Primary, *, n_tests: int) -> 
         return dict.fromkeys((f"_{key}" for key in NEEDS), math.nan)
     study, slope = find_precision(row["metric"], part, model, n_tests=n_tests), row["estimate"]
     return {
-        "_detectable": study.find_slope() / 10,
+        "_detectable": study.find_slope() * row["_size"],
         "_participants": study.find_participants(slope),
         "_recordings": study.find_recordings(slope),
         "_infinite": study.enlarge(participants=10**9).find_power(slope),
@@ -176,6 +179,8 @@ class Finding:
     part: RatingsPart
     model: Primary
     influence: Influence
+    info: MetricInfo | None = None
+    step: Step = field(default_factory=Step)
 
     @property
     def metric(self) -> str:
@@ -193,6 +198,11 @@ class Finding:
         if self.verdict != PREDICTS:
             return ""
         return HIGHER if self.row["estimate"] > 0 else LOWER
+
+    @property
+    def expected(self) -> str:
+        """Where ratings go with a higher metric if it works as it declares."""
+        return LOWER if self.info is not None and self.info.higher == "worse" else HIGHER
 
     @property
     def turns(self) -> DataFrame:
@@ -213,10 +223,10 @@ class Finding:
         """State the conclusion for a program."""
         turns = tuple(_name_unit(row) for row in self.turns.to_dict("records"))
         worse: list[str] = []
-        if self.verdict == PREDICTS and not turns:
+        if self.verdict == PREDICTS and self.direction == self.expected and not turns:
             for row in self.model.differences.to_dict("records"):
                 pair = [str(row["first"]), str(row["second"])]
-                if self.metric in pair and _find_better(row, self.model.slopes) == self.metric:
+                if self.metric in pair and _find_better(row) == self.metric:
                     worse += [name for name in pair if name != self.metric]
         place, found = self.part.place, (self.verdict, self.direction)
         number = words.name_path("slope", *place, self.metric)
@@ -252,8 +262,9 @@ def _describe_finding(found: Finding) -> str:
     hinge = _describe_hinge(found)
     if found.verdict == OPEN:
         return f"Whether {metric} predicts {ratings} is open{hinge}. {_describe_effect(found)}"
-    opposite = f" in the opposite direction (higher match, {LOWER} ratings)"
-    way = "" if found.direction == HIGHER else opposite
+    opposite = "" if found.direction == found.expected else " in the opposite direction"
+    plain = found.direction == found.expected == HIGHER
+    way = "" if plain else f"{opposite} (higher {metric}, {found.direction} ratings)"
     return f"{words.capitalise(metric)} predicts {ratings}{way}{hinge}. {_describe_effect(found)}"
 
 
@@ -269,9 +280,9 @@ def _describe_blank(found: Sequence[Finding]) -> str:
 
 
 def _describe_effect(found: Finding) -> str:
-    """Give the effect over the metric's own spread first, per +0.1 second."""
+    """Give the effect over the metric's own spread first, per step second."""
     changes = []
-    for key, ends in (("quartile_effect", "quartile"), ("tenth", "tenth")):
+    for key, ends in (("quartile_effect", "quartile"), ("_step", "_step")):
         row = found.row
         told, interval = words.format_estimate(
             row[key], row[f"{ends}_low"], row[f"{ends}_high"], kind="rating"
@@ -279,10 +290,10 @@ def _describe_effect(found: Finding) -> str:
         higher = found.direction == HIGHER
         change = f"ratings {told} points higher" if higher else f"a change of {told} points"
         changes.append((change, interval))
-    (span, reach), (tenth, narrow) = changes
+    (span, reach), (change, narrow) = changes
     return (
         "Among stimuli from the same recording, going from its lower to its upper quartile is associated with "
-        f"{span} (95 % CI {reach}; {format_p(found.row['p_holm'])}), each +0.1 with {tenth} ({narrow})."
+        f"{span} (95 % CI {reach}; {format_p(found.row['p_holm'])}), each {found.step.per} with {change} ({narrow})."
     )
 
 
@@ -290,19 +301,17 @@ def _describe_hinge(found: Finding) -> str:
     """Say which units a verdict hinges on, and what would be concluded without the most influential one."""
     if turns := found.hinges.to_dict("records"):
         join = ", but" if found.verdict == PREDICTS else ", and"
-        without = (
-            f"the {_name_unit(turns[0])}: without it {_describe_without(turns[0], found.metric)}"
-        )
+        without = f"the {_name_unit(turns[0])}: without it {_describe_without(turns[0], found)}"
         others = _list_others(turns, "; it also turns without")
         return f"{join} this hinges on {without}{others}"
     moves = found.influence.find_moves(found.metric).to_dict("records")
     rows = [row for row in moves if abs(row["shift"]) > MOVED]
     if not rows:
         return ""
-    value, interval = _tell_tenth(rows[0])
-    instead = words.format_number(found.row["tenth"], kind="rating")
+    value, interval = _format_step(rows[0], found)
+    instead = words.format_number(found.row["_step"], kind="rating")
     others = _list_others(rows, "; also without")
-    told = f"{value}, {interval}, instead of {instead} points per +0.1{others}"
+    told = f"{value}, {interval}, instead of {instead} points per {found.step.per}{others}"
     unit = _name_unit(rows[0])
     return f"; the slope changes by more than its standard error without the {unit} ({told})"
 
@@ -316,16 +325,21 @@ def _list_others(rows: Sequence[Row], lead: str) -> str:
     return f"{lead} {listed}"
 
 
-def _describe_without(row: Row, metric: str) -> str:
-    evidence = "{} points per +0.1, {}".format(*_tell_tenth(row))
+def _describe_without(row: Row, found: Finding) -> str:
+    value, interval = _format_step(row, found)
+    evidence = f"{value} points per {found.step.per}, {interval}"
     if row["verdict"] == OPEN:
         return f"the association is open ({evidence})"
     way = HIGHER if row["tenth"] > 0 else LOWER
-    return f"a higher {words.format_name(metric)} is associated with {way} ratings ({evidence})"
+    return (
+        f"a higher {words.format_name(found.metric)} is associated with {way} ratings ({evidence})"
+    )
 
 
-def _tell_tenth(row: Row) -> tuple[str, str]:
-    return words.format_estimate(row["tenth"], row["tenth_low"], row["tenth_high"], kind="rating")
+def _format_step(row: Row, found: Finding) -> tuple[str, str]:
+    """Write a slope without some unit, per step of its metric."""
+    row = add_step(row, found.step)
+    return words.format_estimate(row["_step"], row["_step_low"], row["_step_high"], kind="rating")
 
 
 def _name_unit(row: Row) -> str:
@@ -347,21 +361,40 @@ def _compare(row: Row, found: Sequence[Finding]) -> str:
     evidence = "standardised slopes differ by {}, 95 % CI {}".format(
         *words.format_estimate(*ends, kind="slope")
     )
-    better, ratings = _find_better(row, first.model.slopes), first.part.ratings
-    if not better or by_metric[better].verdict != PREDICTS:
+    better, ratings = _find_better(row), first.part.ratings
+    if not better or by_metric[better].direction != by_metric[better].expected:
         names = f"{words.format_name(first.metric)} or {words.format_name(second.metric)}"
         return f"the data do not show whether {names} predicts {ratings} better ({evidence})."
     worse = words.format_name((second if better == first.metric else first).metric)
     return f"{words.format_name(better)} predicts {ratings} better than {worse} does ({evidence})."
 
 
-def _find_better(row: Row, slopes: DataFrame) -> str:
-    """Find which of two metrics has the stronger standardised slope."""
+def _find_better(row: Row) -> str:
+    """Find which of two metrics has the stronger standardised slope, each in the direction that it declares."""
     low, high = row["standardised_low"], row["standardised_high"]
     if math.isnan(low) or low <= 0 <= high:
         return ""
-    sizes = slopes["standardised"].abs().to_dict()
-    return str(max((row["first"], row["second"]), key=lambda name: sizes[name]))
+    return str(row["first"] if low > 0 else row["second"])
+
+
+def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primary:
+    """Compare slopes each in the direction that its metric declares: one of which lower is better changes its sign."""
+    worse = {name for name in model.slopes.index if name in info and info[name].higher == "worse"}
+    if not worse:
+        return model
+    scales, rows = (model.slopes["standardised"] / model.slopes["estimate"]).to_dict(), []
+    for row in model.differences.to_dict("records"):
+        one, other = (f"{row[key]}_w" for key in ("first", "second"))
+        signs = [-1.0 if row[key] in worse else 1.0 for key in ("first", "second")]
+        for prefix, sizes in (
+            ("", (1.0, 1.0)),
+            ("standardised_", (scales[row["first"]], scales[row["second"]])),
+        ):
+            weights = {one: signs[0] * sizes[0], other: -signs[1] * sizes[1]}
+            found = asdict(contrast(model.fit, weights)) if math.isfinite(row["low"]) else {}
+            row |= {f"{prefix}{key}": value for key, value in found.items()}
+        rows.append(row)
+    return replace(model, differences=type(model.differences)(rows))
 
 
 def _describe_exceptions(influence: Influence, part: RatingsPart) -> str:

@@ -41,12 +41,13 @@ from feel321.analysis.report.section import (
     read_methods,
     stack,
 )
-from feel321.analysis.table.items import make_items, order_reducers
-from feel321.analysis.table.metrics import describe_explored
+from feel321.analysis.table.items import make_items
+from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart
 from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import APART, CHOSEN, PAIRED
 from feel321.analysis.words import COUNT, ONE_WAY, TWO_WAY, Claim, Line
+from feel321.types import MetricInfo
 
 Row = dict[str, Any]
 
@@ -82,8 +83,9 @@ ASSOCIATIONS = TableForm(
 )  # fmt: skip
 DIFFERENCE = "{method} correlation with {first} minus that with {second}"
 DIFFERENCES = TableForm(
-    "Correlation with the first metric minus correlation with the second. If an interval covers zero, the data do not "
-    "show which metric predicts better. All intervals are 95 % intervals.",
+    "Correlation with the first metric minus correlation with the second; where lower is better, the sign of a "
+    "correlation is changed before. If an interval covers zero, the data do not show which metric predicts better. All "
+    "intervals are 95 % intervals.",
     (
         RATINGS, Column("First", "first", TEXT), Column("Second", "second", TEXT), METHOD,
         Column("Difference of r", "value", method=DIFFERENCE, interval=TWO_WAY, head_interval="Two-way interval"),
@@ -127,7 +129,9 @@ def compute_association(table: Table, choices: Choices) -> Section:
     parts, panels = list(split_parts(table)), []
     for part in parts:
         rng = choices.make_rng(key, *part.place)
-        panels.append(make_panel(part.rows, table.metrics, draws=choices.draws, rng=rng))
+        panels.append(
+            make_panel(part.rows, table.metrics, draws=choices.draws, rng=rng, info=table.info)
+        )
     notes = (*_note_roles(table), *_note_panels(panels))
     if not panels:
         paired = PAIRED in table.rows["scale"].unique()
@@ -140,7 +144,7 @@ def compute_association(table: Table, choices: Choices) -> Section:
     for part, panel in zip(parts, panels, strict=True):
         leading = [one for one in panel.associations if one.method == LEADING]
         pictures += [_picture_scatter(panel, one, looks) for one in leading]
-        for picture, rows in _map_panel(part, panel, leading=leading, looks=looks):
+        for picture, rows in _map_panel(part, panel, leading=leading, looks=looks, info=table.info):
             pictures.append(picture)
             coefficients += rows
     associations, differences = (
@@ -180,7 +184,8 @@ def _number_stimuli(panels: Sequence[Panel]) -> Iterator[Any]:
         for one in panel.associations:
             if one.method == LEADING:
                 values = panel.stimuli[one.metric].to_numpy()
-                clipped, lowest = count_clipped(values), float(values.min())
+                clipped = count_clipped(panel.stimuli, one.metric)
+                lowest = float(values.min())
                 row = {"metric": one.metric, "n_below_edge": clipped, "lowest": lowest}
                 edges.append(place | row | {"n": len(values)})
     yield from EDGES.build(edges).numbers
@@ -188,13 +193,19 @@ def _number_stimuli(panels: Sequence[Panel]) -> Iterator[Any]:
 
 
 def _map_panel(
-    part: RatingsPart, panel: Panel, *, leading: Sequence[Association], looks: Mapping[str, Look]
+    part: RatingsPart,
+    panel: Panel,
+    *,
+    leading: Sequence[Association],
+    looks: Mapping[str, Look],
+    info: Mapping[str, MetricInfo],
 ) -> Iterator[tuple[Picture, list[Row]]]:
     """Map every metric to the ratings; what P.1401 refuses is noted beside its table."""
     for one in leading:
         with suppress(ValueError):
             items = make_items(part.rows, [one.metric])
-            judged = p1401(items.ratings.T, items.metrics[0], order=MAPPED)
+            higher = info[one.metric].higher if one.metric in info else None
+            judged = p1401(items.ratings.T, items.metrics[0], order=MAPPED, higher=higher)
             caption = (
                 f"Mean {words.format_name(panel.scale)} rating of each test stimulus against its "
                 f"{words.format_name(one.metric)}, recording by recording (level {words.format_name(panel.level)}), "
@@ -219,7 +230,7 @@ def _picture_scatter(panel: Panel, one: Association, looks: Mapping[str, Look]) 
         f"Mean {words.format_name(panel.scale)} rating of each test stimulus against its {metric} "
         f"(level {words.format_name(panel.level)}). {_describe_bars(panel)}"
     )
-    if clipped := count_clipped(panel.stimuli[one.metric].to_numpy()):
+    if clipped := count_clipped(panel.stimuli, one.metric):
         below = f"{clipped} with a {metric} below {words.format_number(CUT, kind='count')}"
         caption += f" Hollow symbols at the left edge: {below}, counted in full in r."
     slug = make_slug("scatter", panel.scale, panel.level, one.metric)

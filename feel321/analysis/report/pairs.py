@@ -32,7 +32,7 @@ from feel321.analysis.space import (
     regress_attributes,
     stress_by_dimension,
 )
-from feel321.analysis.table.items import order_reducers
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, APART, PAIRED
 from feel321.analysis.words import COUNT, Line, count_number, format_name, format_number
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import zlib
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from feel321.analysis.primary.model import CENTRED, FEW, fit_slopes
+from feel321.analysis.report.section import NAME, Column, TableForm
 from feel321.analysis.table.items import find_sources
+from feel321.analysis.table.metrics import TENTH, Step, find_steps
 from feel321.analysis.table.schema import APART
 from feel321.analysis.words import format_name, format_number, format_ratings, name_path
 
@@ -166,6 +168,40 @@ def _is_large(rows: DataFrame, n_slopes: int) -> bool:
     levels += [len(cells)] if cells.min() < cells.max() else []
     dense = sum(levels) - max(levels)
     return dense > MOST_DENSE or dense * max(levels) > MOST_PRODUCTS
+
+
+# Steps by which slopes are reported: +0.1 of a match, +10 of a level in dB.
+
+
+def find_table_steps(table: Table) -> dict[str, Step]:
+    """Find the step of every metric of the primary analysis; one for all scales and levels."""
+    tests = table.rows[table.rows["role"] == "test"].drop_duplicates("stimulus_id")
+    return find_steps(tests, table.metrics, table.info)
+
+
+def add_step(row: Mapping[Any, Any], step: Step) -> dict[Any, Any]:
+    """Give a row the slope per step, and how the step is written, beside the slope per 0.1."""
+    share = step.size / TENTH
+    ends = {f"_step{end}": row[f"tenth{end}"] * share for end in ("", "_low", "_high")}
+    return {**row, **ends, "_per": step.per, "_size": step.size}
+
+
+def word_steps(form: TableForm, steps: Mapping[str, Step]) -> TableForm:
+    """Word a table of slopes for metrics whose steps differ from +0.1: the step then has a column."""
+    if {step.per for step in steps.values()} <= {Step().per}:
+        return form
+    columns: list[Column] = []
+    for column in form.columns:
+        if "+0.1" in column.head:
+            columns.append(Column("Step", "_per", NAME))
+        columns.append(replace(column, head=column.head.replace("+0.1", "step")))
+    return replace(form, columns=columns, caption=form.caption.replace("+0.1", "step"))
+
+
+def join_steps(steps: Mapping[str, Step]) -> str:
+    """Write the steps of several metrics: the one that they share, or a word."""
+    told = {step.per for step in steps.values()}
+    return told.pop() if len(told) == 1 else "step"
 
 
 # What several sections compute and say of a part.

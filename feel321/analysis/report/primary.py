@@ -18,8 +18,18 @@ from feel321.analysis.report.answer import (
     describe_loss,
     describe_need,
     find_needs,
+    orient_differences,
 )
-from feel321.analysis.report.parts import ITEM, Choices, RatingsPart, thin_parts
+from feel321.analysis.report.parts import (
+    ITEM,
+    Choices,
+    RatingsPart,
+    add_step,
+    find_table_steps,
+    join_steps,
+    thin_parts,
+    word_steps,
+)
 from feel321.analysis.report.section import (
     DF,
     METRIC,
@@ -38,6 +48,7 @@ from feel321.analysis.report.section import (
     read_methods,
     stack,
 )
+from feel321.analysis.table.metrics import Step
 from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import STAND_INS
 from feel321.analysis.words import COUNT, TWO_WAY, Claim, Line
@@ -45,7 +56,7 @@ from feel321.analysis.words import COUNT, TWO_WAY, Claim, Line
 Row = dict[Any, Any]
 Fits = Mapping[str, tuple[RatingsPart, Primary]]
 
-TENTH = "points of rating per +0.1 of the metric"
+PER_STEP = "points of rating per {_per} of the metric"
 SLOPE = "slope.{scale}.{level}.{metric}"
 SLOPES = TableForm(
     "Slope of ratings on each metric within recordings, from a mixed model that holds all metrics, so at the same "
@@ -59,10 +70,10 @@ SLOPES = TableForm(
             "mixed model, points of rating from the metric's lower to its upper quartile within recordings",
             end="quartile_effect", ends="quartile_",
         ),
-        estimate("Points per +0.1", "tenth", f"mixed model, {TENTH}", ends="tenth_"),
+        estimate("Points per +0.1", "_step", f"mixed model, {PER_STEP}", ends="_step_"),
         estimate(
             "Reducers fixed", "_centred",
-            f"mixed model with reducers fixed, {TENTH} centred on recordings and reducers",
+            f"mixed model with reducers fixed, {PER_STEP} centred on recordings and reducers",
             end="centred", ends="_centred_",
         ),
         DF, P_HOLM,
@@ -82,7 +93,8 @@ STANDARDISED = TableForm(
 FIRST, SECOND = Column("First", "first", TEXT), Column("Second", "second", TEXT)
 DIFFERENCES = TableForm(
     "Slope on the first metric minus slope on the second, in this study's standard deviations: which matters more when "
-    "both are known. 95 % intervals; p not adjusted.",
+    "both are known; the sign of a slope on a metric of which lower is better is changed before. 95 % intervals; p not "
+    "adjusted.",
     (
         RATINGS, FIRST, SECOND,
         estimate("Difference", "standardised_estimate", f"difference of slopes {IN_SD}", ends="standardised_"),
@@ -112,7 +124,7 @@ INFLUENCE = TableForm(
     "intervals; by how many standard errors the slope changes; the verdict on what is left. ",
     (
         RATINGS, METRIC, Column("Left out", "_unit", NAME),
-        estimate("Points per +0.1", "tenth", f"mixed model without {{_unit}}, {TENTH}", ends="tenth_"),
+        estimate("Points per +0.1", "_step", f"mixed model without {{_unit}}, {PER_STEP}", ends="_step_"),
         Column("Change in SE", "shift", "slope", "shift", "change of the slope in standard errors of the whole"),
         Column("p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment"),
         Column("Verdict", "verdict", TEXT),
@@ -160,7 +172,7 @@ def compute(table: Table, choices: Choices) -> Section:
                 ({"ratings": one.part.lead}, one.influence.exceptions.reset_index()) for one in first
             ),
         },
-        pictures=tuple(_draw_models(fits)),
+        pictures=tuple(_draw_models(fits, find_table_steps(table))),
         notes=notes,
         how=read_methods("primary"),
     )  # fmt: skip
@@ -188,7 +200,8 @@ def _fit_parts(table: Table, choices: Choices) -> tuple[Fits, list[str], list[Li
     for part in thin_parts(table, choices):
         notes += [part.thinned] if part.thinned else []
         try:
-            fits[part.lead] = part, (model := fit_primary(part.rows, table.metrics))
+            model = orient_differences(fit_primary(part.rows, table.metrics), table.info)
+            fits[part.lead] = part, model
             lost = [name for name in table.metrics if name not in model.slopes.index]
             told = [describe_loss(part, [name], _explain_loss(part, name)) for name in lost]
         except ValueError as error:
@@ -211,40 +224,46 @@ def _explain_loss(part: RatingsPart, metric: str) -> str:
 def _list_findings(table: Table, fits: Fits, slopes: Any) -> list[Finding]:  # noqa: ANN401 - a table, or none
     """Put every slope together with what single stimuli, recordings and reducers do to it."""
     found: list[Finding] = []
+    steps = find_table_steps(table)
     for lead, (part, model) in fits.items():
         own = slopes["attribute"] == lead
         others = slopes.loc[~own, "p"].tolist()
         influence = measure_influence(part.rows, table.metrics, model, others=others)
         for row in slopes[own].to_dict("records"):
-            centred = {f"_centred{end}": row[f"centred{end}"] / 10 for end in ("", "_low", "_high")}
+            step, info = steps[row["metric"]], table.info.get(row["metric"])
+            centred = {
+                f"_centred{end}": row[f"centred{end}"] * step.size for end in ("", "_low", "_high")
+            }
             turns = {"turns": not influence.find_moves(row["metric"]).empty}
             more = {**part.keys, "n": model.n_rows, **centred}
-            found.append(Finding({**turns, **row, **more}, part, model, influence))
+            told = add_step({**turns, **row, **more}, step)
+            found.append(Finding(told, part, model, influence, info, step))
     return found
 
 
 def _build_tables(
     table: Table, fits: Fits, findings: list[Finding], *, choices: Choices
 ) -> tuple[PageTable, ...]:
-    rows = [one.row for one in findings]
+    rows, steps = [one.row for one in findings], find_table_steps(table)
     models = [
         part.keys | {key: getattr(model, key) for key in _MODEL_KEYS}
         | {"fit": "singular" if model.fit.singular else "regular"}
         for part, model in fits.values()
     ]  # fmt: skip
+    slopes = word_steps(SLOPES, steps)
     differences = [
         part.keys | {"n": model.n_rows} | row
         for part, model in fits.values()
         for row in model.differences.to_dict("records")
     ]
     return (
-        SLOPES.build(rows, caption=SLOPES.caption.format(len(rows))),
+        slopes.build(rows, caption=slopes.caption.format(len(rows))),
         DIFFERENCES.build(differences),
-        *_build_influence({one.part.lead: one for one in findings}),
+        *_build_influence({one.part.lead: one for one in findings}, steps),
         *_build_paper(table, fits, choices),
         STANDARDISED.build(rows),
         MODELS.build(models),
-        NEEDED.build(rows),
+        word_steps(NEEDED, steps).build(rows),
     )
 
 
@@ -254,13 +273,15 @@ _MODEL_KEYS = (
 )  # fmt: skip
 
 
-def _build_influence(found: Mapping[str, Finding]) -> Iterator[PageTable]:
+def _build_influence(
+    found: Mapping[str, Finding], steps: Mapping[str, Step]
+) -> Iterator[PageTable]:
     """Build the tables of slopes without each unit, those first that turn a verdict, and of exceptional reducers."""
-    rows, odd = [], []
+    rows, odd, form = [], [], word_steps(INFLUENCE, steps)
     for one in found.values():
         more = {**one.part.keys, "n": one.model.n_rows}
         rows += [
-            more | row | {"_unit": f"{row['kind']} {row['unit']}"}
+            add_step(more | row, steps[row["metric"]]) | {"_unit": f"{row['kind']} {row['unit']}"}
             for row in one.influence.table.to_dict("records")
         ]
         odd += [
@@ -273,20 +294,20 @@ def _build_influence(found: Mapping[str, Finding]) -> Iterator[PageTable]:
     }
     for moves, told in which.items():
         shown = [row for row in rows if bool(row["moves"]) == moves]
-        caption = f"{INFLUENCE.caption}{told}"
-        yield replace(INFLUENCE, detail=not moves).build(shown, caption=caption)
+        caption = f"{form.caption}{told}"
+        yield replace(form, detail=not moves).build(shown, caption=caption)
     yield EXCEPTIONS.build(odd)
 
 
-def _draw_models(fits: Fits) -> Iterator[Picture]:
+def _draw_models(fits: Fits, steps: Mapping[str, Step]) -> Iterator[Picture]:
     if not fits:
         return
     caption = (
-        "Slope within recordings of ratings on each metric, points per +0.1 of it, mixed model; bars are 95 % "
-        "Satterthwaite intervals; hollow: singular fit."
+        f"Slope within recordings of ratings on each metric, points per {join_steps(steps)} of it, mixed model; bars "
+        "are 95 % Satterthwaite intervals; hollow: singular fit."
     )
     models = {lead: model for lead, (_, model) in fits.items()}
-    yield Picture("slopes", caption, partial(draw_slopes, models))
+    yield Picture("slopes", caption, partial(draw_slopes, models, steps=steps))
     for part, model in fits.values():
         caption = (
             f"Residuals of the primary model of {part.subject}: left against normal quantiles with a pointwise 95 % "

@@ -1,13 +1,25 @@
 """The raters: who was flagged by which screening rule, how far they agree, and the slopes without those flagged."""
 
+from __future__ import annotations
+
 from collections.abc import Hashable, Iterator
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.contrasts.compare import find_repeat_sd
 from feel321.analysis.figures.choices import draw_raters
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.report.parts import Choices, RatingsPart, fit_rest, split_parts, thin_parts
+from feel321.analysis.report.parts import (
+    SIGNIFICANCE,
+    Choices,
+    RatingsPart,
+    add_step,
+    find_table_steps,
+    fit_rest,
+    split_parts,
+    thin_parts,
+    word_steps,
+)
 from feel321.analysis.report.section import (
     METRIC,
     NAME,
@@ -20,14 +32,32 @@ from feel321.analysis.report.section import (
     TableForm,
     estimate,
     read_methods,
+    stack,
 )
+from feel321.analysis.screening.consistency import RaterModel, rater_model
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import Screening, screen_raters
-from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import APART, PAIR
-from feel321.analysis.words import COUNT, count_number, format_name, name_path
+from feel321.analysis.words import (
+    COUNT,
+    count_number,
+    format_interval,
+    format_name,
+    format_number,
+    format_ratings,
+    join_words,
+    name_path,
+)
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from feel321.analysis.table.reading import Table
 
 KEY, TITLE = "raters", "Raters"
+NORMAL = 1.959963984540054
+"""Standard errors on either side of an estimate that make a 95 % interval."""
+
 GROUPS = {
     "everyone": "everyone",
     "standard": "without those flagged by BS.1534-3",
@@ -69,10 +99,43 @@ SLOPES = TableForm(
     "with Satterthwaite's df, p not adjusted. A dash: too few raters are left to fit the model.",
     (
         RATINGS, METRIC, Column("Raters", "_whose", NAME),
-        estimate("Points per +0.1", "tenth", "mixed model, points per +0.1", ends="tenth_"), P,
+        estimate("Points per +0.1", "_step", "mixed model, points per {_per}", ends="_step_"), P,
         Column("Participants", "n_people", COUNT, "n_participants"),
     ),
     path="panel.{scale}.{level}.{metric}.{panel}", n="n_people", detail=False,
+)  # fmt: skip
+OF_MODEL = "rater model of ITU-T P.913"
+NORMAL_INTERVAL = "95 % normal interval"
+MODEL = TableForm(
+    "Rater model (ITU-T P.913), in points: bias, how far a rater's ratings lie above the panel's; inconsistency, the "
+    "standard deviation of the rater's ratings about the quality of the stimulus plus that bias; 95 % intervals. "
+    "Apart: an inconsistency unlike the others'.",
+    (
+        RATINGS, Column("Rater", "participant", NAME),
+        Column(
+            "Bias", "bias", "rating", "bias", f"{OF_MODEL}, points above the panel", NORMAL_INTERVAL, ends="bias_"
+        ),
+        Column(
+            "Inconsistency", "inconsistency", "rating", "inconsistency", f"{OF_MODEL}, standard deviation",
+            NORMAL_INTERVAL, ends="inconsistency_",
+        ),
+        Column("Weight", "weight", end="weight", method=f"{OF_MODEL}, share in the qualities of stimuli"),
+        Column("Ratings", "n", COUNT, "n"), Column("Apart", "_apart", NAME),
+    ),
+    path="rater_model.{scale}.{level}.{participant}",
+)  # fmt: skip
+LIKELIHOOD = TableForm(
+    "Rater model: how likely the ratings are, per rating; of two models of the same ratings the one with the lower BIC "
+    "describes them better.",
+    (
+        RATINGS,
+        *(
+            Column(head, key, "slope", key, f"{OF_MODEL}, per rating")
+            for head, key in (("Log-likelihood", "loglikelihood"), ("AIC", "aic"), ("BIC", "bic"))
+        ),
+        Column("Parameters", "n_parameters", COUNT, "n_parameters"),
+    ),
+    path="rater_model_fit.{scale}.{level}", n="n_ratings",
 )  # fmt: skip
 REPEATS = "rating, pooled standard deviation of repeats of a stimulus by a rater"
 REPEATED = TableForm(
@@ -93,16 +156,21 @@ def compute(table: Table, choices: Choices) -> Section:
         return Section(KEY, TITLE, notes=(why,))
     screening = screen_raters(single, rng=choices.make_rng(KEY))
     everyone = screening.table["participant"].nunique()
-    slopes = list(_vary(table, screening, choices))
+    models, more_notes = _fit_models(single)
+    slopes, steps = list(_vary(table, screening, choices)), find_table_steps(table)
     return Section(
         key=KEY,
         title=TITLE,
-        answers=(_describe_flagged(screening),),
+        answers=(_describe_flagged(screening), *_describe_models(models)),
         grids=(
             RULES_APPLIED.build(_list_rules(screening)),
             AGREEMENTS.build(_list_agreements(screening)),
-            SLOPES.build(slopes),
+            word_steps(SLOPES, steps).build(add_step(row, steps[row["metric"]]) for row in slopes),
             REPEATED.build(_list_repeats(table)),
+            MODEL.build(_list_raters(models)),
+            LIKELIHOOD.build(
+                place | {key: getattr(model, key) for key in _FIT} for place, model in models
+            ),
         ),
         unseen=tuple(
             count_number(name_path("screening_panel", group), len(_list_flagged(screening, group)), n=everyone)
@@ -111,12 +179,88 @@ def compute(table: Table, choices: Choices) -> Section:
         tables={
             "screening": screening.table, "screening_items": screening.items,
             "screening_excerpts": screening.excerpts, "expertise": screening.gauge, "reliability": screening.panel,
-            "slopes_without_hits": slopes,
+            "slopes_without_hits": slopes, "rater_model": list(_list_raters(models)),
+            "rater_model_stimuli": stack(
+                ({"ratings": place["_ratings"]}, model.stimuli.reset_index()) for place, model in models
+            ),
         },
         pictures=(Picture("raters", CAPTION, partial(draw_raters, screening)),),
-        notes=screening.notes,
+        notes=(*screening.notes, *more_notes),
         how=(*read_methods(KEY), _describe_rules(screening)),
     )  # fmt: skip
+
+
+_FIT = ("loglikelihood", "aic", "bic", "n_parameters", "n_ratings")
+Models = list[tuple[dict[str, str], RaterModel]]
+
+
+def _fit_models(single: DataFrame) -> tuple[Models, list[str]]:
+    """Fit the rater model to each scale and level, hidden references and anchors included."""
+    models: Models = []
+    notes = []
+    for (scale, level), rows in single.groupby(["scale", "level"], observed=True):
+        lead = f"{scale}, {level}"
+        try:
+            model = rater_model(rows)
+        except ValueError as error:
+            notes.append(f"{lead}, rater model: none. {error}")
+            continue
+        models.append(({"scale": str(scale), "level": str(level), "_ratings": lead}, model))
+        notes += [f"{lead}, rater model: {note}" for note in model.notes]
+    return models, notes
+
+
+def _list_raters(models: Models) -> Iterator[dict[Any, Any]]:
+    for place, model in models:
+        for row in model.to_frame().to_dict("records"):
+            ends = {
+                f"{name}_{end}": row[name] + sign * NORMAL * row[f"{name}_se"]
+                for name in ("bias", "inconsistency")
+                for end, sign in (("low", -1), ("high", 1))
+            }
+            yield place | row | ends | {"_apart": "yes" if row["apart"] else "no"}
+
+
+def _describe_models(models: Models) -> Iterator[str]:
+    """Say in words who rates high or low, and whether somebody's ratings are unlike all others in consistency."""
+    several = len({place["level"] for place, _ in models}) > 1
+    for place, model in models:
+        subject = format_name(place["scale"])
+        subject += f" (level {format_name(place['level'])})" if several else ""
+        told = f"Rater model of {format_ratings(subject)}: {_describe_biases(model)}"
+        yield f"{told}; {_describe_consistency(model)}."
+
+
+def _describe_biases(model: RaterModel) -> str:
+    """Name the raters with the highest and the lowest bias, where these are more than chance among so many."""
+    from scipy.stats import norm
+
+    rows = model.to_frame().sort_values("bias").to_dict("records")
+    limit = float(norm.isf(SIGNIFICANCE / 2 / len(rows)))
+    told = [
+        f"{row['participant']} rates {format_number(abs(row['bias']), kind='rating')} points {way}"
+        for row, way in ((rows[-1], "higher"), (rows[0], "lower"))
+        if abs(row["bias"]) > limit * row["bias_se"]
+    ]
+    if not told:
+        return "no rater rates clearly higher or lower than the panel"
+    return f"{' and '.join(told)} than the panel"
+
+
+def _describe_consistency(model: RaterModel) -> str:
+    """Name the raters whose inconsistency is unlike the others', and give the range of the rest."""
+    spread = model.raters["inconsistency"]
+    rest = spread[~model.raters["apart"]]
+    reach = format_interval(rest.min(), rest.max(), kind="rating")
+    if not model.apart:
+        return f"inconsistency runs from {reach} points, and nobody's is unlike the others'"
+    names = join_words(model.apart)
+    own = format_interval(spread[list(model.apart)].min(), spread.max(), kind="rating")
+    one = len(model.apart) == 1
+    if one:
+        own = format_number(spread.max(), kind="rating")
+    who = f"{names} {'is' if one else 'are'} far less consistent than the others"
+    return f"{who} (a standard deviation of {own} points; the others {reach})"
 
 
 def _list_flagged(screening: Screening, group: str) -> list[Hashable]:

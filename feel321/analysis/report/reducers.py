@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from functools import partial
 from itertools import combinations
@@ -33,7 +33,9 @@ from feel321.analysis.report.parts import (
     RatingsPart,
     count_units,
     describe_reach,
+    find_table_steps,
     format_p,
+    join_steps,
     select_tests,
     thin_parts,
     thin_rows,
@@ -54,13 +56,15 @@ from feel321.analysis.report.section import (
     make_slug,
     read_methods,
 )
-from feel321.analysis.table.items import find_sources, order_reducers
+from feel321.analysis.table.items import find_sources
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
 from feel321.analysis.words import COUNT, Number
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.table.metrics import Step
     from feel321.analysis.table.reading import Table
 
 Row = dict[Any, Any]
@@ -153,16 +157,16 @@ def compute_levels(table: Table, choices: Choices) -> Section:
     """Compare the levels at which stimuli were rated."""
     tests = select_tests(table)
     notes: list[str] = []
-    found = []
+    found, steps = [], find_table_steps(table)
     if len(tests["level"].unique()) > 1:
-        found = list(_compare_scales(tests, table.metrics, choices=choices, notes=notes))
+        found = list(_compare_scales(tests, steps, choices=choices, notes=notes))
     adjusted = adjust_holm([row["p"] for row in found]) if found else []
     rows = [{**row, "p_holm": holm} for row, holm in zip(found, adjusted, strict=True)]
     return Section(
         key=KEY_LEVELS,
         title=TITLE_LEVELS,
         answers=tuple(map(_describe_levels, rows)),
-        grids=(LEVELS.build(rows),),
+        grids=(LEVELS.build(rows, caption=LEVELS.caption.replace("+0.1", join_steps(steps))),),
         tables={"levels": rows},
         notes=notes,
         how=read_methods(KEY_LEVELS),
@@ -170,26 +174,26 @@ def compute_levels(table: Table, choices: Choices) -> Section:
 
 
 def _compare_scales(
-    tests: DataFrame, metrics: tuple[str, ...], *, choices: Choices, notes: list[str]
+    tests: DataFrame, steps: Mapping[str, Step], *, choices: Choices, notes: list[str]
 ) -> Iterator[Row]:
     for name, rows in tests.assign(**{ITEM: tests["stimulus_id"]}).groupby("scale", observed=True):
         rng = choices.make_rng(KEY_LEVELS, scale := str(name))
-        part, thinned = thin_rows(rows, n_slopes=len(metrics), rng=rng)
+        part, thinned = thin_rows(rows, n_slopes=len(steps), rng=rng)
         notes += [f"{scale}, levels compared: {thinned}"] if thinned else []
         more = {"scale": scale, "_reach": count_units(part)}
         try:
-            yield from [more | row for row in _compare_levels(part, metrics)]
+            yield from [more | row for row in _compare_levels(part, steps)]
         except ValueError as error:
             notes.append(f"{scale}: levels are not compared. {error}")
 
 
-def _compare_levels(part: DataFrame, metrics: tuple[str, ...]) -> Iterator[Row]:
+def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> Iterator[Row]:
     levels = sorted(part["level"].unique())
     if len(levels) == 1:
         raise ValueError(f"All were rated at one level, '{levels[0]}'.")
     codes = {level: f"c{number}" for number, level in enumerate(levels)}
-    cells = _gather_arms(part, metrics)
-    used = [name for name in metrics if cells[f"{name}_w"].std() > 0]
+    cells = _gather_arms(part, tuple(steps))
+    used = [name for name in steps if cells[f"{name}_w"].std() > 0]
     sizes = {name: len(cells[name].unique()) for name in ("participant", "recording", "source")}
     groups = ["participant", "participant:arm"] * (sizes["participant"] > 1)
     groups += ["recording"] * (sizes["recording"] > 1) + ["base"]
@@ -203,9 +207,13 @@ def _compare_levels(part: DataFrame, metrics: tuple[str, ...]) -> Iterator[Row]:
     for first, second in combinations(levels, 2):
         one, two = f"arm{codes[first]}", f"arm{codes[second]}"
         wanted = {"rating": {one: 1.0, two: -1.0}}
-        wanted |= {name: {f"{one}:{name}_w": 0.1, f"{two}:{name}_w": -0.1} for name in used}
+        wanted |= {
+            name: {f"{one}:{name}_w": steps[name].size, f"{two}:{name}_w": -steps[name].size}
+            for name in used
+        }
         for what, weights in wanted.items():
-            unit = "points of rating" if what == "rating" else "points per +0.1 of the metric"
+            unit = "points of rating"
+            unit = unit if what == "rating" else f"points per {steps[what].per} of the metric"
             pair = {"first": first, "second": second, "n": len(cells), "of": what, "_unit": unit}
             yield pair | asdict(contrast(fit, weights))
 

@@ -18,7 +18,17 @@ from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import MOVED, RIGS, vary_primary
 from feel321.analysis.refined.candidates import EQUAL
 from feel321.analysis.refined.refine import Refined, refine_metric
-from feel321.analysis.report.parts import ITEM, Choices, RatingsPart, fit_rest, split_parts
+from feel321.analysis.report.parts import (
+    ITEM,
+    Choices,
+    RatingsPart,
+    add_step,
+    find_table_steps,
+    fit_rest,
+    join_steps,
+    split_parts,
+    word_steps,
+)
 from feel321.analysis.report.section import (
     METRIC,
     NAME,
@@ -40,6 +50,7 @@ from feel321.analysis.words import COUNT, TWO_WAY, Line
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.table.metrics import Step
     from feel321.analysis.table.reading import Table
 
 Row = dict[Any, Any]
@@ -89,26 +100,26 @@ def compute_robustness(table: Table, choices: Choices) -> Section:
     varied: dict[str, DataFrame] = {}
     universes: Universes = {}
     pictures: list[Picture] = []
-    parts = {part.lead: part for part in split_parts(table)}
+    parts, steps = {part.lead: part for part in split_parts(table)}, find_table_steps(table)
     for part in parts.values():
         try:
             _check_size(part)
             varied[part.lead] = vary_primary(part.rows, table.metrics, leave_out=False)
-            pictures.append(_picture_variants(part, table.metrics, varied[part.lead]))
+            pictures.append(_picture_variants(part, steps, varied[part.lead]))
             universes |= _run_universes(table, part, choices)
         except ValueError as error:
             notes.append(f"{part.lead}: no variants. {error}")
-    drawn = {key: found for key, found in universes.items() if len(found[1].curve)}
-    pictures += [_picture_universes(metric, *found) for (_, metric), found in drawn.items()]
+    pictures += _draw_universes(universes, steps)
     return Section(
         key=KEY_ROBUSTNESS,
         title="Robustness to other choices",
         verdict=list(_name_rigs(parts, varied)),
-        answers=[_describe_universes(metric, *found) for (_, metric), found in universes.items()],
+        answers=list(_describe_all(universes, steps)),
         grids=(
             VARIANTS.build(_list_variants(parts, varied)),
-            UNIVERSES.build(
-                _read_universe(metric, *found) for (_, metric), found in universes.items()
+            word_steps(UNIVERSES, steps).build(
+                _read_universe(metric, *found) | {"_per": steps[metric].per}
+                for (_, metric), found in universes.items()
             ),
         ),
         tables={
@@ -122,6 +133,17 @@ def compute_robustness(table: Table, choices: Choices) -> Section:
         notes=(*notes, *_note_variants(varied)),
         how=read_methods(KEY_ROBUSTNESS),
     )
+
+
+def _describe_all(universes: Universes, steps: Mapping[str, Step]) -> Iterator[str]:
+    for (_, metric), found in universes.items():
+        yield _describe_universes(metric, *found, per=steps[metric].per)
+
+
+def _draw_universes(universes: Universes, steps: Mapping[str, Step]) -> Iterator[Picture]:
+    for (_, metric), found in universes.items():
+        if len(found[1].curve):
+            yield _picture_universes(metric, *found, per=steps[metric].per)
 
 
 def _list_variants(
@@ -152,7 +174,7 @@ def _read_universe(metric: str, part: RatingsPart, result: Multiverse) -> Row:
 def _run_universes(table: Table, part: RatingsPart, choices: Choices) -> Universes:
     rows = table.rows
     own = rows[(rows["scale"] == part.scale) & (rows["level"] == part.level)]
-    estimate_slope = _remember_slopes(own, table.metrics)
+    estimate_slope = _remember_slopes(own, find_table_steps(table))
     screening = screen_raters(own, rng=choices.make_rng(KEY_ROBUSTNESS, *part.place))
     return {
         (part.lead, metric): (
@@ -163,19 +185,24 @@ def _run_universes(table: Table, part: RatingsPart, choices: Choices) -> Univers
     }
 
 
-def _remember_slopes(rows: DataFrame, metrics: tuple[str, ...]) -> Callable[..., UniverseEstimate]:
-    """Fit each set of raters once, whichever metric is asked for."""
+def _remember_slopes(rows: DataFrame, steps: Mapping[str, Step]) -> Callable[..., UniverseEstimate]:
+    """Fit each set of raters once, whichever metric is asked for; slopes are per step."""
     known: dict[frozenset[Hashable], dict[str, UniverseEstimate]] = {}
     tests, people = rows[rows["role"] == "test"], frozenset(rows["participant"])
-    make = cache(lambda: make_cells(tests.assign(**{ITEM: tests["stimulus_id"]}), metrics))
+    make = cache(lambda: make_cells(tests.assign(**{ITEM: tests["stimulus_id"]}), tuple(steps)))
 
     def fit(who: frozenset[Hashable]) -> dict[str, UniverseEstimate]:
         try:
             slopes = fit_rest(make(), people - who, people=len(people))
         except ValueError as error:
-            return dict.fromkeys(metrics, UniverseEstimate(float("nan"), note=str(error)))
-        ends = slopes[["tenth", "tenth_low", "tenth_high"]]
-        return {str(name): UniverseEstimate(*row) for name, row in ends.T.to_dict("list").items()}
+            return dict.fromkeys(steps, UniverseEstimate(float("nan"), note=str(error)))
+        found = {}
+        for row in slopes.reset_index().to_dict("records"):
+            own = add_step(row, steps[row["metric"]])
+            found[row["metric"]] = UniverseEstimate(
+                *(own[f"_step{end}"] for end in ("", "_low", "_high"))
+            )
+        return found
 
     def estimate_slope(rows: DataFrame, *, metric: str) -> UniverseEstimate:
         who = frozenset(rows["participant"])
@@ -190,28 +217,30 @@ def _remember_slopes(rows: DataFrame, metrics: tuple[str, ...]) -> Callable[...,
     return estimate_slope
 
 
-def _picture_variants(part: RatingsPart, metrics: tuple[str, ...], table: DataFrame) -> Picture:
+def _picture_variants(part: RatingsPart, steps: Mapping[str, Step], table: DataFrame) -> Picture:
     caption = (
-        f"Slopes of {part.ratings} within recordings: above in points per +0.1 of the metric, below "
+        f"Slopes of {part.ratings} within recordings: above in points per {join_steps(steps)} of the metric, below "
         "standardised, under other choices; 95 % Satterthwaite intervals."
     )
-    models = {part.lead: fit_primary(part.rows, metrics, explain=False)}
-    draw = partial(draw_slopes, models, variants=table)
+    models = {part.lead: fit_primary(part.rows, tuple(steps), explain=False)}
+    draw = partial(draw_slopes, models, variants=table, steps=steps)
     return Picture(make_slug("variants", *part.place), caption, draw)
 
 
-def _picture_universes(metric: str, part: RatingsPart, result: Multiverse) -> Picture:
+def _picture_universes(metric: str, part: RatingsPart, result: Multiverse, *, per: str) -> Picture:
     caption = (
-        f"Slope of {part.ratings} on {words.format_name(metric)}, points per +0.1, for every distinct set of raters "
+        f"Slope of {part.ratings} on {words.format_name(metric)}, points per {per}, for every distinct set of raters "
         "that the screening rules leave, from the smallest up; 95 % Satterthwaite intervals. Below: the rules applied."
     )
     counts = (result.n_combinations, len(result.table) - len(result.curve))
     rules = tuple(result.screening.rules)
-    draw = partial(draw_multiverse, result.curve, rules=rules, counts=counts)
+    draw = partial(draw_multiverse, result.curve, rules=rules, counts=counts, per=per)
     return Picture(make_slug("multiverse", *part.place, metric), caption, draw, detail=True)
 
 
-def _describe_universes(metric: str, part: RatingsPart, result: Multiverse) -> str:
+def _describe_universes(
+    metric: str, part: RatingsPart, result: Multiverse, *, per: str = "+0.1"
+) -> str:
     what = f"Slope of {part.ratings} on {words.format_name(metric)}"
     if not len(result.curve):
         large = "no set of raters is large enough to fit the model"
@@ -219,14 +248,14 @@ def _describe_universes(metric: str, part: RatingsPart, result: Multiverse) -> s
     if result.n_distinct == 1:
         alone = f"the {result.n_combinations} combinations of screening rules leave 1 distinct set of raters, everyone"
         return (
-            f"{what}: {words.format_number(result.median, kind='slope')} points per +0.1; {alone}."
+            f"{what}: {words.format_number(result.median, kind='slope')} points per {per}; {alone}."
         )
     reach = words.format_interval(result.smallest, result.largest, kind="slope")
     sets = f"{result.n_distinct} distinct sets of raters"
     some = f"{len(result.curve)} of " if len(result.curve) < result.n_distinct else ""
     few = "; the others leave too few raters to fit the model" if some else ""
     rules = f"{result.n_combinations} combinations of screening rules"
-    return f"{what}: {reach} points per +0.1 across {some}{sets} from {rules}{few}."
+    return f"{what}: {reach} points per {per} across {some}{sets} from {rules}{few}."
 
 
 def _name_rigs(parts: Mapping[str, RatingsPart], varied: Mapping[str, DataFrame]) -> Iterator[Line]:
@@ -370,7 +399,8 @@ def _search(part: RatingsPart, table: Table, choices: Choices) -> Refined:
     if AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all():
         rows, others = rows.assign(**{LEVEL: 20 * np.log10(rows[AMPLITUDE])}), [LEVEL, *others]
     rng, draws = choices.make_rng("refined", *part.place), min(choices.draws, DRAWS)
-    return refine_metric(rows, table.metrics, others=others, draws=draws, rng=rng)
+    info = {name: table.info[name] for name in table.metrics if name in table.info}
+    return refine_metric(rows, table.metrics, others=others, draws=draws, rng=rng, info=info)
 
 
 def _list_rows(part: RatingsPart, result: Refined, name: str) -> list[Row]:

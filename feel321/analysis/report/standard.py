@@ -121,7 +121,10 @@ def _evaluate(part: RatingsPart, table: Table, notes: list[str]) -> dict[str, li
     judged: dict[tuple[str, int, bool], P1401] = {}
     for (place, name), order, held in product(enumerate(names), ORDERS, (False, True)):
         groups = items.of_source[items.recordings] if held else None
-        run = partial(p1401, items.ratings.T, items.metrics[place], order=order, groups=groups)
+        higher = table.info[name].higher if name in table.info else None
+        run = partial(
+            p1401, items.ratings.T, items.metrics[place], order=order, groups=groups, higher=higher
+        )
         result = _attempt(run, notes, f"{part.lead}, P.1401 of {name}")
         if result is not None:
             judged[name, order, held] = result

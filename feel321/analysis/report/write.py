@@ -10,6 +10,7 @@ import platform
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
@@ -30,12 +31,20 @@ from feel321.analysis.report import (
 from feel321.analysis.report import choices as chosen
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.parts import Choices
-from feel321.analysis.report.section import Section, number_pictures, render_template
+from feel321.analysis.report.section import Picture, Section, number_pictures, render_template
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.items import find_sources, format_recordings
 from feel321.analysis.table.reading import Further, Table, find_tables, read_table
 from feel321.analysis.table.roster import ROSTER_FILE
-from feel321.analysis.words import Claim, Line, Number, count_number, format_note
+from feel321.analysis.words import (
+    Claim,
+    Line,
+    Number,
+    count_number,
+    declaring,
+    format_note,
+    make_declaring,
+)
 from feel321.doors import as_seed, follow
 from feel321.records import Result
 from feel321.types import MetricInfo, PathLike, Progress, Rng
@@ -318,19 +327,33 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     ):
         choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
         table, given = _open(ratings_path, manifest_path, **choice)
-        sections = []
-        for section in _compute(table, choices, move):
-            sections.append(section)
-            target.draw(section.pictures)
-        sections = _reconcile(sections)
         inputs = describe_inputs(given, table=table, further=further, choices=choices)
-        results = gather_results(table, sections, inputs=inputs)
-        target.write(
-            results.to_dict(),
-            page=lambda drawings: render_page(results, sections, drawings=drawings),
-            tables={name: rows for section in sections for name, rows in section.tables.items()},
-        )
+        with declaring(table.info):
+            results = _write(table, choices, target, move=move, inputs=inputs)
     return replace(results, path=target.path)
+
+
+def _write(
+    table: Table,
+    choices: Choices,
+    target: ResultsFolder,
+    *,
+    move: Callable[[int, int], None],
+    inputs: Mapping[str, str],
+) -> Results:
+    """Compute all sections, and draw the figures of each meanwhile."""
+    sections = []
+    for section in _compute(table, choices, move):
+        sections.append(section)
+        target.draw(section.pictures)
+    sections = _reconcile(sections)
+    results = gather_results(table, sections, inputs=inputs)
+    target.write(
+        results.to_dict(),
+        page=lambda drawings: render_page(results, sections, drawings=drawings),
+        tables={name: rows for section in sections for name, rows in section.tables.items()},
+    )
+    return results
 
 
 def _open(
@@ -359,7 +382,7 @@ def compute_sections(
     table: Table, choices: Choices, *, progress: Progress | None = False
 ) -> tuple[Section, ...]:
     """Run the whole analysis; returns its sections in the report's order, figures numbered through."""
-    with follow(progress or False, "report") as move:
+    with follow(progress or False, "report") as move, declaring(table.info):
         return tuple(_reconcile(list(_compute(table, choices, move))))
 
 
@@ -377,10 +400,18 @@ def _compute(
     with threadpool_limits(limits=1, user_api="blas"):
         for number, compute in enumerate(SECTIONS, start=1):
             section = compute(table, choices)
-            pictures = tuple(number_pictures(section.pictures, start=drawn + 1))
+            own = number_pictures(section.pictures, start=drawn + 1)
+            pictures = tuple(_declare(picture, table) for picture in own)
             drawn += len(pictures)
             yield replace(section, pictures=pictures)
             progress(number, len(SECTIONS))
+
+
+def _declare(picture: Picture, table: Table) -> Picture:
+    """Let a figure that is drawn later call metrics by their labels."""
+    if not callable(picture.drawing):
+        return picture
+    return replace(picture, drawing=partial(make_declaring, table.info, picture.drawing))
 
 
 def _reconcile(sections: Sequence[Section]) -> list[Section]:

@@ -27,7 +27,6 @@ from feel321.analysis.arrays import Values, check_columns, read_numbers
 from feel321.analysis.table.schema import APART, NAMING, NO, YES
 from feel321.doors import as_names, check_name
 from feel321.records import Result
-from feel321.stimuli.names import REDUCER_NAMES
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -267,6 +266,11 @@ def choose_metrics(ratings: Table | DataFrame, metrics: Iterable[str] | None) ->
     if not names:
         raise ValueError("metrics must be a list of one name or more, got none; name columns")
     return names
+
+
+def choose_info(ratings: Table | DataFrame) -> Mapping[str, MetricInfo]:
+    """Take what metrics declare from a Table; a DataFrame says nothing of it."""
+    return ratings.info if isinstance(ratings, Table) else {}
 
 
 def refuse_pooled(rows: DataFrame, *, metrics: Collection[str] = (), what: str = "ratings") -> None:
@@ -539,9 +543,3 @@ def _number_items(rows: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     number = np.asarray(rows.groupby(keys, observed=True).ngroup(), dtype=np.intp)
     named = rows[keys].iloc[np.unique(number, return_index=True)[1]]
     return number, tuple("/".join(map(str, key)) for key in named.itertuples(index=False))
-
-
-def order_reducers(names: Iterable[str]) -> list[str]:
-    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
-    found = set(names)
-    return [name for name in REDUCER_NAMES if name in found] + sorted(found - set(REDUCER_NAMES))

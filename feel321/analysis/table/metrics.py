@@ -12,12 +12,12 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.table import schema
-from feel321.stimuli.names import MATCHES, METRIC_INFO
+from feel321.stimuli.names import MATCHES, METRIC_INFO, REDUCER_NAMES
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -174,9 +174,16 @@ def format_bounds(info: MetricInfo) -> str:
     return f"{info.low:g} or more" if math.isfinite(info.low) else "any number"
 
 
+class Step(NamedTuple):
+    """A step of a metric by which slopes are reported: its size, and how it is written."""
+
+    size: float = TENTH
+    per: str = f"+{TENTH}"
+
+
 def find_steps(
     items: DataFrame, metrics: Iterable[str], info: Mapping[str, MetricInfo]
-) -> dict[str, float]:
+) -> dict[str, Step]:
     """Choose the step of each metric by which slopes are reported: 0.1 of a match, else a power of ten.
 
     A metric of at most 1 without a unit is a share of 1. Of any other the step is the largest power of ten that is
@@ -189,7 +196,13 @@ def find_steps(
         values = items[name].astype(float)
         within = (values - values.groupby(items["recording"]).transform("mean")).dropna()
         span = float(np.subtract(*np.percentile(within, [75, 25]))) if len(within) else 0.0
-        steps[name] = (
-            TENTH if share or not span > 0 else 10.0 ** math.floor(math.log10(span) + ROUNDING)
-        )
+        tenth = share or not span > 0
+        size = TENTH if tenth else 10.0 ** math.floor(math.log10(span) + ROUNDING)
+        steps[name] = Step(size, f"+{size:g} {one.unit if one else ''}".rstrip())
     return steps
+
+
+def order_reducers(names: Iterable[str]) -> list[str]:
+    """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
+    found = set(names)
+    return [name for name in REDUCER_NAMES if name in found] + sorted(found - set(REDUCER_NAMES))

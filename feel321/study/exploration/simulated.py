@@ -58,9 +58,17 @@ class MovingPresenter:
         self._trial = trial
         self._inner.show_trial(trial, scale, place)
 
-    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
+    def play(
+        self,
+        part: Part,
+        stimulus: Stimulus | Tone | Scaled,
+        *,
+        gap_s: float,
+        due_s: float | None = None,
+    ) -> Playback:
         """Feel a stimulus while the hand moves."""
-        playback, trial = self._inner.play(part, stimulus, gap_s=gap_s), self._trial
+        playback = self._inner.play(part, stimulus, gap_s=gap_s, due_s=due_s)
+        trial = self._trial
         if trial is None or trial.protocol not in self._modes or playback.onset_s is None:
             return playback
         now_s = [playback.onset_s]
@@ -76,9 +84,9 @@ class MovingPresenter:
         """Stroke the real surface."""
         return self._inner.prompt(part)
 
-    def wait(self) -> Act:
+    def wait(self, limit_s: float | None = None) -> Act:
         """Wait for the next act."""
-        return self._inner.wait()
+        return self._inner.wait(limit_s)
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
         """Pass on why an act was not accepted."""

@@ -427,14 +427,16 @@ class Participant:
                 distances = measure_distances(
                     experience, judgement, scale.choices, touch=self.touch
                 )
-                values[judgement.part] = self.rater.choose(distances, growth=growth, rng=rng)
+                values[judgement.key] = self.rater.choose(distances, growth=growth, rng=rng)
             else:
-                values[judgement.part] = self.rater.rate(
+                # Further scales have draws of their own, which leave those of the first as they are.
+                own = self._draw_from(trial.number, place.attempt, crc32(judgement.scale.encode()))
+                values[judgement.key] = self.rater.rate(
                     find_percept(experience, judgement, touch=self.touch),
                     sure=find_sure_end(trial),
                     shift=model.fatigue * tired - self._find_contrast(trial),
                     growth=growth,
-                    rng=rng,
+                    rng=own if judgement.scale else rng,
                 )
         return values, len(values) * self.rater.draw_time(rng)
 

@@ -14,7 +14,17 @@ from feel321.study.observer.participant import (
     Participant,
     feel_level,
 )
-from feel321.study.session.ports import Act, Confirm, Feel, Move, Place, Playback, Scaled, Tone
+from feel321.study.session.ports import (
+    Act,
+    Confirm,
+    Feel,
+    Move,
+    Place,
+    Playback,
+    Scaled,
+    TimedOut,
+    Tone,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,8 +61,16 @@ class SimulatedObserver(Participant):
         felt = Experience(trial, self._points, self._tones, self._levels_db)
         self._acts = self._list_acts(felt, scale, place)
 
-    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
+    def play(
+        self,
+        part: Part,
+        stimulus: Stimulus | Tone | Scaled,
+        *,
+        gap_s: float,
+        due_s: float | None = None,
+    ) -> Playback:
         """Feel a stimulus."""
+        gap_s = gap_s if due_s is None else max(gap_s, due_s - self._time_s)
         if isinstance(stimulus, Scaled):
             self._levels_db.setdefault(part.name, feel_level(stimulus))
             return self._pass_playback(gap_s, stimulus.duration_s)
@@ -67,9 +85,14 @@ class SimulatedObserver(Participant):
         self._points[part.name] = REAL
         return self._pass_playback(0.0, STROKE_S)
 
-    def wait(self) -> Act:
-        """Feel what can be felt at will, then confirm."""
-        return next(self._acts)
+    def wait(self, limit_s: float | None = None) -> Act:
+        """Feel what can be felt at will, then confirm, if there is time for that."""
+        act = next(self._acts)
+        if limit_s is None or not isinstance(act, Confirm) or act.response_time_s <= limit_s:
+            return act
+        self._confirmed = None
+        self._time_s = round(self._time_s - act.response_time_s + limit_s, 3)
+        return TimedOut(self._time_s)
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
         """Feel what was not felt before the same answer is given again."""

@@ -23,6 +23,7 @@ FINE, COARSE = 1.0, 10.0
 MOVES = {"left": -FINE, "right": FINE, "more": COARSE, "less": -COARSE}
 """How far actions move a marker, in points."""
 
+LISTS = frozenset({"rows", "scales"})  # kinds of screens with more than one slider
 ROW_STEPS = {"up": -1, "down": 1}  # how far actions move the selection, in rows
 FAR = frozenset({"up", "down", "more", "less"})  # actions that move far; their keys repeat slowly
 
@@ -249,8 +250,8 @@ class Answer:
 
     def __init__(self, trial: Trial, scale: Scale, keys: KeysTable = USUAL) -> None:
         self.kind = "rows" if trial.timing == "free" else "slider"
-        self.kind = "choice" if scale.choices else self.kind
-        self.rated = [judgement.part for judgement in trial.judgements]
+        self.kind = "choice" if scale.choices else "scales" if scale.further else self.kind
+        self.rated = trial.judged
         self.markers = Markers()
         self.selected = self.rated[0]
         self.chosen = ""
@@ -304,6 +305,16 @@ class Answer:
         self._set(self.selected, value, time_s)
         return value is not None
 
+    def go_to_open(self) -> bool:
+        """Where a trial has several scales and one of them was answered, go to the next that was not."""
+        if self.kind != "scales" or self.selected not in self.markers.values:
+            return False
+        after = self.rated.index(self.selected)
+        order = [*self.rated[after:], *self.rated[:after]]
+        still = next((key for key in order if key not in self.markers.values), None)
+        self.selected = still or self.selected
+        return still is not None
+
     def _press(self, event: InputEvent, *, can_answer: bool) -> Request | None:
         key, time_s = event.key, event.time_s
         action = self._keys.name_action(key)
@@ -347,7 +358,7 @@ class Answer:
 
     def _feel_row(self, part: str, time_s: float) -> Request:
         """Feel one part, and let the keys move its marker if it has one."""
-        if part in self.rated:
+        if self.kind == "rows" and part in self.rated:
             self.selected = part
         return Request("feel", time_s, part)
 
@@ -360,7 +371,7 @@ class Answer:
             self._digits.take()
             value = self.markers.values.get(self.selected)
             self._set(self.selected, FIRST if value is None else value + step, time_s)
-        elif self.kind == "rows" and action in ROW_STEPS:
+        elif self.kind in LISTS and action in ROW_STEPS:
             self.finish_typing(time_s)
             place = self.rated.index(self.selected) + ROW_STEPS[action]
             self.selected = self.rated[min(max(place, 0), len(self.rated) - 1)]

@@ -1,20 +1,18 @@
 """Screens as pure geometry: a view in, boxes of pixels out; pages, and texts that are too long for a screen."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from feel321.protocols.questions import Question
 from feel321.protocols.trial import Page, Scale
 from feel321.study.screen.asking import add_question, find_question_overflows
 from feel321.study.screen.drawing import Box, Sheet, Text, measure
-from feel321.study.screen.rating import LABEL_LINES, add_trial, count_label_lines
+from feel321.study.screen.rating import add_trial, find_scale_overflows
 from feel321.study.screen.view import (
     BODY,
     DIM,
     LINE,
-    LINES,
     ORANGE,
     PANEL,
-    QUESTION,
     SMALL,
     TITLE,
     Button,
@@ -56,9 +54,13 @@ def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
 
 
 def find_overflows(
-    texts: ScreenTexts, scales: Iterable[Scale], questions: Iterable[Question] = ()
+    texts: ScreenTexts,
+    scales: Iterable[Scale],
+    questions: Iterable[Question] = (),
+    *,
+    together: Collection[str] = (),
 ) -> list[str]:
-    """Find texts that are too long for a screen."""
+    """Find texts that are too long for a screen; together: names of scales that share one."""
     problems = []
     for key in texts.pages:
         sheet, page = Sheet(*TIGHTEST), Page(key)
@@ -77,16 +79,7 @@ def find_overflows(
         ]
     for scale in scales:
         sheet = Sheet(*TIGHTEST)
-        width = sheet.find_strip("body").width
-        question = len(sheet.wrap(scale.question, width, QUESTION, bold=True))
-        problems += [
-            f"scale {scale.name!r}: its {name} must take at most {most} lines, got {count}; shorten it"
-            for name, count, most in (
-                ("question", question, LINES),
-                ("longer label", count_label_lines(scale, sheet), LABEL_LINES),
-            )
-            if count > most
-        ]
+        problems += find_scale_overflows(scale, sheet, is_shared=scale.name in together)
     for asked in questions:
         problems += find_question_overflows(asked, Sheet(*TIGHTEST))
     return problems

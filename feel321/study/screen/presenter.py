@@ -31,6 +31,7 @@ from feel321.study.session.ports import (
     Playback,
     Scaled,
     Surface,
+    TimedOut,
     Tone,
 )
 
@@ -232,7 +233,14 @@ class ScreenPresenter:
         self._screen.bring_up(view, answer)
         self._possible_s = self._clock()
 
-    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
+    def play(
+        self,
+        part: Part,
+        stimulus: Stimulus | Tone | Scaled,
+        *,
+        gap_s: float,
+        due_s: float | None = None,
+    ) -> Playback:
         """Play a stimulus to its end, or until the participant stops it."""
         frames = self._screen.window.frames
         self._announce("feeling", part)
@@ -242,6 +250,7 @@ class ScreenPresenter:
         goes_on, self._goes_round, self._is_switching = self._is_switching, False, False
         self._asked_s = self._asked_s if goes_round else self._clock()
         pause_s = LOOP_PAUSE_S if goes_round else gap_s
+        pause_s = pause_s if due_s is None else max(pause_s, due_s - self._clock())
         start = self._output.start
         if (explores := self._begin_exploring()) is not None:
             start = partial(start, explorer=explores)
@@ -274,7 +283,7 @@ class ScreenPresenter:
                     self._end_part(part, is_felt=end is None)
                     return Playback(began_s, began_s, completed=end is None, act=end)
 
-    def wait(self) -> Act:
+    def wait(self, limit_s: float | None = None) -> Act:
         """Wait for the participant's next act on the trial that is shown."""
         self._screen.view = replace(self._screen.view, state="answering", playing="")
         answer = self._screen.find_answer()
@@ -282,10 +291,22 @@ class ScreenPresenter:
             for request in self._screen.listen():
                 self._acts.extend(_list_acts(request, answer, possible_s=self._possible_s))
             self._acts.extend(answer.markers.settle(self._clock()))
+            if limit_s is not None:
+                left_s = limit_s - self._clock() + self._possible_s
+                self._screen.view = replace(self._screen.view, left_s=max(1, ceil(left_s)))
+                if left_s <= 0 and not self._acts:
+                    return TimedOut(self._clock())
         return self._acts.popleft()
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
         """Explain to the participant why an act was not accepted, until the next one."""
+        trial = self._screen.view.trial
+        if trial is not None and any(judgement.scale for judgement in trial.judgements):
+            # Where there are several scales, they are numbered.
+            judged = trial.judged
+            parts = tuple(
+                str(judged.index(part) + 1) if reason == "not_answered" else part for part in parts
+            )
         names = ", ".join(self._texts.name_part(part) for part in parts)
         self._screen.notice = self._texts.refusals[reason].format(parts=names)
 
@@ -345,7 +366,7 @@ def _list_acts(request: Request, answer: Answer, *, possible_s: float) -> Iterat
     elif request.name == "feel":
         yield from answer.markers.settle(time_s, rest_s=0.0)
         yield Feel(time_s, request.part)
-    elif request.name == "confirm" and not answer.finish_typing(time_s):
+    elif request.name == "confirm" and not (answer.finish_typing(time_s) or answer.go_to_open()):
         # Enter after digits that wait for another sets their value only: it must be seen before it counts.
         yield from answer.markers.settle(time_s, rest_s=0.0)
         yield Confirm(time_s, answer.values, max(0.0, time_s - possible_s))

@@ -1,5 +1,6 @@
 """Where a trial stands on the screen: what is felt, what is asked, and where it is answered."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from feel321.protocols.trial import RATING_RANGE, Scale, Trial
@@ -10,7 +11,9 @@ from feel321.study.screen.view import (
     DIM,
     FELT,
     LINE,
+    LINES,
     LOOP,
+    ORANGE,
     PANEL,
     QUESTION,
     SMALL,
@@ -21,9 +24,18 @@ from feel321.study.screen.view import (
     add_hints,
 )
 
+BLOCK, BLOCK_TRACK, LEAST_PICTURE = 15.0, 4.0, 12.0
+"""Heights, in units, of a slider where a trial has several, of its track, and of the least picture beside them."""
+
+SOON_S = 3  # from when on the time that is left for an answer stands out
+
+MARGIN, VALUE = 2.5, 9.0
+"""Widths, in units, of what is free left of such a slider, and of the number at its right."""
+
 HINTS = {
     "slider": ("move", "coarse_rows", "digits"),
     "rows": ("feel", "loop", "choose", "move", "coarse_rows"),
+    "scales": ("move", "coarse_rows", "digits"),
     "choice": ("pick",),
 }
 """The keys that have no button, by kind of screen."""
@@ -38,7 +50,7 @@ LABEL = 0.45  # largest width of a slider's label, as a share of the track
 LABEL_LINES = 2  # most lines of a slider's label
 
 
-def count_label_lines(scale: Scale, sheet: Sheet) -> int:
+def _count_label_lines(scale: Scale, sheet: Sheet) -> int:
     """Count the lines that the longer label of a slider takes."""
     width = LABEL * _find_slider_width(sheet)
     labels = (scale.low_label, scale.high_label)
@@ -81,6 +93,16 @@ def _label_anchors(sheet: Sheet, track: Box, scale: Scale, *, top: float) -> Non
         sheet.write(box, word, SMALL, color=DIM, align="center")
 
 
+def _label_inside(sheet: Sheet, below: Box, words: Sequence[str]) -> None:
+    """Write words evenly along a slider, none of them beyond its ends."""
+    for place, word in enumerate(words):
+        width = sheet.measure(word, SMALL)
+        share = place / (len(words) - 1) if len(words) > 1 else 0.5
+        left = below.left + share * below.width - width / 2
+        left = min(max(left, below.left), below.right - width)
+        sheet.write(Box(left, below.top, width, below.height), word, SMALL, color=DIM)
+
+
 def _add_bands(sheet: Sheet, grid: Box, scale: Scale) -> None:
     """Cut a list of sliders into equal bands, each with its word above: ITU-R BS.1534-3, attachment 1."""
     count, unit = len(scale.anchors), sheet.unit
@@ -109,21 +131,32 @@ class _TrialLayout:
         if not is_rows:
             self.add_parts(top)
             top += 10.5 * unit
-        lines = sheet.wrap(self.find_question(), body.width, QUESTION, bold=True)
-        box = Box(body.left, top, body.width, 0)
-        sheet.write(box, lines, QUESTION, bold=True, align="center")
-        top += sheet.find_height(len(lines), QUESTION) + (1.5 if is_rows else 3.0) * unit
+        is_list = view.kind == "scales" and view.state != "stroking"
+        if not is_list:
+            lines = sheet.wrap(self.find_question(), body.width, QUESTION, bold=True)
+            box = Box(body.left, top, body.width, 0)
+            sheet.write(box, lines, QUESTION, bold=True, align="center")
+            top += sheet.find_height(len(lines), QUESTION) + (1.5 if is_rows else 3.0) * unit
         box = Box(body.left, top, body.width, body.bottom - top)
-        if view.picture and not is_rows:
+        if view.picture and not is_rows and not is_list:
             below = self.find_slider_height() if view.kind == "slider" else 0.0
             height = max(box.height - below - BELOW * unit, box.height / 3)
             sheet.items.append(Photo(Box(box.left, top, box.width, height), view.picture))
             top += height + BELOW * unit
             box = Box(box.left, top, box.width, body.bottom - top)
-        {"rows": self.add_rows, "choice": self.add_choice}.get(view.kind, self.add_slider)(box)
+        self.add_answer(box)
+        _add_left(sheet, view)
         add_buttons(sheet, [Button(self.texts.keys["pause"], "pause")], self.list_buttons())
         if view.can_answer:
-            add_hints(sheet, [self.texts.keys[key] for key in HINTS[view.kind]])
+            hints = [self.texts.keys[key] for key in HINTS[view.kind]]
+            if view.kind == "scales":
+                arrows = self.texts.keys["choose"].partition("  ")[0]
+                hints.insert(0, f"{arrows}  {self.texts.questions['pick']}")
+            add_hints(sheet, hints)
+
+    def add_answer(self, box: Box) -> None:
+        """Add what is answered."""
+        (self.add_choice if self.view.kind == "choice" else self.add_slider)(box)
 
     def find_question(self) -> str:
         if self.view.state != "stroking":
@@ -181,7 +214,7 @@ class _TrialLayout:
 
     def find_slider_height(self) -> float:
         """Compute the height of a slider with the number over it and the words under it, in pixels."""
-        lines = 1 + bool(self.scale.anchors) + count_label_lines(self.scale, self.sheet)
+        lines = 1 + bool(self.scale.anchors) + _count_label_lines(self.scale, self.sheet)
         return (ABOVE + TRACK + UNDER) * self.sheet.unit + self.sheet.find_height(lines, BODY)
 
     def add_slider(self, box: Box) -> None:
@@ -220,6 +253,36 @@ class _TrialLayout:
             sheet.write(box, f"{number:.0f}", SMALL, color=DIM, align=align)
             lines = sheet.wrap(label, width, BODY)
             sheet.write(Box(left, top + step, width, step), lines, BODY, align=align)
+
+    def add_choice(self, box: Box) -> None:
+        """Set what can be chosen side by side; what was chosen is framed and marked."""
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        count, names = len(self.scale.choices), map(self.texts.name_part, self.scale.choices)
+        widest = max(sheet.measure(name, 2 * QUESTION, bold=True) for name in names)
+        width, height = max(34 * unit, widest + 6 * unit), min(22 * unit, box.height)
+        gap = 8 * unit
+        left = (sheet.width - count * width - (count - 1) * gap) / 2
+        top = box.top + (box.height - height) / 2
+        for place, name in enumerate(self.scale.choices):
+            field = Box(left + place * (width + gap), top, width, height)
+            is_chosen = name == view.chosen
+            ink = GROUND if is_chosen else INK if view.can_answer else DIM
+            fill = BLUE if is_chosen else PANEL
+            sheet.fill(field, fill, line=LINE, round_px=2 * unit, line_px=0.3 * unit)
+            words = self.texts.name_part(name)
+            sheet.write(field, words, 2 * QUESTION, color=ink, bold=True, align="center")
+            if view.can_answer:
+                sheet.targets.append(Target(field, "choose", name))
+
+
+class _RowsLayout(_TrialLayout):
+    """Puts a page of vibrations on a sheet, each with its slider."""
+
+    __slots__ = ()
+
+    def add_answer(self, box: Box) -> None:
+        """Add the rows."""
+        self.add_rows(box)
 
     def add_rows(self, box: Box) -> None:
         """Set the reference beside the words of the scale, and under them a row for each vibration."""
@@ -265,28 +328,107 @@ class _TrialLayout:
             box = Box(track.right + 3 * unit, line.top, width, line.height)
             sheet.write(box, f"{value:.0f}", BODY, bold=True, align="right")
 
-    def add_choice(self, box: Box) -> None:
-        """Set what can be chosen side by side; what was chosen is framed and marked."""
+
+class _ScalesLayout(_TrialLayout):
+    """Puts a trial with several scales on a sheet."""
+
+    __slots__ = ()
+
+    def add_answer(self, box: Box) -> None:
+        """Add the sliders, once there is nothing to stroke."""
+        if self.view.state != "stroking":
+            self.add_scales(box)
+
+    def add_scales(self, box: Box) -> None:
+        """Set the sliders of several scales under each other, each with its question above and its ends below."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        count, names = len(self.scale.choices), map(self.texts.name_part, self.scale.choices)
-        widest = max(sheet.measure(name, 2 * QUESTION, bold=True) for name in names)
-        width, height = max(34 * unit, widest + 6 * unit), min(22 * unit, box.height)
-        gap = 8 * unit
-        left = (sheet.width - count * width - (count - 1) * gap) / 2
-        top = box.top + (box.height - height) / 2
-        for place, name in enumerate(self.scale.choices):
-            field = Box(left + place * (width + gap), top, width, height)
-            is_chosen = name == view.chosen
-            ink = GROUND if is_chosen else INK if view.can_answer else DIM
-            fill = BLUE if is_chosen else PANEL
-            sheet.fill(field, fill, line=LINE, round_px=2 * unit, line_px=0.3 * unit)
-            words = self.texts.name_part(name)
-            sheet.write(field, words, 2 * QUESTION, color=ink, bold=True, align="center")
-            if view.can_answer:
-                sheet.targets.append(Target(field, "choose", name))
+        keys = self.trial.judged
+        height = min(19 * unit, box.height / len(keys))
+        free = box.height - height * len(keys)
+        top = box.top + free / 2
+        room = box.height - BLOCK * unit * len(keys) - BELOW * unit
+        if view.picture and room >= LEAST_PICTURE * unit:
+            height = BLOCK * unit
+            sheet.items.append(Photo(Box(box.left, box.top, box.width, room), view.picture))
+            top = box.top + room + BELOW * unit
+        for place, (key, judgement) in enumerate(zip(keys, self.trial.judgements, strict=True)):
+            scale = self.scale.find(judgement.scale)
+            line = Box(box.left, top + place * height, box.width, height)
+            self.add_scale(key, scale, line, number=place + 1)
+
+    def add_scale(self, key: str, scale: Scale, line: Box, *, number: int) -> None:
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        is_selected, value = key == view.selected, view.markers.get(key)
+        left, width = line.left + MARGIN * unit, line.width - (2 * MARGIN + VALUE) * unit
+        head = Box(left, line.top, width, sheet.find_height(1, BODY))
+        ink = INK if view.can_answer else DIM
+        sheet.write(head, f"{number}  {scale.question}", BODY, color=ink, bold=True)
+        track = Box(left, head.bottom + 0.4 * unit, width, BLOCK_TRACK * unit)
+        if is_selected:
+            sheet.fill(Box(line.left, head.top, 0.8 * unit, track.bottom - head.top), BLUE)
+        _add_track(sheet, track, is_ready=view.can_answer)
+        _add_marker(sheet, track, value, color=BLUE if is_selected else INK)
+        words = f"{view.typed}_" if view.typed and is_selected else ""
+        words = words or ("" if value is None else f"{value:.0f}")
+        beside = Box(track.right + unit, track.top, (MARGIN + VALUE - 1) * unit, track.height)
+        sheet.write(beside, words, BODY, bold=True, align="right")
+        below = Box(track.left, track.bottom + 0.2 * unit, track.width, sheet.find_height(1, SMALL))
+        if scale.anchors:
+            _label_inside(sheet, below, scale.anchors)
+        else:
+            sheet.write(below, scale.low_label, SMALL, color=DIM)
+            sheet.write(below, scale.high_label, SMALL, color=DIM, align="right")
+        if view.can_answer:
+            target = Box(
+                track.left - unit, head.top, track.width + 2 * unit, below.bottom - head.top
+            )
+            sheet.targets.append(Target(target, "mark", key, track))
+
+
+def _add_left(sheet: Sheet, view: View) -> None:
+    """Write how long an answer may still take, where that is limited."""
+    if view.state == "answering" and view.left_s:
+        color = ORANGE if view.left_s <= SOON_S else DIM
+        sheet.write(sheet.find_strip("top"), f"{view.left_s} s", SMALL, color=color)
+
+
+def find_scale_overflows(scale: Scale, sheet: Sheet, *, is_shared: bool) -> list[str]:
+    """Find what of a scale is too long for a screen; is_shared: that it shares with others."""
+    return _find_shared(scale, sheet) if is_shared else _find_alone(scale, sheet)
+
+
+def _find_alone(scale: Scale, sheet: Sheet) -> list[str]:
+    width = sheet.find_strip("body").width
+    question = len(sheet.wrap(scale.question, width, QUESTION, bold=True))
+    return [
+        f"scale {scale.name!r}: its {name} must take at most {most} lines, got {count}; shorten it"
+        for name, count, most in (
+            ("question", question, LINES),
+            ("longer label", _count_label_lines(scale, sheet), LABEL_LINES),
+        )
+        if count > most
+    ]
+
+
+def _find_shared(scale: Scale, sheet: Sheet) -> list[str]:
+    width = sheet.find_strip("body").width - (2 * MARGIN + VALUE) * sheet.unit
+    faults = []
+    if sheet.measure(f"0  {scale.question}", BODY, bold=True) > width:
+        faults.append("question must take one line")
+    longest = max(sheet.measure(words, SMALL) for words in (scale.low_label, scale.high_label))
+    if not scale.anchors and longest > LABEL * width:
+        faults.append("longer label must take less than half a line")
+    count = len(scale.anchors)
+    if any(sheet.measure(word, SMALL) > width / count for word in scale.anchors):
+        faults.append("anchors must fit side by side")
+    return [
+        f"scale {scale.name!r}: its {fault} where several scales are asked; shorten it"
+        for fault in faults
+    ]
 
 
 def add_trial(sheet: Sheet, view: View, texts: ScreenTexts) -> None:
     """Put a trial on a sheet."""
     if view.trial is not None and view.scale is not None:
-        _TrialLayout(sheet, view, texts, view.trial, view.scale).add()
+        layout = {"scales": _ScalesLayout, "rows": _RowsLayout}.get(view.kind, _TrialLayout)
+        layout(sheet, view, texts, view.trial, view.scale).add()

@@ -14,7 +14,7 @@ from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import KEY_NAMES, PLAY, USUAL, KeysTable
 from feel321.study.observer.participant import Experience, Participant, feel_level
 from feel321.study.screen.asking import ENTER
-from feel321.study.screen.input import MOVES, ROW_STEPS
+from feel321.study.screen.input import LISTS, MOVES, ROW_STEPS
 from feel321.study.screen.view import Hand, View
 from feel321.study.session.ports import Scaled, Tone
 
@@ -176,12 +176,12 @@ class PressingHand(Hand):
             )
             self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
         for judgement in trial.judgements:
-            value = self._values[judgement.part]
+            value = self._values[judgement.key]
             if isinstance(value, str):
                 choices = view.scale.choices if view.scale else ()
                 act = None if view.chosen == value else "left" if value == choices[0] else "right"
             else:
-                act = self._move_marker(view, judgement.part, round(value))
+                act = self._move_marker(view, judgement.key, round(value))
             if act is not None:
                 return act
         if trial.protocol == MATCHING and self._felt != view.markers:
@@ -201,7 +201,7 @@ class PressingHand(Hand):
         marker = view.markers.get(part)
         if marker == target and not (view.typed and view.selected == part):
             return None
-        if view.kind == "rows" and view.selected != part:
+        if view.kind in LISTS and view.selected != part:
             return _go_to_row(view, part)
         # Every other trial by digits, so that both ways are used.
         if self._keys.type_values and view.trial is not None and view.trial.number % 2:
@@ -217,6 +217,6 @@ class PressingHand(Hand):
 
 
 def _go_to_row(view: View, part: str) -> str:
-    rows = [judgement.part for judgement in view.trial.judgements] if view.trial else []
+    rows = view.trial.judged if view.trial else []
     direction = 1 if view.selected not in rows else rows.index(part) - rows.index(view.selected)
     return next((action for action, step in ROW_STEPS.items() if step * direction > 0), "")

@@ -28,9 +28,9 @@ LAST_PAGE = "end"  # the page after which there is nothing
 class View:
     """Everything that is on the screen in one frame.
 
-    kind: "page" to read or to answer, one "slider", "rows" with a slider for each vibration, or a "choice" between
-    parts; state: "reading" a page, "feeling" a vibration or awaiting it, "stroking" the real surface, "answering". Of a
-    question that is answered, its name is in felt.
+    kind: "page" to read or to answer, one "slider", "rows" with a slider for each vibration, "scales" with one for each
+    scale, or a "choice" between parts; state: "reading" a page, "feeling" a vibration or awaiting it, "stroking" the
+    real surface, "answering". Of a question that is answered, its name is in felt.
     """
 
     kind: str

@@ -7,7 +7,7 @@ Every event is in the journal before the next one may happen.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from math import isfinite
 from numbers import Real
@@ -17,10 +17,11 @@ from feel321.protocols.detection import INTERVALS, THRESHOLD, Detection
 from feel321.protocols.matching import ATTENUATION_DB, FIRST, MIDDLE, SECOND, Matching
 from feel321.protocols.questions import Question, find_question
 from feel321.protocols.texts import read_scales
-from feel321.protocols.trial import MATCHING, RATING_RANGE, Flow, Page, Part, Scale, Trial
+from feel321.protocols.trial import FREE, MATCHING, RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
 from feel321.study.session import events, ports
 from feel321.study.session.codes import list_by_code
+from feel321.study.session.pace import TIMED_OUT, Schedule, find_gap
 from feel321.study.session.plan import Plan, advance, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
@@ -53,6 +54,7 @@ class Setup:
     detection: Detection | None = None
     matching: Matching | None = None
     questions: Sequence[Question] = ()
+    pace: Schedule = field(default_factory=Schedule)
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -126,8 +128,9 @@ def run_session(
     detection = recall_detection(plan, journal.records)
     matching = Matching(plan.matching, plan.trials) if plan.matching else None
     setup = Setup(
-        presenter, by_code, scales, journal, plan.flow, detection, matching, plan.questions
-    )
+        presenter, by_code, scales, journal, plan.flow, detection, matching, plan.questions,
+        Schedule({task.protocol: task for task in plan.tasks}),
+    )  # fmt: skip
     agenda = replay(plan, journal.records)
     try:
         _Lead(setup, agenda, {trial.number: trial for trial in plan.trials}).run(on_step)
@@ -170,7 +173,11 @@ class _Lead:
             event = records[-1].content
             advance(agenda, event, self.trials, detection=self.setup.detection)
             if isinstance(step, Trial):
-                self.look_after_device(getattr(event, "flags", ()))
+                flags = getattr(event, "flags", ())
+                self.setup.pace.timed_out = TIMED_OUT in flags
+                if TIMED_OUT in flags and not self.setup.pace.is_fixed(step):
+                    self.aside = Page(TIMED_OUT)
+                self.look_after_device(flags)
 
     def take(self, step: Page | Trial) -> None:
         place = Place(self.agenda.done, self.agenda.total)
@@ -178,6 +185,7 @@ class _Lead:
             place = replace(place, attempt=self.agenda.attempt(step.number))
             conduct_trial(step, place, self.setup)
             return
+        self.setup.pace.restart()
         try:
             if question := find_question(self.setup.questions, step):
                 conduct_question(question, place, self.setup)
@@ -254,19 +262,28 @@ def conduct_trial(trial: Trial, place: Place, setup: Setup) -> None:
     """Run one attempt at a trial, and again after each pause."""
     while True:
         attempt = _Attempt(setup, trial, place.attempt)
-        setup.presenter.show_trial(trial, setup.scales[trial.scale], place)
+        setup.presenter.show_trial(trial, find_scale(trial, setup.scales), place)
         setup.journal.write(events.TrialShown(*attempt.key))
+        if setup.pace.timed_out:
+            setup.presenter.refuse(TIMED_OUT, ())  # where no page may come between
         try:
-            if trial.timing != "free":
-                attempt.play(trial.parts)
+            if trial.timing != FREE:
+                attempt.begin()
             if not attempt.is_spoiled():
                 attempt.answer()
         except _Paused as pause:
             setup.journal.write(events.TrialPaused(*attempt.key, pause.args[0]))
+            setup.pace.restart()
             time_s = _read_page(Page("pause"), place, setup).time_s
             setup.journal.write(events.TrialContinued(*attempt.key, time_s))
         else:
             return
+
+
+def find_scale(trial: Trial, scales: Mapping[str, Scale]) -> Scale:
+    """Find the scale of a trial, with the others that it asks for."""
+    further = tuple(scales[j.scale] for j in trial.judgements if j.scale)
+    return replace(scales[trial.scale], further=further) if further else scales[trial.scale]
 
 
 class _Attempt(events.Attempt):
@@ -277,10 +294,22 @@ class _Attempt(events.Attempt):
         self._setup = setup
         self._time_s, self._marker = 0.0, MIDDLE
 
-    def play(self, parts: Iterable[Part]) -> None:
+    def begin(self) -> None:
+        """Play all parts for the first time, not before the trial is due."""
+        pace = self._setup.pace
+        if (due_s := pace.find_due(self.trial)) is not None:
+            self._setup.journal.write(events.TrialScheduled(*self.key, due_s))
+        self.play(self.trial.parts, due_s=due_s)
+        first = self.parts.get(self.trial.parts[0].name)
+        if first is not None:
+            onset_s = first.requested_s if first.onset_s is None else first.onset_s
+            pace.note_onset(self.trial, onset_s)
+
+    def play(self, parts: Iterable[Part], *, due_s: float | None = None) -> None:
         """Play the parts in order, until one is cut short."""
-        presenter = self._setup.presenter
-        gap_s = 0.0 if self.trial.timing == "free" else self._setup.flow.gap_s
+        presenter, due = self._setup.presenter, {} if due_s is None else {"due_s": due_s}
+        task = self._setup.pace.tasks.get(self.trial.protocol)
+        gap_s = find_gap(self.trial, task, self._setup.flow)
         own: Mapping[str, ports.Tone | ports.Scaled] = {}
         if self._setup.detection and self.trial.protocol == THRESHOLD:
             gap_s, own = self._present(self._setup.detection)
@@ -292,7 +321,8 @@ class _Attempt(events.Attempt):
                 playback, kind = presenter.prompt(part), events.SurfaceStroked
             else:
                 stimulus = own.get(part.name) or self._setup.stimuli[part.stimulus_id]
-                playback = presenter.play(part, stimulus, gap_s=gap_s)
+                playback = presenter.play(part, stimulus, gap_s=gap_s, **due)
+                due = {}
             played = kind(*self.key, part.name, **_describe_playback(playback))
             self._setup.journal.write(played)
             self.take(played)
@@ -336,8 +366,10 @@ class _Attempt(events.Attempt):
 
     def answer(self) -> None:
         """Wait for the answer, or for another end of the attempt."""
+        limit_s = self._setup.pace.find_limit(self.trial)
+        limit = {} if limit_s is None else {"limit_s": limit_s}
         while True:
-            act = self._setup.presenter.wait()
+            act = self._setup.presenter.wait(**limit)
             match act:
                 case ports.Feel():
                     self._replay(act)
@@ -348,6 +380,10 @@ class _Attempt(events.Attempt):
                 case ports.Confirm():
                     if self._accept(act):
                         return
+                case ports.TimedOut():
+                    flags = [*self.list_flags(flow=self._setup.flow), TIMED_OUT]
+                    self._setup.journal.write(events.TrialSpoiled(*self.key, flags, act.time_s))
+                    return
                 case _:
                     _stop_or_pause(act)
 

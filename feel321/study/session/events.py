@@ -187,6 +187,12 @@ class TrialShown(AttemptEvent, event="shown"):
     """The trial is before the participant, all markers unset."""
 
 
+class TrialScheduled(AttemptEvent, event="scheduled"):
+    """The trial has a fixed onset; due_s: when its first part was to begin. What it began late shows its onset."""
+
+    due_s: float
+
+
 class TonePresented(AttemptEvent, event="tone"):
     """A trial of the threshold block: the interval (1 or 2) that vibrates, and its level in dB re 1 m/s² RMS.
 

@@ -231,9 +231,21 @@ def create_plan(path: Path, plan: Plan) -> None:
     for name in ("threshold", "matching", "questions"):
         if not entry[name]:
             del entry[name]  # so were plans stored before there were any
+    _drop_unused(entry)
     if plan.task_order == TASK_ORDERS[0]:
         del entry["task_order"]
     create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())
+
+
+def _drop_unused(entry: dict[str, Any]) -> None:
+    """Leave out options of tasks and judgements that are not used: plans stored before there were any have none."""
+    for task in entry["tasks"]:
+        for name in ("scales", "gap_s", "answer_timeout_s", "onset_s"):
+            if task[name] in {None, ()}:
+                del task[name]
+    for judgement in (judgement for trial in entry["trials"] for judgement in trial["judgements"]):
+        if not judgement["scale"]:
+            del judgement["scale"]
 
 
 def require_plan(path: Path) -> Plan:

@@ -210,7 +210,7 @@ class Move:
     time_s : float
         Time of the act.
     part : str
-        The part whose slider it is.
+        The part whose slider it is, as in `Trial.judged`.
     value : float
         Points on the scale.
     """
@@ -229,7 +229,7 @@ class Confirm:
     time_s : float
         Time of the act.
     values : mapping of str to float or str
-        Points, or the part that was chosen, by the part that is judged; the answer by the name of a question, none
+        Points, or the part that was chosen, as in `Trial.judged`; the answer by the name of a question, none
         if it was left open; empty for a page.
     response_time_s : float
         Time since the answer became possible, or since the page appeared.
@@ -269,7 +269,20 @@ class Abort:
     reason: str
 
 
-Act = Feel | Move | Confirm | Pause | Abort
+@dataclass(frozen=True, slots=True)
+class TimedOut:
+    """The time for an answer is over.
+
+    Parameters
+    ----------
+    time_s : float
+        Time at which that was noticed.
+    """
+
+    time_s: float
+
+
+Act = Feel | Move | Confirm | Pause | Abort | TimedOut
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,12 +342,19 @@ class Presenter(Protocol):
         trial : Trial
             The trial that begins.
         scale : Scale
-            The scale of its answer.
+            The scale of its answer; `further` holds others that it asks for.
         place : Place
             Progress of the session.
         """
 
-    def play(self, part: Part, stimulus: Stimulus | Tone | Scaled, *, gap_s: float) -> Playback:
+    def play(
+        self,
+        part: Part,
+        stimulus: Stimulus | Tone | Scaled,
+        *,
+        gap_s: float,
+        due_s: float | None = None,
+    ) -> Playback:
         """Play a stimulus to its end, or until the participant stops it.
 
         Parameters
@@ -345,6 +365,8 @@ class Presenter(Protocol):
             The stimulus; a tone, or silence, where a threshold is measured; another level where strength is matched.
         gap_s : float
             Silence before it, in s; none where the participant switches freely.
+        due_s : float or None
+            Time before which it may not begin; given only where a task has fixed onsets.
 
         Returns
         -------
@@ -366,12 +388,17 @@ class Presenter(Protocol):
             Its beginning, and whether it was done.
         """
 
-    def wait(self) -> Act:
+    def wait(self, limit_s: float | None = None) -> Act:
         """Wait for the participant's next act on the trial that is shown.
+
+        Parameters
+        ----------
+        limit_s : float or None
+            Time for the answer, in s, since it became possible; given only where a task has such a limit.
 
         Returns
         -------
-        Feel, Move, Confirm, Pause or Abort
+        Feel, Move, Confirm, Pause, Abort or TimedOut
             The participant's act.
         """
 

@@ -1,4 +1,4 @@
-"""Tables of `study.toml` about what participants are asked: `[[session.questions]]`."""
+"""Tables of `study.toml` about what participants are asked: `[scales.NAME]` and `[[session.questions]]`."""
 
 from typing import Annotated, Self
 
@@ -19,6 +19,27 @@ from feel321.protocols.questions import (
 from feel321.study.settings import fields as kinds
 
 Label = Annotated[str, AfterValidator(check_label)]
+
+
+class ScaleTable(kinds.TomlTable):
+    """`[scales.NAME]`: a scale of the lab's own, or other words for one of feel321's."""
+
+    question: kinds.Words
+    low: kinds.Words
+    high: kinds.Words
+    anchors: tuple[kinds.Words, ...] = ()
+
+    def to_texts(self) -> dict[str, str | list[str]]:
+        """Return its texts as a language holds them."""
+        texts: dict[str, str | list[str]] = {
+            "question": self.question,
+            "low_label": self.low,
+            "high_label": self.high,
+        }
+        return texts | ({"anchors": list(self.anchors)} if self.anchors else {})
+
+
+Scales = dict[Label, ScaleTable]
 
 
 class QuestionTable(kinds.TomlTable):

@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from difflib import get_close_matches
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +16,7 @@ from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
 from feel321.files import write_text
 from feel321.protocols.questions import Question, read_ready
-from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
@@ -30,7 +31,7 @@ from feel321.study.session.journal import digest
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
-from feel321.study.settings.schema import LANGUAGE_FILE, FileTable, SceneTable, Settings
+from feel321.study.settings.schema import LANGUAGE_FILE, FileTable, SceneTable, Settings, TaskTable
 
 MOST_TRIALS = 10_000
 """Trials in a session; people do a few hundred, simulated participants somewhat more."""
@@ -155,8 +156,12 @@ def find_language(settings: Settings, folder: Path) -> str | Path:
 
 
 def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
-    """Read all texts of a study, the lab's own consent among them."""
-    texts = read_texts(find_language(settings, folder))
+    """Read all texts of a study, the lab's own scales and consent among them."""
+    language = find_language(settings, folder)
+    texts = read_texts(language)
+    if mute := list(find_mute_scales(settings, texts["scales"])):
+        raise ValueError("\n".join(f"study.toml: {line} (here, or in {language})" for line in mute))
+    texts["scales"] |= {name: table.to_texts() for name, table in settings.scales.items()}
     if own := settings.session.consent:
         texts["pages"][CONSENT]["text"] = own
     return texts
@@ -170,13 +175,15 @@ def make_design(settings: Settings, folder: Path | None = None) -> Design:
     session = settings.session
     rehearsal = session.rehearsal.model_dump(by_alias=True)
     trials = {name: rehearsal.pop(name) for name in ("training", "practice")}
-    own = {name: settings.tasks[name].of_protocol() for name in settings.tasks}
     return Design(
         seed=settings.study.seed,
         order=session.order,
         task_order=session.task_order,
         repeats=session.repeats,
-        tasks=tuple(make_task(name, **trials, **own.get(name, {})) for name in session.protocols),
+        tasks=tuple(
+            settings.tasks.get(name, TaskTable()).make_task(name, **trials)
+            for name in session.protocols
+        ),
         between=dict(settings.between),
         flow=Flow(
             **rehearsal, **session.breaks.model_dump(by_alias=True), **session.quality.model_dump()
@@ -247,7 +254,9 @@ def identify_exploration(settings: Settings) -> dict[str, Any]:
 def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
     # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
-    checks = (_check_reference, _check_metrics, _check_tasks, _check_between, _check_matching)
+    checks = (
+        _check_reference, _check_metrics, _check_tasks, _check_scales, _check_between, _check_matching,
+    )  # fmt: skip
     if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
@@ -289,11 +298,40 @@ def _check_tasks(settings: Settings) -> Iterator[str]:
     for name, table in settings.tasks.items():
         if table.explore and name not in EXPLORABLE:
             yield f"tasks.{name}.explore goes with {' and '.join(EXPLORABLE)} only; take it out"
-        for key, value in table.of_protocol().items():
-            try:
-                make_task(name, **{key: value})
-            except ValueError as error:
-                yield str(error)
+        # Each setting by itself, so that every mistake is found; then all together.
+        alone = [TaskTable(**{key: value}) for key, value in table if key in table.model_fields_set]
+        found = [line for one in alone if (line := _try_task(name, one))]
+        yield from dict.fromkeys(found or filter(None, [_try_task(name, table)]))
+
+
+def _try_task(name: str, table: TaskTable) -> str:
+    try:
+        table.make_task(name)
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def _check_scales(settings: Settings) -> Iterator[str]:
+    """Check that every scale has its words; those in a file of the lab's own are found when it is read."""
+    if not settings.session.language.endswith(LANGUAGE_FILE):
+        yield from find_mute_scales(settings, read_texts(settings.session.language)["scales"])
+
+
+def find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[str]:
+    """Find scales that are asked and have no words, and words for scales that are no sliders."""
+    for name in settings.scales:
+        if texts.get(name, {}).get("choices"):
+            yield f"scales.{name}: must not be set, the answer to {name} is a choice; remove it"
+    known = {*texts, *settings.scales}
+    for task, table in settings.tasks.items():
+        for name in table.scales:
+            if name not in known:
+                near = get_close_matches(name, known, n=1)
+                hint = f"did you mean {near[0]!r}? Or " if near else ""
+                yield (
+                    f"tasks.{task}.scales: {name!r} has no words; {hint}add [scales.{name}] with question, low and high"
+                )
 
 
 def _check_between(settings: Settings) -> Iterator[str]:

@@ -14,11 +14,12 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from feel321.protocols.detection import ThresholdBlock, name_tone
 from feel321.protocols.matching import MatchingBlock
+from feel321.protocols.options import refine_task
 from feel321.protocols.order import ORDERS, TASK_ORDERS
-from feel321.protocols.tasks import PROTOCOLS
+from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import list_languages
 from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdPlan
-from feel321.protocols.trial import CHOOSING, FLAGS, Flow
+from feel321.protocols.trial import CHOOSING, FLAGS, Flow, Task
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import UNITS
@@ -31,7 +32,7 @@ from feel321.study.exploration.explorer import EXPLORERS
 from feel321.study.exploration.motion import POINTER
 from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
-from feel321.study.settings.asking import Questions
+from feel321.study.settings.asking import Questions, Scales
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
 _BLOCK, _MATCHING = ThresholdBlock("bayesian", (), USUAL), MatchingBlock("")
@@ -224,10 +225,16 @@ class TaskTable(kinds.TomlTable):
     surface: bool = False
     pairs: Annotated[kinds.Count, Field(ge=1)] | None = None
     explore: Annotated[str, kinds.one_of(EXPLORERS)] | None = None
+    scales: tuple[kinds.Words, ...] = ()
+    gap_s: kinds.NotNegative | None = None
+    answer_timeout_s: kinds.Positive | None = None
+    onset_s: kinds.Positive | None = None
 
-    def of_protocol(self) -> dict[str, Any]:
-        """Return what the protocol itself has a say in."""
-        return self.model_dump(exclude={"explore"})
+    def make_task(self, name: str, *, training: int = 0, practice: int = 0) -> Task:
+        """Make the task of a design; which refuses what its protocol has not."""
+        own = self.model_dump(include={"timing", "reference", "surface", "pairs"})
+        options = self.model_dump(exclude={*own, "explore"})
+        return refine_task(make_task(name, training=training, practice=practice, **own), **options)
 
 
 Tasks = dict[Annotated[str, kinds.one_of(PROTOCOLS)], TaskTable]
@@ -449,6 +456,7 @@ class Settings(kinds.TomlTable):
     rig: RigTable = RigTable()
     session: SessionTable = SessionTable()
     tasks: Tasks = Field(default_factory=dict)
+    scales: Scales = Field(default_factory=dict)
     between: Between = Field(default_factory=dict)
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()

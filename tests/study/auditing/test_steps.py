@@ -64,9 +64,7 @@ def test_a_session_in_which_much_goes_wrong_gives_no_finding(
 
         def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
             super().show_trial(trial, scale, place)
-            self.answers = {
-                judgement.part: "a" if scale.choices else 50.0 for judgement in trial.judgements
-            }
+            self.answers = dict.fromkeys(trial.judged, "a" if scale.choices else 50.0)
 
         def wait(self) -> Act:
             self._waiting = self._waiting or [Feel(0.0, ""), Confirm(0.0, self.answers, 1.5)]

@@ -13,11 +13,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321.protocols.arms import ask_on_scales
 from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.questions import Question, label_points, read_ready
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_texts
-from feel321.protocols.trial import MATCHING, PAGES, Judgement, Page, Part, Trial
+from feel321.protocols.trial import MATCHING, PAGES, Judgement, Page, Part, Scale, Trial
 from feel321.study.screen.drawing import LEADING, Text, measure
 from feel321.study.screen.layout import compose
 from feel321.study.screen.view import View, make_screen_texts
@@ -25,7 +26,6 @@ from feel321.study.screen.window import open_screen
 from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
-    from feel321.protocols.trial import Scale
     from feel321.study.screen.window import Window
 
 PARTS = {
@@ -43,6 +43,13 @@ JUDGED = {
     "dissimilarity": ("second",),
     MATCHING: ("second",),
     "mushra": tuple(str(n) for n in range(1, 13)),
+}
+
+
+OWN = {
+    "roughness": ("How rough did it feel?", "Not at all rough", "As rough as coarse sandpaper"),
+    "hardness": ("How hard did it feel?", "Soft", "Hard", ("Soft", "Rather soft", "Hard")),
+    "sharpness": ("How sharp did the edges feel?", "Not at all sharp", "As sharp as a blade"),
 }
 
 
@@ -158,6 +165,37 @@ def make_views(
             markers=markers,
             selected=judged[-1],
             chosen=(scales[trial.scale].choices or ("",))[-1],
+        )
+    for name, count in (("realism", 2), ("similarity", 3), ("dissimilarity", 4)):
+        trial = make_trial(name)
+        asked = ask_on_scales(trial.judgements, (name, *list(OWN)[: count - 1]), own=name)
+        trial = replace(trial, judgements=asked)
+        own = tuple(Scale(key, *words) for key, words in list(OWN.items())[: count - 1])
+        views[f"{count} scales fresh"] = View(
+            "scales",
+            "answering",
+            53,
+            place,
+            trial=trial,
+            scale=replace(scales[name], further=own),
+            felt=frozenset(part.name for part in trial.parts),
+            selected=trial.judged[0],
+            picture=picture if count < 4 else None,
+            notice=missing,
+        )
+        views[f"{count} scales answered"] = replace(
+            views[f"{count} scales fresh"],
+            markers={key: 100.0 - 33 * n for n, key in enumerate(trial.judged)},
+            selected=trial.judged[-1],
+            typed="1",
+            notice="",
+        )
+        views[f"{count} scales feeling"] = replace(
+            views[f"{count} scales fresh"],
+            state="feeling",
+            playing=trial.parts[-1].name,
+            felt=frozenset(),
+            notice="",
         )
     trial = make_trial("touched")
     views["touched stroking"] = View(

@@ -1,4 +1,4 @@
-"""`[[session.questions]]`: what is allowed, and one clear line for what is not."""
+"""`[[session.questions]]`, `[scales]` and `[tasks]`: what is allowed, and one clear line for what is not."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.protocols.questions import READY, Question
-from feel321.protocols.texts import CATALOG, list_languages, read_texts
-from feel321.study.settings.read import make_design, read_settings
+from feel321.protocols.texts import CATALOG, list_languages, make_scales, read_texts
+from feel321.study.settings.read import make_design, read_settings, read_study_texts
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -56,11 +56,67 @@ MISTAKES = {
 }
 
 
+ROUGH = "[scales.roughness]\nquestion = 'How rough?'\nlow = 'smooth'\nhigh = 'rough'\n"
+
+SCALE_MISTAKES = {
+    "[tasks.realism]\nscales = ['realism', 'roughness']": "tasks.realism.scales: 'roughness' has no words; add [scales",
+    f"{ROUGH}[tasks.realism]\nscales = ['realism', 'roughnes']": "has no words; did you mean 'roughness'? Or add",
+    f"{ROUGH}[tasks.realism]\nscales = ['roughness']": "tasks.realism.scales must hold 'realism'",
+    f"{ROUGH}[tasks.realism]\nscales = ['realism', 'similarity']": "must not hold the scale of another task",
+    f"{ROUGH}[tasks.abx]\nscales = ['abx', 'roughness']": "tasks.abx.scales must be left out, got ['abx', 'rough",
+    f"{ROUGH}[tasks.realism]\nscales = 'roughness'": "tasks.realism.scales must be a valid array, got 'roughness'",
+    "[scales.roughness]\nquestion = 'How rough?'\nlow = 'smooth'": "scales.roughness.high: missing; add it",
+    f"{ROUGH}high_label = 'x'": "scales.roughness.high_label: unknown setting; known: question, low, high, anchors",
+    "[scales.'How rough']\nquestion = 'a'\nlow = 'b'\nhigh = 'c'": "must be up to 40 small letters",
+    "[scales.abx]\nquestion = 'a'\nlow = 'b'\nhigh = 'c'": "scales.abx: must not be set, the answer to abx is a choice",
+    "[tasks.realism]\nanswer_timeout_s = 0": "tasks.realism.answer_timeout_s must be greater than 0, got 0",
+    "[tasks.realism]\ngap_s = 40": "tasks.realism.gap_s must be 0 to 30, got 40",
+    "[tasks.realism]\nonset_s = 0.2": "tasks.realism.onset_s must be 0.5 to 600, got 0.2",
+    "[tasks.mushra]\nonset_s = 9": "tasks.mushra.onset_s must not be set: parts are felt at will",
+    "[tasks.similarity]\nreference = 'surface'\nonset_s = 9": "onset_s must not be set where the real surface is",
+}
+
+
 @pytest.mark.parametrize("text", MISTAKES)
-def test_a_mistake_has_its_line(text: str, tmp_path: Path) -> None:
+def test_a_mistake_in_a_question_has_its_line(text: str, tmp_path: Path) -> None:
     (line,) = tell(tmp_path, text)
     assert MISTAKES[text] in line
     assert line.startswith("session.questions")
+
+
+@pytest.mark.parametrize("text", SCALE_MISTAKES)
+def test_a_mistake_in_a_task_has_its_line(text: str, tmp_path: Path) -> None:
+    (line,) = tell(tmp_path, text)
+    assert SCALE_MISTAKES[text] in line
+
+
+def test_scales_of_the_labs_own_reach_the_texts_and_the_tasks(tmp_path: Path) -> None:
+    text = f"{ROUGH}anchors = ['a', 'b']\n[tasks.realism]\nscales = ['realism', 'roughness']\ngap_s = 0.1\n"
+    assert tell(tmp_path, f"{text}answer_timeout_s = 4\nonset_s = 10") == []
+    settings = read_settings(tmp_path / "study.toml")
+    task = make_design(settings).tasks[0]
+    assert task.scales == ("realism", "roughness")
+    assert (task.gap_s, task.answer_timeout_s, task.onset_s) == (0.1, 4.0, 10.0)
+    scale = make_scales(read_study_texts(settings, tmp_path))["roughness"]
+    assert (scale.question, scale.low_label, scale.high_label) == ("How rough?", "smooth", "rough")
+    assert scale.anchors == ("a", "b")
+
+
+def test_a_file_of_the_labs_own_may_hold_its_scales(tmp_path: Path) -> None:
+    own = '[scales.roughness]\nquestion = "A"\nlow_label = "B"\nhigh_label = "C"\n'
+    (tmp_path / "own.toml").write_text(own, encoding="utf-8")
+    use = "[session]\nlanguage = 'own.toml'\n[tasks.realism]\nscales = ['realism', 'roughness']\n"
+    assert tell(tmp_path, use) == []
+    settings = read_settings(tmp_path / "study.toml")
+    assert make_scales(read_study_texts(settings, tmp_path))["roughness"].question == "A"
+    (tmp_path / "own.toml").write_text(own.replace("high_label", "high"), encoding="utf-8")
+    with pytest.raises(
+        ValueError, match=r"own.toml: scales.roughness.question is not a known text"
+    ):
+        read_study_texts(settings, tmp_path)
+    (tmp_path / "own.toml").write_text("", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"tasks.realism.scales: 'roughness' has no words; add"):
+        read_study_texts(settings, tmp_path)
 
 
 def test_every_setting_reaches_the_design(tmp_path: Path) -> None:

@@ -74,6 +74,8 @@ def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
             entry = {key: one for table in value for key, one in table.items()}
         if name == "tasks":
             entry = value["similarity"] | value["triplet"]
+        if name == "scales" and isinstance(value, dict):
+            entry = value["roughness"]
         if not place and name in {"reducers", "metrics"}:
             (entry,) = value.values()  # one of the lab's own
         if isinstance(entry, dict) and name != "between":

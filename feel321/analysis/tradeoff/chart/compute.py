@@ -21,7 +21,7 @@ from feel321 import __version__
 from feel321.analysis.arrays import CONFIDENCE
 from feel321.analysis.contrasts.compare import profile_reducers
 from feel321.analysis.resampling import draw_counts
-from feel321.analysis.table.items import order_reducers
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ROLES
 from feel321.analysis.tradeoff.chart import accuracy, cost, page
 from feel321.analysis.tradeoff.chart.points import (

@@ -140,7 +140,7 @@ class Scripted:
     def _answer(self, trial: Trial, scale: Scale, place: Place) -> Confirm:
         rng = np.random.default_rng([trial.number, place.attempt])
         draw = partial(rng.choice, scale.choices) if scale.choices else partial(rng.uniform, 0, 100)
-        values = {judgement.part: draw() for judgement in trial.judgements}
+        values = {key: draw() for key in trial.judged}
         plain = {
             part: str(value) if scale.choices else round(float(value), 1)
             for part, value in values.items()

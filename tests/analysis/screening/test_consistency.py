@@ -1,0 +1,153 @@
+"""The rater model: planted bias and inconsistency are recovered, bad raters stand apart, honest ones do not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from feel321.analysis.report.parts import Choices
+from feel321.analysis.report.raters import compute
+from feel321.analysis.screening.consistency import find_apart, rater_model
+from feel321.analysis.table.reading import read_table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+PEOPLE = [f"p{number:02d}" for number in range(20)]
+
+
+def make_votes(
+    seed: int, *, spread: object = 8.0, bias: object = 0.0, items: int = 60, repeats: int = 1
+) -> pd.DataFrame:
+    """Make ratings of honest people: quality plus bias plus noise of each person's own spread."""
+    rng = np.random.default_rng(seed)
+    quality = rng.uniform(20, 80, items)
+    who, what, _ = (
+        part.ravel()
+        for part in np.meshgrid(range(len(PEOPLE)), range(items), range(repeats), indexing="ij")
+    )
+    noise = rng.normal(0, np.broadcast_to(spread, len(PEOPLE))[who])
+    rating = quality[what] + np.broadcast_to(bias, len(PEOPLE))[who] + noise
+    return pd.DataFrame({
+        "participant": np.array(PEOPLE)[who],
+        "stimulus_id": what,
+        "rating": rating,
+        "quality": quality[what],
+    })
+
+
+def test_planted_raters_and_qualities_are_recovered() -> None:
+    rng = np.random.default_rng(2)
+    spread, bias = np.exp(rng.normal(2.2, 0.25, len(PEOPLE))), rng.normal(0, 6, len(PEOPLE))
+    rows = make_votes(3, spread=spread, bias=bias - bias.mean(), repeats=2)
+    model = rater_model(rows)
+    raters, truth = model.raters, pd.Series(spread, index=PEOPLE)
+    # Standardised errors of 20 raters: five in a thousand panels have one beyond 4.
+    assert (((raters["bias"] - (bias - bias.mean())) / raters["bias_se"]).abs() < 4).all()
+    assert (((raters["inconsistency"] - truth) / raters["inconsistency_se"]).abs() < 4).all()
+    assert abs(raters["bias"].sum()) < 1e-9
+    planted = rows.groupby(rows["stimulus_id"].astype(str))["quality"].first()
+    errors = (model.stimuli["quality"] - planted[model.stimuli.index]) / model.stimuli["se_raters"]
+    assert 0.7 < errors.std() < 1.3
+    # Weighted by consistency, qualities are nearer to the truth than plain means.
+    plain = rows.groupby(rows["stimulus_id"].astype(str))["rating"].mean()
+    assert (model.stimuli["quality"] - planted).std() < (plain - planted).std()
+
+
+def test_scales_and_shifts_of_the_votes_carry_over() -> None:
+    rows = make_votes(4, spread=np.linspace(4, 12, 20))
+    one, other = rater_model(rows), rater_model(rows.assign(rating=3 * rows["rating"] - 40))
+    pd.testing.assert_frame_equal(
+        other.raters[["bias", "inconsistency"]],
+        3 * one.raters[["bias", "inconsistency"]],
+        rtol=1e-6,
+    )
+    np.testing.assert_allclose(other.stimuli["quality"], 3 * one.stimuli["quality"] - 40, rtol=1e-6)
+    assert other.apart == one.apart
+
+
+@pytest.mark.parametrize("n_bad", [1, 2, 4])
+def test_those_who_click_at_random_stand_apart_and_nobody_else(n_bad: int) -> None:
+    found = 0
+    for seed in range(20):
+        rows, rng = make_votes(100 + seed), np.random.default_rng(seed)
+        bad = rows["participant"].isin(PEOPLE[:n_bad])
+        rows.loc[bad, "rating"] = rng.uniform(0, 100, int(bad.sum()))
+        found += set(rater_model(rows).apart) == set(PEOPLE[:n_bad])
+    assert found >= 18  # one panel in twenty may name an honest rater besides
+
+
+def test_somebody_who_reverses_the_scale_stands_apart() -> None:
+    rows = make_votes(7)
+    rows.loc[rows["participant"] == "p03", "rating"] = 100 - rows["rating"]
+    assert rater_model(rows).apart == ("p03",)
+
+
+@pytest.mark.parametrize("heterogeneity", [0.0, 0.3])
+def test_honest_panels_are_left_in_peace(heterogeneity: float) -> None:
+    alarms = 0
+    for seed in range(150):
+        rng = np.random.default_rng([9, seed])
+        panel = 8 * np.exp(rng.normal(0, heterogeneity, 20)) * np.sqrt(rng.chisquare(59, 20) / 59)
+        alarms += find_apart(panel)[0].any()
+    assert alarms <= 15  # of 150 at 5 %: more than 15 in 4 of 1000 runs
+
+
+def test_a_bias_is_nothing_to_stand_apart_by() -> None:
+    bias = np.zeros(20)
+    bias[5] = 25
+    model = rater_model(make_votes(8, bias=bias))
+    assert model.apart == ()
+    assert model.raters["bias"].idxmax() == "p05"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda rows: rows[rows["participant"].isin(PEOPLE[:2])], "3 raters or more, got 2"),
+        (lambda rows: rows[rows["stimulus_id"] < 2], "3 stimuli or more, got 2"),
+        (lambda rows: rows.assign(rating=5.0), "must be finite and differ"),
+        (
+            lambda rows: rows[(rows["participant"] != "p07") | (rows["stimulus_id"] < 2)],
+            "3 ratings or more, got fewer of p07",
+        ),
+        (lambda rows: rows.assign(level=rows["stimulus_id"] % 2), "must be of one level"),
+    ],
+)
+def test_ratings_that_say_too_little_are_refused(
+    change: Callable[[pd.DataFrame], pd.DataFrame], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        rater_model(change(make_votes(1)))
+
+
+def test_few_raters_are_not_compared() -> None:
+    rows = make_votes(1)
+    model = rater_model(rows[rows["participant"].isin(PEOPLE[:5])])
+    assert not model.raters["apart"].any()
+    assert model.notes == (
+        "Nobody can be said to be less consistent than others: 6 raters are needed to know how far honest ones differ.",
+    )
+
+
+def test_the_report_says_it_in_words(files: Callable[..., object]) -> None:
+    study = files(participants=10, scales=("realism",), noise=5.0)
+    ratings = pd.read_csv(study.ratings)
+    names, rng = sorted(ratings["participant"].unique()), np.random.default_rng(1)
+    ratings.loc[ratings["participant"] == names[0], "rating"] = rng.uniform(
+        0, 100, int((ratings["participant"] == names[0]).sum())
+    ).round(1)
+    high = ratings["participant"] == names[1]
+    ratings.loc[high, "rating"] = (ratings.loc[high, "rating"] + 20).clip(upper=100)
+    ratings.to_csv(study.ratings, index=False)
+    section = compute(read_table(study.ratings, study.manifest), Choices(draws=10))
+    told = section.answers[1]
+    assert told.startswith(f"Rater model of realism ratings: {names[1]} rates ")
+    assert f"{names[0]} is far less consistent than the others" in told
+    numbers = {number.name: number for number in section.numbers}
+    bias = numbers[f"rater_model.realism.as_is.{names[1]}.bias"]
+    assert bias.low < bias.value < bias.high
+    assert f"{names[1]} rates {bias.value:.1f} points higher" in told
+    assert len(section.tables["rater_model"]) == 10

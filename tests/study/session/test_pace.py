@@ -1,0 +1,217 @@
+"""The pace of a task: silence before parts, time for an answer, and fixed onsets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from feel321.protocols.options import refine_task
+from feel321.protocols.tasks import make_task
+from feel321.protocols.trial import Flow
+from feel321.study.audit import audit_steps
+from feel321.study.minutes import Sitting
+from feel321.study.observer.participant import ObserverModel
+from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.session.pace import LATE_S, Schedule
+from feel321.study.session.plan import make_plan
+from feel321.study.session.ports import Confirm, Playback, TimedOut
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.session.plan import Design, Plan
+
+    MakePlan = Callable[..., Plan]
+
+
+@pytest.fixture
+def make(design: Design, stimuli: StimulusSet) -> MakePlan:
+    def plan(name: str = "realism", **options: Any) -> Plan:
+        task = refine_task(make_task(name), **options)
+        flow = Flow(max_attempts=2, break_min=None)
+        changed = replace(design, tasks=(task,), flow=flow)
+        return make_plan(changed, stimuli, "p01", number=1, simulated=True)
+
+    return plan
+
+
+@pytest.fixture
+def timed(scripted: type) -> type:
+    """A presenter that takes time limits and onsets, and notes them; its own clock goes as it is asked to."""
+
+    class Timed(scripted):  # type: ignore[misc] - a fixture hands the class over
+        def play(
+            self,
+            part: Any,  # noqa: ARG002 - the port's form
+            stimulus: Any,  # noqa: ARG002 - the port's form
+            *,
+            gap_s: float,
+            due_s: float | None = None,
+        ) -> Any:
+            self.log.append(f"gap {gap_s:g}")
+            start_s = max(self.time_s + gap_s, due_s or 0.0)
+            self.time_s = start_s + 1.0
+            return Playback(start_s, start_s)
+
+        def wait(self, limit_s: float | None = None) -> Any:
+            self.log.append(f"limit {limit_s}")
+            act = self._waiting.pop(0)
+            self.time_s += min(act.response_time_s, limit_s or 1e9)
+            is_late = limit_s is not None and act.response_time_s > limit_s
+            return TimedOut(self.time_s) if is_late else replace(act, time_s=self.time_s)
+
+    return Timed
+
+
+def slow(plan: Plan, *keys: tuple[int, int], response_s: float = 9.0) -> dict[Any, Any]:
+    part = plan.trials[0].judged[0]
+    return {key: [Confirm(0.0, {part: 40.0}, response_s)] for key in keys}
+
+
+def test_the_gap_is_the_tasks_own(
+    present: Callable[..., list[Any]], timed: type, make: MakePlan
+) -> None:
+    for gap_s, wanted in ((0.25, "gap 0.25"), (0.0, "gap 0"), (None, "gap 0.5")):
+        presenter = timed()
+        plan = replace(make(gap_s=gap_s), participant=f"p{len(wanted)}")
+        present(presenter, plan=plan)
+        assert {line for line in presenter.log if line.startswith("gap")} == {wanted}
+
+
+def test_an_answer_that_comes_too_late_is_not_taken_and_the_trial_comes_again(
+    present: Callable[..., list[Any]], timed: type, make: MakePlan
+) -> None:
+    plan = make(answer_timeout_s=4.0)
+    presenter = timed(acts=slow(plan, (2, 1)))
+    records = present(presenter, plan=plan)
+    spoiled = [record.data for record in records if record.event == "spoiled"]
+    assert [(data["trial"], data["flags"]) for data in spoiled] == [(2, ["timed_out"])]
+    place = presenter.log.index("page timed_out 1/10")
+    assert presenter.log[place + 1].startswith("show 3")
+    shown = [record.data for record in records if record.event == "shown"]
+    assert [data["attempt"] for data in shown if data["trial"] == 2] == [1, 2]
+    assert "limit 4.0" in presenter.log
+    assert records[-1].data == {"trials": 10, "given_up": 0}
+    assert list(audit_steps(records, plan)) == []
+
+
+def test_who_never_answers_in_time_is_given_up_by_the_rules_of_the_session(
+    present: Callable[..., list[Any]], timed: type, make: MakePlan
+) -> None:
+    plan = make(answer_timeout_s=4.0)
+    records = present(timed(acts=slow(plan, (2, 1), (2, 2))), plan=plan)
+    assert records[-1].data == {"trials": 10, "given_up": 1}
+    assert list(audit_steps(records, plan)) == []
+
+
+def test_a_session_that_ends_after_a_time_out_goes_on(
+    present: Callable[..., list[Any]], timed: type, make: MakePlan
+) -> None:
+    plan = make(answer_timeout_s=4.0)
+    with pytest.raises(KeyboardInterrupt):
+        present(timed(acts=slow(plan, (1, 1)), stop_after=1), plan=plan)
+    records = present(timed(), plan=plan)
+    assert records[-1].data == {"trials": 10, "given_up": 0}
+    assert list(audit_steps(records, plan)) == []
+
+
+def test_a_time_out_that_no_task_has_is_found(
+    present: Callable[..., list[Any]], timed: type, make: MakePlan
+) -> None:
+    plan = make(answer_timeout_s=4.0)
+    records = present(timed(acts=slow(plan, (2, 1))), plan=plan)
+    assert "with which nothing was wrong" in next(audit_steps(records, make()), "")
+    place = next(n for n, record in enumerate(records) if record.event == "spoiled")
+    forged = [*records]
+    forged[place] = replace(records[place], data={**records[place].data, "flags": ["underrun"]})
+    assert "with which nothing was wrong" in next(audit_steps(forged, plan), "")
+
+
+def test_trials_begin_on_the_schedule(
+    present: Callable[..., list[Any]], timed: type, make: MakePlan
+) -> None:
+    """Answers take 1.5 s but for one of 9 s: that trial's follower is late, and the schedule moves with it."""
+    plan = make(onset_s=6.0)
+    presenter = timed(acts=slow(plan, (3, 1)))
+    records = present(presenter, plan=plan)
+    onsets = [record.data["onset_s"] for record in records if record.event == "played"]
+    half = onsets[:5]  # before the rest
+    steps = [round(after - before, 6) for before, after in pairwise(half)]
+    assert steps == [6.0, 6.0, 10.5, 6.0]
+    scheduled = [r.data for r in records if r.event == "scheduled"]
+    due = {data["trial"]: data["due_s"] for data in scheduled}
+    numbers = [r.data["trial"] for r in records if r.event == "shown"]
+    assert due.keys() == {*numbers} - {numbers[0], numbers[5]}  # each section begins at once
+    assert onsets[3] - due[numbers[3]] == pytest.approx(4.5)
+    assert list(audit_steps(records, plan)) == []
+    assert "schedules trial" in next(audit_steps(records, make()), "")
+
+
+def test_no_page_comes_between_trials_with_fixed_onsets(
+    present: Callable[..., list[Any]], timed: type, make: MakePlan
+) -> None:
+    plan = make(onset_s=6.0, answer_timeout_s=3.0)
+    presenter = timed(acts=slow(plan, (2, 1)))
+    records = present(presenter, plan=plan)
+    assert not any("timed_out" in line for line in presenter.log if line.startswith("page"))
+    place = presenter.log.index("refuse timed_out")
+    assert presenter.log[place - 1].startswith("show 3.1")
+    assert presenter.log.count("refuse timed_out") == 1
+    assert list(audit_steps(records, plan)) == []
+
+
+def test_small_delays_do_not_add_up(make: MakePlan) -> None:
+    plan = make(onset_s=6.0)
+    pace, trial = Schedule({"realism": plan.tasks[0]}), plan.trials[0]
+    assert pace.find_due(trial) is None
+    pace.note_onset(trial, 10.0)
+    for turn in range(1, 50):
+        due_s = pace.find_due(trial)
+        assert due_s == 10.0 + 6.0 * turn
+        pace.note_onset(trial, due_s + 0.9 * LATE_S)
+    pace.note_onset(trial, 400.0)
+    assert pace.find_due(trial) == 406.0
+    pace.restart()
+    assert pace.find_due(trial) is None
+
+
+def test_simulated_participants_keep_the_pace(make: MakePlan, stimuli: StimulusSet) -> None:
+    plan = make(onset_s=30.0, answer_timeout_s=1.0)
+    observer = SimulatedObserver(ObserverModel(), seed=1, number=1)
+    from feel321.protocols.texts import read_scales
+    from feel321.study.session.codes import list_by_code
+    from feel321.study.session.ports import Place
+
+    by_code, late, onsets = list_by_code(stimuli, seed=plan.seed), 0, []
+    for trial in plan.trials:
+        observer.show_trial(trial, read_scales()["realism"], Place(0, 10))
+        part = trial.parts[0]
+        due_s = 30.0 * trial.number
+        stimulus = by_code[part.stimulus_id or ""]
+        onsets.append(observer.play(part, stimulus, gap_s=0.5, due_s=due_s).onset_s)
+        act = observer.wait(limit_s=1.0)
+        late += isinstance(act, TimedOut)
+        if isinstance(act, TimedOut):
+            assert act.time_s == pytest.approx(due_s + 1.0 + 1.0)  # the stimulus, then the limit
+        else:
+            assert act.response_time_s <= 1.0
+    assert onsets == [30.0 * trial.number for trial in plan.trials]
+    assert late >= 7  # the median answer takes 2 s
+
+
+def test_the_estimate_of_the_length_knows_the_pace(make: MakePlan) -> None:
+    durations = {"bumps": 1.0, "taps": 1.0}
+    from feel321.study.minutes import Pace as People
+
+    def measure(**options: float) -> float:
+        plan = make(**options)
+        return Sitting.plan(plan, plan.flow, durations).count_down(People({}, 2.0, 0.0))[0]
+
+    usual = measure()
+    assert measure(gap_s=2.5) == pytest.approx(usual + 10 * 2.0)
+    assert measure(onset_s=20.0) == pytest.approx(usual + 10 * (20.0 - 3.5))
+    assert measure(onset_s=1.0) == pytest.approx(usual)

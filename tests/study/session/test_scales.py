@@ -1,0 +1,163 @@
+"""Several scales after one vibration: the session, its journal and its table; and plans without them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from feel321.protocols.options import refine_task
+from feel321.protocols.tasks import make_task
+from feel321.protocols.texts import make_scales, read_texts
+from feel321.study.audit import audit_steps
+from feel321.study.ratings import _judge
+from feel321.study.session.engine import find_scale
+from feel321.study.session.events import TrialRated
+from feel321.study.session.plan import create_plan, make_plan, require_plan
+from feel321.study.session.ports import Confirm, Feel, Move
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from feel321.protocols.trial import Scale
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.session.plan import Design, Plan
+
+KEYS = ["test", "test:roughness", "test:hardness"]
+
+
+@pytest.fixture(scope="module")
+def scales() -> dict[str, Scale]:
+    texts = read_texts()
+    for name in ("roughness", "hardness"):
+        texts["scales"][name] = {"question": name, "low_label": "low", "high_label": "high"}
+    return make_scales(texts)
+
+
+@pytest.fixture
+def threefold(design: Design, stimuli: StimulusSet) -> Plan:
+    """Realism on three scales, then similarity on its own."""
+    asked = refine_task(make_task("realism"), scales=["realism", "roughness", "hardness"])
+    changed = replace(design, tasks=(asked, make_task("similarity")))
+    return make_plan(changed, stimuli, "p01", number=1, simulated=True)
+
+
+def test_one_answer_holds_every_scale(
+    present: Callable[..., list[Any]], scripted: type, threefold: Plan, scales: dict[str, Scale]
+) -> None:
+    records = present(scripted(), plan=threefold, scales=scales)
+    rated = [record.data for record in records if record.event == "rated"]
+    assert {tuple(data["values"]) for data in rated} == {tuple(KEYS), ("test",)}
+    assert list(audit_steps(records, threefold)) == []
+    assert threefold.to_frame()["scale"].value_counts().to_dict() == {
+        "realism": 10,
+        "roughness": 10,
+        "hardness": 10,
+        "similarity": 10,
+    }
+
+
+def test_markers_move_by_scale_and_what_is_open_is_refused(
+    present: Callable[..., list[Any]], scripted: type, threefold: Plan, scales: dict[str, Scale]
+) -> None:
+    whole = dict.fromkeys(KEYS, 5.0)
+    acts = [
+        Move(0.0, KEYS[1], 12.0),
+        Move(0.0, "test:sharpness", 12.0),
+        Confirm(0.0, {KEYS[0]: 1.0, KEYS[1]: 101.0}, 1.0),
+        Feel(0.0, "test"),
+        Confirm(0.0, whole, 1.0),
+    ]
+    presenter = scripted(acts={(threefold.trials[0].number, 1): acts})
+    records = present(presenter, plan=threefold, scales=scales)
+    moved = [record.data for record in records if record.event == "moved"]
+    assert [(data["part"], data["value"]) for data in moved] == [(KEYS[1], 12.0)]
+    refused = [line for line in presenter.log if line.startswith("refuse")]
+    assert refused == [
+        "refuse unknown_part test:sharpness",
+        f"refuse not_answered {KEYS[1]} {KEYS[2]}",
+    ]
+    assert next(r.data["values"] for r in records if r.event == "rated") == whole
+    assert list(audit_steps(records, threefold)) == []
+
+
+def test_the_presenter_gets_the_words_of_every_scale(
+    threefold: Plan, scales: dict[str, Scale]
+) -> None:
+    first = next(trial for trial in threefold.trials if trial.protocol == "realism")
+    scale = find_scale(first, scales)
+    assert [scale.find(j.scale).name for j in first.judgements] == [
+        "realism",
+        "roughness",
+        "hardness",
+    ]
+    other = next(trial for trial in threefold.trials if trial.protocol == "similarity")
+    assert find_scale(other, scales) is scales["similarity"]
+
+
+def test_a_row_per_scale(threefold: Plan) -> None:
+    trial = threefold.trials[0]
+    values = {key: 10.0 * n for n, key in enumerate(trial.judged)}
+    rated = TrialRated(1, 1, dict(values), 1.5, 9.0, [], False)
+    from feel321.study.session.events import PartPlayed
+
+    played = [PartPlayed(1, 1, part.name, 0.0, 0.25, 0, 0, True, "") for part in trial.parts]
+    rows = list(_judge(trial, rated, played, superseded=False))
+    assert [(row["scale"], row["rating"], row["onset_s"]) for row in rows] == [
+        ("realism", 0.0, 0.25),
+        ("roughness", 10.0, 0.25),
+        ("hardness", 20.0, 0.25),
+    ]
+    assert {(row["trial"], row["stimulus_id"]) for row in rows} == {
+        (trial.number, trial.judgements[0].stimulus_id)
+    }
+
+
+@pytest.mark.parametrize(
+    ("values", "finding"),
+    [
+        (dict.fromkeys(KEYS[:2], 5.0), "asks for test, test:roughness, test:hardness"),
+        (dict.fromkeys([*KEYS, "test:x"], 5.0), "asks for test, test:roughness, test:hardness"),
+        (dict.fromkeys(KEYS, 500.0), "has 500.0 for test, which must be 0 to 100 points"),
+    ],
+)
+def test_the_audit_finds_a_forged_rating(
+    present: Callable[..., list[Any]],
+    scripted: type,
+    threefold: Plan,
+    scales: dict[str, Scale],
+    values: dict[str, float],
+    finding: str,
+) -> None:
+    records = present(scripted(), plan=threefold, scales=scales)
+    place = next(n for n, record in enumerate(records) if record.event == "rated")
+    records[place] = replace(records[place], data={**records[place].data, "values": values})
+    assert finding in next(audit_steps(records, threefold), "")
+
+
+def test_plans_of_one_scale_are_stored_as_before(
+    tmp_path: Path, plan: Plan, threefold: Plan
+) -> None:
+    create_plan(tmp_path / "plan.json", plan)
+    stored = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
+    assert set(stored["trials"][0]["judgements"][0]) == {
+        "part",
+        "stimulus_id",
+        "reference_id",
+        "expected",
+    }
+    assert set(stored["tasks"][0]) == {
+        "protocol",
+        "timing",
+        "reference",
+        "surface",
+        "training",
+        "practice",
+    }
+    create_plan(tmp_path / "threefold.json", threefold)
+    read = require_plan(tmp_path / "threefold.json")
+    assert read == threefold
+    assert read.tasks[0].scales == ("realism", "roughness", "hardness")
