@@ -5,14 +5,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from feel321.stimuli import conform_stream as streams
 from feel321.stimuli.conform import FORMS, check_outputs, golden_vectors, write_vectors
-from feel321.stimuli.conform_stream import (
-    LIST,
-    STREAMING,
-    check_stream_outputs,
-    stream_vectors,
-    write_stream_vectors,
-)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,7 +22,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     form = "which form the port implements; streaming: block by block, see vectors.json"
     parser.add_argument("--form", choices=(*FORMS, "streaming"), default="whole", help=form)
     reducer = "which streaming reducer the port implements"
-    parser.add_argument("--reducer", choices=STREAMING, default="dft321_windowed", help=reducer)
+    parser.add_argument(
+        "--reducer", choices=streams.STREAMING, default="dft321_windowed", help=reducer
+    )
     chosen = parser.parse_args(arguments)
     try:
         print(_stream(chosen) if chosen.form == "streaming" else _convert(chosen))
@@ -49,11 +45,11 @@ def _convert(chosen: argparse.Namespace) -> str:
 
 def _stream(chosen: argparse.Namespace) -> str:
     if chosen.verb == "write-vectors":
-        count = len(write_stream_vectors(chosen.folder, chosen.reducer))
-        answer = f"feed them as {LIST} says, answer with NAME.out.wav, latency included, then: check-vectors"
+        count = len(streams.write_stream_vectors(chosen.folder, chosen.reducer))
+        answer = f"feed them as {streams.LIST} says, answer with NAME.out.wav, latency included, then: check-vectors"
         return f"{count} inputs in {chosen.folder}; {answer}"
-    check_stream_outputs(chosen.folder, chosen.reducer)
-    return f"conforms: {len(stream_vectors(chosen.reducer))} vectors"
+    streams.check_stream_outputs(chosen.folder, chosen.reducer)
+    return f"conforms: {len(streams.stream_vectors(chosen.reducer))} vectors"
 
 
 if __name__ == "__main__":

@@ -37,15 +37,7 @@ from feel321.study.minutes import read_pace
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
-from feel321.study.settings.read import (
-    find_modes,
-    list_surfaces,
-    make_identity,
-    make_recipe,
-    read_settings,
-    read_study_texts,
-    try_recordings,
-)
+from feel321.study.settings import read
 from feel321.study.strength import find_unfelt
 
 if TYPE_CHECKING:
@@ -131,8 +123,8 @@ def open_lab(
     from feel321.study.screen.window import open_screen
 
     clock = start_clock(journal.records.find_elapsed())
-    texts = make_screen_texts(read_study_texts(lab.settings, lab.study.path), lab.rig.keys)
-    surfaces = list_surfaces(lab.settings, lab.study.path)
+    texts = make_screen_texts(read.read_study_texts(lab.settings, lab.study.path), lab.rig.keys)
+    surfaces = read.list_surfaces(lab.settings, lab.study.path)
     with ExitStack() as stack:
         output = stack.enter_context(_open_output(plan, lab=lab, clock=clock))
         output.lead_s = lab.certificate.lead_s if lab.certificate else 0.0
@@ -152,7 +144,7 @@ def _open_exploration(
     plan: Plan, window: Window, *, lab: Lab, clock: Callable[[], float]
 ) -> Iterator[Exploration | None]:
     """Open what measures the hand's motion, where a task explores; a simulated participant strokes by itself."""
-    if not (modes := find_modes(lab.settings)):
+    if not (modes := read.find_modes(lab.settings)):
         yield None
         return
     own = lab.settings.session.exploration
@@ -218,8 +210,10 @@ def _make_check(lab: Lab) -> Check | None:
         return None
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 
-    recordings, _ = try_recordings(lab.settings, lab.study.path)
-    reduced = reduce_stimuli(lab.stimuli, recordings, make_recipe(lab.settings, lab.study.path))
+    recordings, _ = read.try_recordings(lab.settings, lab.study.path)
+    reduced = reduce_stimuli(
+        lab.stimuli, recordings, read.make_recipe(lab.settings, lab.study.path)
+    )
     return DeliveryCheck(
         lab.stimuli,
         lab.rig,
@@ -268,7 +262,7 @@ def run_participant(
     warn: Callable[[str], None] = lambda _: None,
 ) -> Outcome:
     """Run the session of one participant, or resume it."""
-    settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
+    settings, stimuli = read.read_settings(study.settings), read_stimuli(study.stimuli)
     require_current_set(study, settings)
     if unfelt := find_unfelt(settings, stimuli):
         if not (study.is_rehearsal or visit.simulated):
@@ -288,7 +282,7 @@ def run_participant(
     outcome, repaired = lead_session(
         replace(room, pace=read_pace(study, stimuli)),
         plan,
-        identity=make_identity(
+        identity=read.make_identity(
             settings, study.path, identify_lab(lab), calibration=lab.calibration
         ),
         make_presenter=partial(open_lab, lab=lab),

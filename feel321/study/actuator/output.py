@@ -176,7 +176,6 @@ class FileOutput:
             raise ValueError("no playback is over; start one and wait until is_playing is False")
         sent_s = self._begin_s + (cue.onset_frame - self._first_frame) / self._rate_hz
         error, sha256, measured = "", "", _measure_place(cue)
-        measured |= _measure_motion(cue, sent_s, rate_hz=self._rate_hz)
         try:
             samples = np.concatenate(self._blocks).T
             number, sha256 = write_delivered(self._folder, samples, rate_hz=self._rate_hz)

@@ -16,17 +16,7 @@ if TYPE_CHECKING:
     from feel321.protocols.questions import Question
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.session.ports import (
-        Abort,
-        Act,
-        Confirm,
-        Pause,
-        Place,
-        Playback,
-        Presenter,
-        Scaled,
-        Tone,
-    )
+    from feel321.study.session import ports
 
 
 class MovingPresenter:
@@ -34,7 +24,7 @@ class MovingPresenter:
 
     def __init__(
         self,
-        inner: Presenter,
+        inner: ports.Presenter,
         modes: Mapping[str, str],
         *,
         folder: Path,
@@ -45,15 +35,19 @@ class MovingPresenter:
         self._reference_m_s, self._seeds = reference_m_s, seeds
         self._trial: Trial | None = None
 
-    def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
+    def show_page(
+        self, page: Page, place: ports.Place
+    ) -> ports.Confirm | ports.Pause | ports.Abort:
         """Show a page."""
         return self._inner.show_page(page, place)
 
-    def show_question(self, question: Question, place: Place) -> Confirm | Pause | Abort:
+    def show_question(
+        self, question: Question, place: ports.Place
+    ) -> ports.Confirm | ports.Pause | ports.Abort:
         """Show a question page."""
         return self._inner.show_question(question, place)
 
-    def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
+    def show_trial(self, trial: Trial, scale: Scale, place: ports.Place) -> None:
         """Begin a trial."""
         self._trial = trial
         self._inner.show_trial(trial, scale, place)
@@ -61,11 +55,11 @@ class MovingPresenter:
     def play(
         self,
         part: Part,
-        stimulus: Stimulus | Tone | Scaled,
+        stimulus: Stimulus | ports.Tone | ports.Scaled,
         *,
         gap_s: float,
         due_s: float | None = None,
-    ) -> Playback:
+    ) -> ports.Playback:
         """Feel a stimulus while the hand moves."""
         playback = self._inner.play(part, stimulus, gap_s=gap_s, due_s=due_s)
         trial = self._trial
@@ -80,11 +74,11 @@ class MovingPresenter:
         timed = replace(playback, measured={"n_samples": stimulus.duration_s})
         return replace(own.finish(timed), measured=playback.measured)
 
-    def prompt(self, part: Part) -> Playback:
+    def prompt(self, part: Part) -> ports.Playback:
         """Stroke the real surface."""
         return self._inner.prompt(part)
 
-    def wait(self, limit_s: float | None = None) -> Act:
+    def wait(self, limit_s: float | None = None) -> ports.Act:
         """Wait for the next act."""
         return self._inner.wait(limit_s)
 

@@ -218,9 +218,7 @@ def test_an_output_plays_as_the_hand_moves(mode: str, tmp_path: Path) -> None:
     assert 10.45 - 0.064 <= last <= 10.45 + STILL_S + 0.03
     assert playback.motion["distance_m"] == pytest.approx(0.1 * 0.196, abs=0.001)
     assert playback.motion["file_number"] == 1
-    late = playback.measured["motion_latency_ms"], playback.measured["motion_latency_ms_max"]
-    assert -64.0 - 8 <= late[0] <= late[1] <= 8
-    assert "motion_latency_ms" not in output.collect().motion
+    assert "motion_latency_ms" not in playback.measured  # no device, no latency
 
 
 def test_latencies_are_those_of_reports_that_waited() -> None:

@@ -14,16 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.tradeoff.advise.measures import find_complexity
+from feel321.analysis.tradeoff.benchmark import measure
 from feel321.analysis.tradeoff.benchmark.battery import make_battery
 from feel321.analysis.tradeoff.benchmark.card import Card, make_card, write_card
-from feel321.analysis.tradeoff.benchmark.measure import (
-    Entrant,
-    check_repeats,
-    measure_look_ahead,
-    measure_recordings,
-    measure_stress,
-    trim,
-)
 from feel321.analysis.tradeoff.chart import cost
 from feel321.analysis.tradeoff.chart.compute import describe_machine
 from feel321.doors import as_path, name_of
@@ -126,7 +119,7 @@ def run_benchmark(
     return Benchmark(tuple(cards), tuple(failures))
 
 
-def _enter(given: str, reduce: Reducer) -> Entrant:
+def _enter(given: str, reduce: Reducer) -> measure.Entrant:
     """Enter a method under its short name, with what it declares and the digest of its code."""
     name = name_of(given).rpartition(":")[2]
     if reduce in REDUCERS.values():
@@ -134,14 +127,14 @@ def _enter(given: str, reduce: Reducer) -> Entrant:
         latency_s = None if name in WHY_NOT_STREAMING else facts.latency_ms / 1000
         source = Path(inspect.getsourcefile(inspect.unwrap(reduce)) or "").read_bytes()
         digest = hashlib.sha256(source).hexdigest()
-        return Entrant(name, reduce, digest, latency_s, facts.operations, facts.state)
+        return measure.Entrant(name, reduce, digest, latency_s, facts.operations, facts.state)
     own = reduce if isinstance(reduce, OwnReducer) else find_reducer(reduce, REDUCERS)
     declared = [own.method.find_fact(fact) for fact in ("operations", "state")]
-    numbers = [trim(float(v)) if isinstance(v, int | float) else None for v in declared]
-    return Entrant(name, own, own.method.sha256, own.find_latency(cost.RATE_HZ), *numbers)
+    numbers = [measure.trim(float(v)) if isinstance(v, int | float) else None for v in declared]
+    return measure.Entrant(name, own, own.method.sha256, own.find_latency(cost.RATE_HZ), *numbers)
 
 
-def _check_names(methods: Sequence[Entrant]) -> None:
+def _check_names(methods: Sequence[measure.Entrant]) -> None:
     names = [method.name for method in methods]
     for method in methods:
         known = method.name in REDUCERS and method.reduce is not REDUCERS[method.name]
@@ -151,22 +144,22 @@ def _check_names(methods: Sequence[Entrant]) -> None:
             )
 
 
-def _measure(method: Entrant, battery: Battery) -> dict[str, Any]:
-    check_repeats(method, battery.scenes[0])
+def _measure(method: measure.Entrant, battery: Battery) -> dict[str, Any]:
+    measure.check_repeats(method, battery.scenes[0])
     return {
         "method": method.declared,
         "battery": battery.describe(),
-        "look_ahead_s": trim(measure_look_ahead(method.reduce)),
+        "look_ahead_s": measure.trim(measure.measure_look_ahead(method.reduce)),
         "rows": {
-            "scenes": measure_recordings(method, battery.scenes, battery.turns),
-            "recordings": measure_recordings(method, battery.recordings, battery.turns),
-            "stress": measure_stress(method, battery),
+            "scenes": measure.measure_recordings(method, battery.scenes, battery.turns),
+            "recordings": measure.measure_recordings(method, battery.recordings, battery.turns),
+            "stress": measure.measure_stress(method, battery),
         },
     }
 
 
 def time_methods(
-    methods: Sequence[Entrant], *, rounds: int, clock: Clock, done: Callable[[int], None]
+    methods: Sequence[measure.Entrant], *, rounds: int, clock: Clock, done: Callable[[int], None]
 ) -> Iterator[dict[str, Any]]:
     """Time methods and the transforms that DFT321 cannot do without, in turn, in one run: `times` of their cards."""
     if not methods:
