@@ -1,10 +1,9 @@
-"""The stimuli of one recording: level arms, the reference of each, catch trials, and what is asked of them."""
+"""The stimuli of one recording: its level arms, the reference of each, and catch trials with their expected answers."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from types import MappingProxyType
 
-from feel321.protocols.trial import ORIGINAL, Comparison, Item, Judgement, select_items
+from feel321.protocols.trial import ORIGINAL, Comparison, Item, select_items
 
 Items = Sequence[Item]
 Comparisons = tuple[Comparison, ...]
@@ -59,14 +58,3 @@ def split_arms(items: Items) -> tuple[tuple[Item, ...], ...]:
             "name reducers and build the stimulus set again"
         )
     return tuple(select_items(items, {"level": level}) for level in levels)
-
-
-def ask_on_scales(
-    judgements: Sequence[Judgement], scales: Sequence[str], *, own: str
-) -> tuple[Judgement, ...]:
-    """Ask for every judgement on several scales; right answers are known on the protocol's own only."""
-    return tuple(
-        judgement if scale == own else replace(judgement, expected=None, scale=scale)
-        for judgement in judgements
-        for scale in scales or (own,)
-    )

@@ -10,10 +10,17 @@ from math import gcd
 from typing import TYPE_CHECKING, Any
 
 from feel321.doors import Registry, as_rng, check_name, describe
-from feel321.protocols.arms import ask_on_scales
 from feel321.protocols.balance import MIXABLE, shuffle_rows, williams_square
 from feel321.protocols.tasks import PROTOCOLS, make_task
-from feel321.protocols.trial import RATING_RANGE, Comparison, Item, Task, Trial, Trials
+from feel321.protocols.trial import (
+    RATING_RANGE,
+    Comparison,
+    Item,
+    Task,
+    Trial,
+    Trials,
+    ask_on_scales,
+)
 
 if TYPE_CHECKING:
     from numpy.random import Generator

@@ -5,7 +5,7 @@ A trial names its stimuli by id; what an id feels like is known to the room abov
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import TYPE_CHECKING
 
@@ -151,6 +151,17 @@ class Judgement:
     def key(self) -> str:
         """What names its answer: the part, and the scale where it is not that of the trial."""
         return f"{self.part}:{self.scale}" if self.scale else self.part
+
+
+def ask_on_scales(
+    judgements: Sequence[Judgement], scales: Sequence[str], *, own: str
+) -> tuple[Judgement, ...]:
+    """Ask for every judgement on several scales; right answers are known on the protocol's own only."""
+    return tuple(
+        judgement if scale == own else replace(judgement, expected=None, scale=scale)
+        for judgement in judgements
+        for scale in scales or (own,)
+    )
 
 
 @dataclass(frozen=True, slots=True)

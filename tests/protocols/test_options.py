@@ -6,11 +6,10 @@ from typing import Any
 
 import pytest
 
-from feel321.protocols.arms import ask_on_scales
 from feel321.protocols.options import refine_task
 from feel321.protocols.order import make_order, make_rehearsal
 from feel321.protocols.tasks import PROTOCOLS, is_as_expected, make_task, score_trial
-from feel321.protocols.trial import Item, Judgement
+from feel321.protocols.trial import Item, Judgement, ask_on_scales
 
 ITEMS = [
     Item("oak-original", "oak", "original", "as_is", "reference"),

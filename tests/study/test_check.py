@@ -12,7 +12,7 @@ from feel321.protocols.trial import ASIDE
 from feel321.stimuli.wav import write_wav
 from feel321.study.cli import main
 from feel321.study.session.journal import digest
-from feel321.study.settings.read import make_identity, read_settings
+from feel321.study.settings.read import LATER, make_identity, read_settings
 from feel321.study.workflow import build_study, check_study, find_warnings
 
 if TYPE_CHECKING:
@@ -161,6 +161,8 @@ def test_the_digest_of_bundled_texts_is_that_of_what_a_session_asks(study: Study
     for key in ASIDE:
         del texts["pages"][key]
     del texts["questions"]  # what is asked stands in the plan
+    for name in LATER:
+        del texts["scales"][name], texts["pages"][f"instructions.{name}"]
     wanted = digest(json.dumps(texts, sort_keys=True))
     assert make_identity(settings, study.path, {})["texts_sha256"] == wanted
     (study.path / "texts.toml").write_text(write_copy("en"), encoding="utf-8")

@@ -25,20 +25,10 @@ from feel321.doors import as_path, describe, follow
 from feel321.files import hold_lock
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
+from feel321.stimuli.sets import render
 from feel321.stimuli.sets.anchors import sensation_level_db, to_db
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
 from feel321.stimuli.sets.recipe import Recipe, check_names, describe_recipe
-from feel321.stimuli.sets.render import (
-    Draft,
-    Measured,
-    choose_gains,
-    list_drafts,
-    list_methods,
-    measure_recording,
-    part_path,
-    render_recording,
-    versions,
-)
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.types import PathLike, Progress
 
@@ -60,7 +50,7 @@ class History:
 
     rows: dict[str, Stimulus] = field(default_factory=dict)
     keys: dict[str, str] = field(default_factory=dict)
-    measured: dict[str, Measured] = field(default_factory=dict)
+    measured: dict[str, render.Measured] = field(default_factory=dict)
 
 
 def read_history(folder: Path) -> History:
@@ -71,7 +61,7 @@ def read_history(folder: Path) -> History:
         details = json.loads((folder / "manifest.json").read_bytes())
         further = list(details.get("metrics", {}))
         known = [_fold_row(row, further) for row in details["stimuli"]]
-        whole = TypeAdapter(tuple[list[Stimulus], dict[str, str], dict[str, Measured]])
+        whole = TypeAdapter(tuple[list[Stimulus], dict[str, str], dict[str, render.Measured]])
         given = (known, details["keys"], details["measured"])
         stimuli, keys, measured = whole.validate_python(given)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
@@ -92,10 +82,10 @@ def _fold_row(row: Mapping[str, Any], further: Sequence[str]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class Foreseen(Draft):
+class Foreseen(render.Draft):
     """A stimulus as a build makes it: a draft with its measurements, its level arm and its gain."""
 
-    measured: Measured
+    measured: render.Measured
     level: str
     gain: float
 
@@ -190,12 +180,13 @@ def _build(
 ) -> StimulusSet:
     parts = _make_parts_folder(folder)
     history = read_history(folder)
-    wanted = {recording.name: list_drafts(recording, recipe) for recording in recordings}
+    wanted = {recording.name: render.list_drafts(recording, recipe) for recording in recordings}
     new = [r for r in recordings if any(c.key not in history.measured for c in wanted[r.name])]
     total, done = len(new) + len(recordings), count(1)
     measured = dict(history.measured)
     jobs: list[Job] = [
-        (render_recording, (r, wanted[r.name]), {"recipe": recipe, "parts": parts}) for r in new
+        (render.render_recording, (r, wanted[r.name]), {"recipe": recipe, "parts": parts})
+        for r in new
     ]
     threads = 1 if recipe.methods else THREADS
     for found in _run_jobs(jobs, workers=workers, threads=threads):
@@ -223,10 +214,10 @@ def foresee_stimuli(
 ) -> list[Foreseen]:
     """Compute how strong the stimuli of a set will be; nothing is written."""
     measured = dict(read_history(folder).measured)
-    wanted = {recording.name: list_drafts(recording, recipe) for recording in recordings}
+    wanted = {recording.name: render.list_drafts(recording, recipe) for recording in recordings}
     for done, recording in enumerate(recordings, start=1):
         new = [draft for draft in wanted[recording.name] if draft.key not in measured]
-        measured.update(measure_recording(recording, new, recipe=recipe))
+        measured.update(render.measure_recording(recording, new, recipe=recipe))
         if progress:
             progress(done, len(recordings))
     return [one for orders in _place(wanted, measured, recipe).values() for one in orders]
@@ -260,10 +251,12 @@ def _make_parts_folder(folder: Path) -> Path:
 
 
 def _place(
-    wanted: Mapping[str, Sequence[Draft]], measured: Mapping[str, Measured], recipe: Recipe
+    wanted: Mapping[str, Sequence[render.Draft]],
+    measured: Mapping[str, render.Measured],
+    recipe: Recipe,
 ) -> dict[str, list[Foreseen]]:
     keys = {name: [one.key for one in drafts] for name, drafts in wanted.items()}
-    gains = choose_gains(measured, recipe, recordings=keys)
+    gains = render.choose_gains(measured, recipe, recordings=keys)
     return {
         name: [
             Foreseen(
@@ -291,7 +284,7 @@ def _write_recording(
         if _is_there(order, folder, history)
     }
     changed = [order for order in orders if order.stimulus_id not in kept]
-    render_recording(recording, changed, recipe=recipe, parts=folder / PARTS)
+    render.render_recording(recording, changed, recipe=recipe, parts=folder / PARTS)
     written = [_write(one, recording, recipe=recipe, parts=folder / PARTS) for one in changed]
     return [*kept.values(), *written]
 
@@ -307,7 +300,7 @@ def _is_there(order: Foreseen, folder: Path, history: History) -> bool:
 
 
 def _write(order: Foreseen, recording: Recording, *, recipe: Recipe, parts: Path) -> Stimulus:
-    samples, _ = read_wav(part_path(parts, order.key))
+    samples, _ = read_wav(render.part_path(parts, order.key))
     samples *= order.gain / recipe.full_scale_m_s2
     clipped = int(np.count_nonzero(np.abs(samples) > 1.0))
     np.clip(samples, -1.0, 1.0, out=samples)
@@ -351,9 +344,9 @@ def _list_details(
     """List the other entries of `manifest.json`: enough to rebuild the set and to find what has changed."""
     return {
         "recipe": describe_recipe(recipe),
-        **list_methods(recipe),
+        **render.list_methods(recipe),
         "conditioning": {r.name: list_steps(recipe.conditioning, r.rate_hz) for r in recordings},
-        "versions": {"feel321": __version__, **versions()},
+        "versions": {"feel321": __version__, **render.versions()},
         "sensation_levels_db": {
             order.stimulus_id: {
                 name: value if np.isfinite(value) else None

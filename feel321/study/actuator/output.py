@@ -406,16 +406,9 @@ class StreamOutput:
                 self._requested_s, None, completed=False, error=self._error or "nothing was started"
             )
         cue, onset_s = take.cue, None
-        measured = {**_measure_place(cue), "blocks": float(take.n_blocks)}
-        measured["callback_ms_max"] = take.longest_s * 1e3
+        measured = {**_measure_place(cue), **self._measure_times(take, cue)}
         if take.onset_s is not None:
-            sent_s = take.onset_s + ahead_s
-            onset_s = sent_s + cue.lead_frames / self._rate_hz
-            late = _measure_motion(cue, sent_s, rate_hz=self._rate_hz)
-            measured |= {"dac_time_s": take.onset_s, **late}
-        was_cut = 0 < cue.n_played < len(cue.sound)
-        if was_cut and self._stopped_s is not None and take.end_s is not None:
-            measured["stop_s"] = take.end_s + ahead_s - self._stopped_s
+            onset_s = take.onset_s + ahead_s + cue.lead_frames / self._rate_hz
         sensed, sha256 = self._scale_sensed(take), ""
         try:
             if sensed is not None:
@@ -436,6 +429,18 @@ class StreamOutput:
             delivered=_describe(self._check, self._name, cue, measured=sensed) if is_whole else {},
             delivered_sha256=sha256,
         )
+
+    def _measure_times(self, take: Take, cue: Cue) -> dict[str, float]:
+        """Measure blocks, and times of the device: onset, how long a stop took, how late motions were felt."""
+        ahead_s = self._clock_ahead_s
+        measured = {"blocks": float(take.n_blocks), "callback_ms_max": take.longest_s * 1e3}
+        if take.onset_s is not None:
+            late = _measure_motion(cue, take.onset_s + ahead_s, rate_hz=self._rate_hz)
+            measured |= {"dac_time_s": take.onset_s, **late}
+        was_cut = 0 < cue.n_played < len(cue.sound)
+        if self._stopped_s is not None and take.end_s is not None and was_cut:
+            measured["stop_s"] = take.end_s + ahead_s - self._stopped_s
+        return measured
 
     def _scale_sensed(self, take: Take) -> Samples | None:
         """Scale what the sensor measured to m/s², (axes, n), from the frame on in which the onset was sent.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from feel321.analysis.tradeoff.advise.scene import Rated
     from feel321.stimuli.guard import OwnReducer
     from feel321.stimuli.recording import Recording
+    from feel321.types import Reducer
 
     Verb = Callable[..., None]
     Ratings = dict[str, dict[str, Rated]]
@@ -42,6 +43,28 @@ class MethodTask:
         if not self.study.settings.is_file():
             return {}
         return list_own_reducers(read_settings(self.study.settings), self.study.path)
+
+    def find_methods(self, names: Sequence[str]) -> dict[str, Reducer]:
+        """Find reducers by name, the lab's own too; all of them where none is named."""
+        from feel321.stimuli.guard import OwnReducer, find_reducer
+        from feel321.stimuli.reducers.registry import REDUCERS
+        from feel321.study.settings import read
+
+        if not names:
+            return {**REDUCERS, **self.list_own()}
+        path = self.study.path
+        own: dict[str, Reducer] = {}
+        settings = (
+            read.read_settings(self.study.settings) if self.study.settings.is_file() else None
+        )
+        for name in names:
+            if name in REDUCERS:
+                own[name] = REDUCERS[name]
+            elif settings is None:
+                own[name] = find_reducer(name, REDUCERS, folder=path)
+            elif not isinstance(method := read.find_reducer(settings, name, path), str):
+                own[name] = OwnReducer(method)
+        return own
 
     def gather(self, *, conditioned: bool = True) -> tuple[Recording, ...]:
         """Gather the recordings, conditioned or as they came from the sensor."""
@@ -119,7 +142,8 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
     "methods",
     multiple=True,
     metavar="NAME",
-    help="With --benchmark: a reducer, or your own as package.module:function; repeatable.  [default: all reducers]",
+    help="With --benchmark: a reducer, or your own: package.module:function, methods/file.py:function, or a table of "
+    "study.toml; repeatable.  [default: all reducers]",
 )
 @click.option(
     "--leaderboard", "cards", type=shared.FILE, metavar="DIR",
@@ -168,7 +192,6 @@ def _make_leaderboard(cards: Path, output: Path | None, *, as_json: bool) -> Non
 
 def _run_benchmark(task: MethodTask, methods: tuple[str, ...], *, as_json: bool) -> None:
     from feel321.analysis.tradeoff.benchmark.run import run_benchmark
-    from feel321.stimuli.reducers.registry import REDUCERS
 
     if len(task.extra) > 1:
         raise click.UsageError(
@@ -176,7 +199,7 @@ def _run_benchmark(task: MethodTask, methods: tuple[str, ...], *, as_json: bool)
         )
     with shared.show_progress("benchmark") as progress:
         done = run_benchmark(
-            REDUCERS.choose(methods or "all"), folder=next(iter(task.extra), None),
+            task.find_methods(methods), folder=next(iter(task.extra), None),
             progress=progress,
         )  # fmt: skip
     paths = done.write(task.given_output or task.study.path / "benchmark")

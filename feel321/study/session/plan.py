@@ -240,7 +240,7 @@ def create_plan(path: Path, plan: Plan) -> None:
 def _drop_unused(entry: dict[str, Any]) -> None:
     """Leave out options of tasks and judgements that are not used: plans stored before there were any have none."""
     for task in entry["tasks"]:
-        for name in ("scales", "gap_s", "answer_timeout_s", "onset_s"):
+        for name in ("pairs", "scales", "gap_s", "answer_timeout_s", "onset_s"):
             if task[name] in {None, ()}:
                 del task[name]
     for judgement in (judgement for trial in entry["trials"] for judgement in trial["judgements"]):

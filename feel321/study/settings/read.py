@@ -4,7 +4,7 @@ import hashlib
 import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from itertools import product
@@ -217,13 +217,12 @@ def make_identity(
     calibration: identity of the rig's certificate, or that there is none; None where no rig plays.
     """
     texts = read_study_texts(settings, folder)
-    # Pages aside from the plan ask nothing: sessions that began before there were any have the same texts.
-    pages = {key: page for key, page in texts["pages"].items() if key not in ASIDE}
-    del texts["questions"]  # the plan holds what is asked
+    consent = texts["pages"][CONSENT]["text"]
+    _leave_out_later(texts, settings.session.protocols)
     return {
         "locale": settings.session.language,
-        "texts_sha256": digest(json.dumps(texts | {"pages": pages}, sort_keys=True)),
-        "consent": texts["pages"][CONSENT]["text"],
+        "texts_sha256": digest(json.dumps(texts, sort_keys=True)),
+        "consent": consent,
         "rig": settings.rig.of_stimuli(),
         "calibration": calibration,
         "presenter": presenter,
@@ -246,6 +245,21 @@ def identify_exploration(settings: Settings) -> dict[str, Any]:
     if not (modes := find_modes(settings)):
         return {}
     return {"exploration": {**settings.session.exploration.model_dump(), "modes": modes}}
+
+
+LATER = ("triplet", "preference")
+"""Protocols that came when there were sessions already."""
+
+
+def _leave_out_later(texts: dict[str, Any], protocols: Sequence[str]) -> None:
+    """Leave out texts that came later and that a session does not show, so that one begun before can go on."""
+    # Pages aside from the plan ask nothing, and the plan holds what questions ask.
+    del texts["questions"]
+    for name in (name for name in LATER if name not in protocols):
+        texts["scales"].pop(name, None)
+        texts["pages"].pop(f"instructions.{name}", None)
+    for key in ASIDE:
+        texts["pages"].pop(key, None)
 
 
 # What each table of `study.toml` may say by itself, but not together with the others.

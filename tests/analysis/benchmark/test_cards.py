@@ -133,11 +133,9 @@ def test_a_method_that_fails_costs_its_own_card_only(result: run.Benchmark) -> N
     found = dict(line.split(": ", 1) for line in result.failures)
     assert list(found) == [*BAD]
     assert "differ by up to" in found["dice"]
-    assert "must return the shape (20000,), got (19999,)" in found["cut"]
-    assert re.fullmatch(
-        r"raised LookupError in test_cards\.py, line \d+: no such thing", found["stumble"]
-    )
-    assert "changes its input" in found["overwrite"]
+    assert "of shape (20000,), got float64 of shape (19999,)" in found["cut"]
+    assert re.search(r"LookupError: .*such thing.*test_cards\.py, line \d+", found["stumble"])
+    assert "changed its input" in found["overwrite"]
     assert not any("\n" in line for line in result.failures)
 
 

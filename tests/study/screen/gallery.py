@@ -13,12 +13,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.protocols.arms import ask_on_scales
 from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.questions import Question, label_points, read_ready
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_texts
-from feel321.protocols.trial import MATCHING, PAGES, Judgement, Page, Part, Scale, Trial
+from feel321.protocols.trial import (
+    MATCHING,
+    PAGES,
+    Judgement,
+    Page,
+    Part,
+    Scale,
+    Trial,
+    ask_on_scales,
+)
 from feel321.study.screen.drawing import LEADING, Text, measure
 from feel321.study.screen.layout import compose
 from feel321.study.screen.view import View, make_screen_texts

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import time
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -27,9 +26,9 @@ from feel321.analysis.tradeoff.benchmark.measure import (
 )
 from feel321.analysis.tradeoff.chart import cost
 from feel321.analysis.tradeoff.chart.compute import describe_machine
-from feel321.analysis.tradeoff.stress.run import take_batches
 from feel321.doors import as_path, name_of
 from feel321.records import Result
+from feel321.stimuli.guard import OwnReducer, find_reducer
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
 from feel321.types import PathLike, Reducer, Samples
 
@@ -112,8 +111,8 @@ def run_benchmark(
         for number, method in enumerate(entered):
             try:
                 measured[method.name] = {**_measure(method, battery), "software": software}
-            except Exception as error:  # noqa: BLE001 - whatever a lab's own method raises is reported as its fault
-                failures.append(f"{method.name}: {describe_failure(error)}")
+            except ValueError as error:  # as `extensions.call` words whatever a lab's code does
+                failures.append(f"{method.name}: {error}")
             progress(number + 1, len(entered) + rounds)
         working = [method for method in entered if method.name in measured]
         rows = time_methods(
@@ -129,14 +128,17 @@ def run_benchmark(
 
 def _enter(given: str, reduce: Reducer) -> Entrant:
     """Enter a method under its short name, with what it declares and the digest of its code."""
-    name, own = name_of(given).rpartition(":")[2], _digest_code(reduce)
+    name = name_of(given).rpartition(":")[2]
     if reduce in REDUCERS.values():
         facts = find_complexity(name, reduce, n_samples=cost.REFERENCE_N, rate_hz=cost.RATE_HZ)
         latency_s = None if name in WHY_NOT_STREAMING else facts.latency_ms / 1000
-        return Entrant(name, reduce, own, latency_s, facts.operations, facts.state)
-    facts_of = {name: getattr(reduce, name, None) for name in ("latency", "operations", "state")}
-    numbers = [trim(float(v)) if isinstance(v, int | float) else None for v in facts_of.values()]
-    return Entrant(name, take_batches(reduce), own, *numbers)
+        source = Path(inspect.getsourcefile(inspect.unwrap(reduce)) or "").read_bytes()
+        digest = hashlib.sha256(source).hexdigest()
+        return Entrant(name, reduce, digest, latency_s, facts.operations, facts.state)
+    own = reduce if isinstance(reduce, OwnReducer) else find_reducer(reduce, REDUCERS)
+    declared = [own.method.find_fact(fact) for fact in ("operations", "state")]
+    numbers = [trim(float(v)) if isinstance(v, int | float) else None for v in declared]
+    return Entrant(name, own, own.method.sha256, own.find_latency(cost.RATE_HZ), *numbers)
 
 
 def _check_names(methods: Sequence[Entrant]) -> None:
@@ -147,18 +149,6 @@ def _check_names(methods: Sequence[Entrant]) -> None:
             raise ValueError(
                 f"methods must have names of their own, got {method.name!r} twice; rename yours"
             )
-
-
-def _digest_code(reduce: object) -> str | None:
-    """Compute the digest of the file that defines a method; None where there is none to read."""
-    while isinstance(reduce, partial):
-        reduce = reduce.func
-    try:
-        defined = reduce if inspect.isroutine(reduce) else type(reduce)
-        text = Path(inspect.getsourcefile(defined) or "").read_text(encoding="utf-8")
-    except (OSError, TypeError, ValueError):
-        return None
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _measure(method: Entrant, battery: Battery) -> dict[str, Any]:
@@ -173,17 +163,6 @@ def _measure(method: Entrant, battery: Battery) -> dict[str, Any]:
             "stress": measure_stress(method, battery),
         },
     }
-
-
-def describe_failure(error: Exception) -> str:
-    """Describe what a method raised in one line: where, what."""
-    frames = traceback.extract_tb(error.__traceback__)
-    last, text = frames[-1], " ".join(str(error).split()) or "no message"
-    if isinstance(error, ValueError) and "feel321" in Path(last.filename).parts:
-        return text
-    return (
-        f"raised {type(error).__name__} in {Path(last.filename).name}, line {last.lineno}: {text}"
-    )
 
 
 def time_methods(
