@@ -31,23 +31,17 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import check_name
 from feel321.records import Result
-from feel321.stimuli.recording import (
-    SAFE_PEAK,
-    Signal,
-    admit,
-    as_pair,
-    check_reduced,
-    largest,
-    scale_down,
-)
+from feel321.stimuli import recording
 from feel321.types import Grid, Samples
+
+Signal: TypeAlias = recording.Signal
 
 WEBER_FRACTION = 0.22
 """Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""
@@ -467,9 +461,11 @@ def temporal_match_details(
     >>> stimuli.temporal_match_details([[3, 4], [4, 3], [0, 0]], [3, 4]).silent_axes
     (2,)
     """
-    samples = admit(*as_pair(acceleration, reduced, rate_hz, otherwise=1.0)).samples
+    samples = recording.admit(
+        *recording.as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
+    ).samples
     # The reduced signal's strength does not matter, so it gets a scale of its own.
-    (signal,) = scale_down(check_reduced(reduced, samples.shape))
+    (signal,) = recording.scale_down(recording.check_reduced(reduced, samples.shape))
     correlations = axis_correlations(samples, signal)
     x, y, z = (float(r) for r in correlations)
     silent = tuple(int(axis) for axis in np.flatnonzero(np.isnan(correlations)))
@@ -505,12 +501,12 @@ def _compare(
 ) -> tuple[OriginalSpectrum, Samples]:
     """Check a pair, and return the recording's spectrum and the reduced signal, both scaled into a safe range."""
     check_name(grid, GRIDS, "grid")
-    given, rate = as_pair(acceleration, reduced, rate_hz)
-    admitted = admit(given, rate)
-    signal = check_reduced(reduced, admitted.samples.shape)
+    given, rate = recording.as_pair(acceleration, reduced, rate_hz)
+    admitted = recording.admit(given, rate)
+    signal = recording.check_reduced(reduced, admitted.samples.shape)
     if admitted.exponents is not None:
         signal = np.ldexp(signal, -admitted.exponents)
-    if largest(signal) > _BEYOND_COMPARISON * SAFE_PEAK[1]:
+    if recording.largest(signal) > _BEYOND_COMPARISON * recording.SAFE_PEAK[1]:
         raise ValueError(
             "reduced is more than 1e80 times as strong as the recording; are they in the same unit?"
         )

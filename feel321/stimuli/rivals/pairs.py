@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from feel321.stimuli import recording
 from feel321.stimuli.match import (
     HIGHEST_HZ,
     LOWEST_HZ,
@@ -28,15 +29,6 @@ from feel321.stimuli.match import (
     linear_grid,
 )
 from feel321.stimuli.names import MOST_DB
-from feel321.stimuli.recording import (
-    Signal,
-    admit,
-    as_pair,
-    check_finite,
-    check_reduced,
-    coerce_real,
-    largest,
-)
 from feel321.types import Samples
 
 _BEYOND_COMPARISON = 1e80
@@ -94,31 +86,33 @@ class Pair:
         return np.where(self.nothing, np.nan, values)
 
 
-def make_pair(acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None) -> Pair:
+def make_pair(
+    acceleration: recording.Signal, reduced: ArrayLike, rate_hz: float | None = None
+) -> Pair:
     """Check one recording and one reduced signal."""
-    given, rate = as_pair(acceleration, reduced, rate_hz)
+    given, rate = recording.as_pair(acceleration, reduced, rate_hz)
     samples = np.asarray(given)
     return make_pairs(
-        given, check_reduced(reduced, samples.shape) if samples.ndim else reduced, rate
+        given, recording.check_reduced(reduced, samples.shape) if samples.ndim else reduced, rate
     )
 
 
 def make_pairs(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> Pair:
     """Check recordings (..., 3, n) and as many reduced signals (..., n)."""
-    admitted = admit(acceleration, rate_hz)
+    admitted = recording.admit(acceleration, rate_hz)
     samples = admitted.samples
-    signal = coerce_real(reduced, "reduced")
+    signal = recording.coerce_real(reduced, "reduced")
     if signal.shape != (*samples.shape[:-2], samples.shape[-1]) or not samples.shape[-1]:
         raise ValueError(
             f"reduced must have the shape (..., n) of acceleration (..., 3, n), n >= 1; got {signal.shape} for "
             f"{samples.shape}"
         )
-    check_finite(signal, "reduced")
+    recording.check_finite(signal, "reduced")
     scale: Samples | float = 1.0
     if admitted.exponents is not None:
         signal = np.ldexp(signal, -admitted.exponents)
         scale = np.ldexp(1.0, -admitted.exponents)
-    if largest(signal) > _BEYOND_COMPARISON:
+    if recording.largest(signal) > _BEYOND_COMPARISON:
         raise ValueError(
             "reduced is more than 1e80 times as strong as the recording; are they in the same unit?"
         )

@@ -34,12 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
-from feel321.stimuli.match import (
-    OriginalSpectrum,
-    axis_correlations,
-    mean_over_axes,
-    spectral_match_bounded,
-)
+from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.rotation import INVARIANTS, random_rotations
 from feel321.types import Reducer, Samples
@@ -435,10 +430,10 @@ def compare_metrics_under_rotation(
     original = OriginalSpectrum(samples, rate_hz)
     matches = {name: float(original.match(output)) for name, output in outputs.items()}
     worst = min(matches, key=matches.__getitem__)
-    further = spectral_match_bounded, INVARIANTS["spectral_match"]
     return MetricRow(
         recording.name, held,
         float(temporal.min()), float(temporal.max()), min(invariant), max(invariant),
         "" if math.isnan(matches[worst]) else worst, matches[worst],
-        *(metric(samples, outputs[worst], rate_hz) for metric in further),
+        float(original.match_both(outputs[worst])[1]),
+        INVARIANTS["spectral_match"](samples, outputs[worst], rate_hz),
     )  # fmt: skip
