@@ -1,7 +1,7 @@
 """Steps of a study that need the analysis: the report, and the recordings for chart, stress and advise."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import chain, count
@@ -84,7 +84,14 @@ def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
     write_answers(study)
     further = measure_rotations(study, settings, stimuli)
     matched = describe_matches(write_matches(study, stimuli))
-    return replace(further, notes=(*further.notes, *matched, *note_estimates(everybody)))
+    notes = (*further.notes, *matched, *note_estimates(everybody), *_note_methods(stimuli))
+    return replace(further, notes=notes)
+
+
+def _note_methods(stimuli: StimulusSet) -> Iterator[str]:
+    """Name the lab's own methods that the stimuli were made with."""
+    if own := [f"{name} {digest}" for name, digest in stimuli.find_methods().items()]:
+        yield f"Reducers and metrics of the lab's own, with the SHA-256 of their code: {', '.join(own)}."
 
 
 # How the metrics of a study's stimuli depend on the way the sensor was mounted, for the report to explore.
