@@ -10,6 +10,7 @@ import pytest
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.rotation import rotation_statistics
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import analyze
 from feel321.study.analyze import compute_rotations, measure_rotations
@@ -108,9 +109,7 @@ def test_long_recordings_get_fewer_orientations(
     ]
     for affordable, count in ((10**9, 64), (2 * size * 20 + 5, 20), (size, 16)):
         monkeypatch.setattr(analyze, "AFFORDABLE", affordable)
-        found = compute_rotations(
-            recordings, read_stimuli(lab.stimuli), steps=Conditioning(), seed=1
-        )
+        found = compute_rotations(recordings, read_stimuli(lab.stimuli), recipe=Recipe(), seed=1)
         assert f"into {count} random orientations" in found.notes[0]
 
 
