@@ -1,7 +1,7 @@
 """Steps of a study that need the analysis: the report, and the recordings for chart, stress and advise."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from itertools import chain, count
@@ -19,7 +19,7 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
-from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
@@ -133,7 +133,14 @@ def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
     write_answers(study)
     further = measure_rotations(study, settings, stimuli)
     matched = describe_matches(write_matches(study, stimuli))
-    return replace(further, notes=(*further.notes, *matched, *note_estimates(everybody)))
+    notes = (*further.notes, *matched, *note_estimates(everybody), *_note_methods(study))
+    return replace(further, notes=notes)
+
+
+def _note_methods(study: StudyFolder) -> Iterator[str]:
+    """Name the lab's own methods that the stimuli were made with."""
+    if own := [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]:
+        yield f"Reducers and metrics of the lab's own, with the SHA-256 of their code: {', '.join(own)}."
 
 
 # How the metrics of a study's stimuli depend on the way the sensor was mounted, for the report to explore.

@@ -168,18 +168,7 @@ class StimulusSet(Result):
         dict of str to str
             Name -> digest of the code, from `manifest.json`; empty where there are none.
         """
-        try:
-            details = json.loads((self.folder / "manifest.json").read_bytes())
-            kinds = [details.get(kind, {}) for kind in ("reducers", "metrics")]
-            own = {
-                name: one["sha256"]
-                for kind in kinds
-                for name, one in kind.items()
-                if one["method"] != "feel321"
-            }
-        except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            return {}
-        return own
+        return find_methods(self.folder)
 
     def to_frame(self) -> DataFrame:
         """Return the manifest as a table.
@@ -209,6 +198,22 @@ class StimulusSet(Result):
             Sampling rate in Hz.
         """
         return read_wav(self.folder / self[stimulus_id].file)
+
+
+def find_methods(folder: Path) -> dict[str, str]:
+    """Find the lab's own reducers and metrics of a set, with the digests of their code; empty where none are known."""
+    try:
+        details = json.loads((folder / "manifest.json").read_bytes())
+        kinds = [details.get(kind, {}) for kind in ("reducers", "metrics")]
+        own = {
+            name: one["sha256"]
+            for kind in kinds
+            for name, one in kind.items()
+            if one["method"] != "feel321"
+        }
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return {}
+    return own
 
 
 def write_manifest(
