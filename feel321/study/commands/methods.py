@@ -125,7 +125,7 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
 
 
 @click.command(
-    epilog="Examples: feel321 chart my-study --scenes; feel321 chart --benchmark --method mylab:my321 --out cards"
+    epilog="Example: feel321 chart my-study --scenes; feel321 chart --benchmark --method mylab:my321 --out cards"
 )
 @comparison_options("chart")
 @click.option(
