@@ -36,7 +36,7 @@ sample = "the plastic"
 [stimuli]
 reducers = ["saz321", "mag321", "pca321", "dft321"]
 [session]
-protocols = ["realism", "similarity", "dissimilarity", "mushra", "abx"]
+protocols = ["realism", "similarity", "dissimilarity", "mushra", "abx", "triplet", "preference"]
 """
 
 
