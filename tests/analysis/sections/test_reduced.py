@@ -66,7 +66,8 @@ def test_a_protocol_alone_is_a_report(lab: StudyFolder, tmp_path: Path, protocol
     rows = pd.read_csv(lab.ratings).query("protocol == @protocol")
     results = report_on(rows, lab.manifest, tmp_path)
     assert results.verdict
-    shown = {"dissimilarity": "space", "abx": "discrimination"}.get(protocol, "slope")
+    chosen = dict.fromkeys(("triplet", "preference"), "choices")
+    shown = ({"dissimilarity": "space", "abx": "discrimination"} | chosen).get(protocol, "slope")
     assert any(
         shown in name for name in [*results.figures, *(number.name for number in results.numbers)]
     )
