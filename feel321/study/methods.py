@@ -6,7 +6,8 @@ from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from feel321.extensions import find_method
+from feel321.doors import refuse_name
+from feel321.extensions import FORMS, find_method
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -26,7 +27,11 @@ PAIR = ("acceleration", "reduced", "rate_hz")
 
 def open_reducer(name: str, folder: Path) -> Reducer:
     """Open a reducer: feel321's, or one of the study in a folder, of its files, or of an installed package."""
-    found = find_reducer(_read_if_there(folder), name, folder)
+    settings = _read_if_there(folder)
+    if name in {ORIGINAL, NO_REFERENCE}:
+        allowed = (*REDUCERS, *settings.reducers)
+        raise ValueError(f"{refuse_name(name, allowed, 'reducer')}; {FORMS}")
+    found = find_reducer(settings, name, folder)
     return REDUCERS[name] if isinstance(found, str) else OwnReducer(found)
 
 

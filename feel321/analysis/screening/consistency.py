@@ -151,7 +151,7 @@ def rater_model(
 
     References
     ----------
-    ITU-T P.913 (2021), section 12.4; Li, Bampis, Janowski & Katsavounidis (2020), A simple model for subject behavior
+    ITU-T P.913 (2021), section 12.6; Li, Bampis, Janowski & Katsavounidis (2020), A simple model for subject behavior
     in subjective experiments, doi 10.2352/ISSN.2470-1173.2020.11.HVEI-131; Rosner (1983), Technometrics 25, 165-172,
     doi 10.1080/00401706.1983.10487848.
 

@@ -23,7 +23,7 @@ from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.own import find_format, read_own
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.names import MATCHES
+from feel321.stimuli.names import MATCHES, METRIC_INFO
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
@@ -285,13 +285,27 @@ def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
     # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
     checks = (
-        _check_reference, _check_metrics, _check_tasks, _check_scales, _check_between, _check_matching,
+        _check_own, _check_reference, _check_metrics, _check_tasks, _check_scales, _check_between,
+        _check_matching,
     )  # fmt: skip
     if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
     found = [*_check_samples(settings, tasks), *dict.fromkeys(_check_comparisons(settings, tasks))]
     return found or list(_check_length(settings, tasks))
+
+
+def _check_own(settings: Settings) -> Iterator[str]:
+    """Refuse tables that would replace a reducer or metric of feel321's: they would be left unread."""
+    taken = {"reducers": {*REDUCERS, ORIGINAL, NO_REFERENCE}, "metrics": METRICS}
+    for kind, names in taken.items():
+        for name, table in getattr(settings, kind).items():
+            if name in names and (kind == "reducers" or table.use or table.command):
+                yield f"{kind}.{name}: the name is taken by one of feel321's own; give yours another"
+    for name, table in settings.metrics.items():
+        if name in METRIC_INFO and table.higher not in {None, METRIC_INFO[name].higher}:
+            right = METRIC_INFO[name].higher
+            yield f"metrics.{name}.higher must be {right!r} for this metric, got {table.higher!r}; remove it"
 
 
 def _check_reference(settings: Settings) -> Iterator[str]:

@@ -33,6 +33,7 @@ def tell(path: Path, text: str) -> list[str]:
         "[session]\nprotocols = ['realism', 'similarity', 'dissimilarity', 'mushra', 'abx']",
         "[stimuli]\nreference = 'none'\n[session]\nprotocols = ['realism']",
         "[tasks.similarity]\nreference = 'dft321'",
+        "[metrics.level_difference]\nlabel = 'level'\nhigher = 'worse'",
         # A task that no session has may be set to anything its protocol knows.
         "[tasks.mushra]\ntiming = 'free'\n[session]\nprotocols = ['realism']",
         "[stimuli]\nlevels = ['as_is', 'equal_intensity']\n[between]\nlevel = ['as_is', 'equal_intensity']",
@@ -67,6 +68,22 @@ def test_settings_that_go_together_pass(text: str, tmp_path: Path) -> None:
         (
             "[tasks.similarity]\nreference = 'surface'",
             "recordings[2].sample: missing, but participants touch the real surface in similarity",
+        ),
+        (
+            "[reducers.dft321]\ncommand = './mine {input} {output}'",
+            "reducers.dft321: the name is taken by one of feel321's own",
+        ),
+        (
+            "[reducers.original]\nuse = 'mylab:original'",
+            "reducers.original: the name is taken by one of feel321's own",
+        ),
+        (
+            "[metrics.st_sim]\nuse = 'mylab:st_sim'",
+            "metrics.st_sim: the name is taken by one of feel321's own",
+        ),
+        (
+            "[metrics.level_difference]\nhigher = 'better'",
+            "metrics.level_difference.higher must be 'worse' for this metric, got 'better'",
         ),
         (
             "[stimuli]\nreference = 'dft321'",
