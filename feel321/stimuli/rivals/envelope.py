@@ -91,11 +91,11 @@ def measure_modulation(pair: Pair) -> Samples:
     """Measure `modulation_distance` of pairs."""
     (mean, own), (mean_reduced, kept), rates_hz = _modulations(pair)
     edges = np.geomspace(SLOWEST_HZ, FASTEST_HZ, N_BANDS + 1) * (1 - 1e-12)
-    band = np.searchsorted(edges, rates_hz, side="right") - 1
-    numbers = np.unique(band[(band >= 0) & (rates_hz <= FASTEST_HZ * (1 + 1e-12))])
+    band = np.minimum(np.searchsorted(edges, rates_hz, side="right") - 1, N_BANDS - 1)
+    numbers = np.unique(band[band >= 0])
     if not len(numbers):
         return np.full(pair.nothing.shape, np.nan)
-    shares = (np.minimum(band, N_BANDS - 1)[:, None] == numbers[numbers < N_BANDS]).astype(float)
+    shares = (band[:, None] == numbers).astype(float)
     depths = []
     for centre, spectrum in ((mean, own), (mean_reduced, kept)):
         scale = np.where(centre > 0, centre, 1.0)[..., None]
