@@ -8,11 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.association.rivals import rank_metrics
+from feel321.analysis.association.rivals import _score, find_influences, rank_metrics
 from feel321.analysis.report import rivals
 from feel321.analysis.report.parts import Choices
+from feel321.analysis.table.items import make_items
 from feel321.analysis.table.metrics import list_rivals
 from feel321.analysis.table.reading import Further, read_table
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -74,33 +76,82 @@ def test_values_are_those_of_plain_loops() -> None:
     )
 
 
-@pytest.mark.parametrize("reducer_sd", [0.0, 5.0])
-def test_where_nothing_is_planted_nothing_is_said(reducer_sd: float) -> None:
-    above_level, above_zero, missing = 0, 0, 0
-    for seed in range(40):
-        rows, felt = make_study(1000 + seed, reducer_sd=reducer_sd)
-        ranking = rank_metrics(rows, NAMES, draws=200, rng=seed)
+def count_claims(seeds: range, *, reducer_sd: float) -> dict[str, int]:
+    """Count the studies without any effect in which something is claimed."""
+    found = dict.fromkeys(("better", "predicts", "alone"), 0)
+    for seed in seeds:
+        ranking = rank_metrics(make_study(seed, reducer_sd=reducer_sd)[0], NAMES, draws=2, rng=seed)
         table = ranking.table
-        above_level += bool(ranking.better)
-        above_zero += bool(((table["p"] < 0.05) & (table["value"] > 0)).any())
-        missing += ranking.alone
-        assert len(felt) == ranking.n_items
-    # Of 40 at 5 %: more than 6 in 3 of 1000 runs.
-    assert max(above_level, above_zero, missing) <= 6
+        found["better"] += bool(ranking.better)
+        found["predicts"] += bool(((table["p"] < 0.05) & (table["value"] > 0)).any())
+        found["alone"] += ranking.alone
+    return found
+
+
+def test_where_nothing_is_planted_nothing_is_said() -> None:
+    # Reducers far apart for reasons that no metric knows: of 20 at 5 %, more than 5 in 3 of 10 000 runs.
+    assert max(count_claims(range(1000, 1020), reducer_sd=25.0).values()) <= 5
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("reducer_sd", [0.0, 3.0, 8.0])
+def test_false_claims_keep_to_five_percent(reducer_sd: float) -> None:
+    # Of 120 at 5 %: more than 14 in 2 of 1000 runs.
+    assert max(count_claims(range(5000, 5120), reducer_sd=reducer_sd).values()) <= 14
+
+
+def test_influences_are_the_derivatives_by_how_often_each_is_drawn() -> None:
+    rows = make_study(1, planted=6.0)[0]
+    rows = rows.drop(rows.index[::7]).assign(source=lambda table: table["recording"] // 2 * 2)
+    items = make_items(rows, NAMES)
+    influences, step = find_influences(items), 1e-5
+    sizes = {"people": items.n_participants, "scenes": items.n_recordings}
+    sizes["reducers"] = items.n_reducers
+    members = {
+        "people": np.arange(items.n_participants)[:, None] * np.ones((1, items.n_items)),
+        "scenes": items.recordings[None, :] * np.ones((items.n_participants, 1)),
+        "reducers": items.reducers[None, :] * np.ones((items.n_participants, 1)),
+    }
+    for factor, number in ((one, each) for one in sizes for each in (0, 3)):
+        ends = []
+        for change in (-step, step):
+            counts = {name: np.ones((1, size)) for name, size in sizes.items()}
+            counts[factor][0, number] += change
+            ends.append(np.arctanh(_score(items, **counts).out[:, 0]))
+        own = (influences * (members[factor] == number)).sum(axis=(1, 2))
+        assert own == pytest.approx((ends[1] - ends[0]) / (2 * step), abs=1e-7)
+        assert np.abs(own).max() > 0.01
+
+
+def test_what_holds_for_other_reducers_takes_five_of_them() -> None:
+    rows = make_study(2, planted=25.0)[0]
+    few = rank_metrics(rows[rows["reducer"] < 4], NAMES, draws=20)
+    assert few.table[["p", "low", "high", "over_p"]].isna().all(axis=None)
+    assert (few.better, few.alone, len(few.candidates)) == ((), False, len(NAMES))
+    assert np.isnan([few.honest_low, few.honest_high]).all()
+    assert "4 reducers, where 5 are needed for an interval." in few.notes
+    enough = rank_metrics(rows[rows["reducer"] < 5], NAMES, draws=20)
+    assert enough.table["p"].notna().all()
+    assert enough.table.loc["m03", "p"] < 0.05
+    # Stimuli of which nothing says how they were made: other participants and recordings only.
+    unknown = rank_metrics(
+        rows.assign(stimulus=rows["reducer"] + 6 * rows["recording"]).drop(columns="reducer"),
+        NAMES,
+        draws=20,
+    )
+    assert unknown.n_reducers == 0
+    assert unknown.notes[-1].startswith("No reducer made stimuli of several recordings")
+    assert unknown.table.loc["m03", "p"] < 0.05
 
 
 def test_a_planted_metric_is_named_and_stays_in_the_set_of_the_best() -> None:
-    better = first = inside = alone = wrong = 0
-    for seed in range(12):
-        rows, _ = make_study(2000 + seed, planted=25.0)
-        ranking = rank_metrics(rows, NAMES, draws=200, rng=seed)
-        better += "m03" in ranking.better
-        first += ranking.best == "m03"
-        inside += "m03" in ranking.candidates
-        alone += ranking.alone
-        wrong += ranking.alone and ranking.best != "m03"
-    assert (first, inside, wrong) == (12, 12, 0)
-    assert min(better, alone) >= 9
+    found = [
+        rank_metrics(make_study(2000 + seed, planted=25.0)[0], NAMES, draws=2, rng=seed)
+        for seed in range(12)
+    ]
+    assert all(one.best == "m03" and "m03" in one.candidates for one in found)
+    assert sum("m03" in one.better for one in found) >= 5
+    assert sum(one.alone for one in found) >= 2
 
 
 def test_picking_the_best_of_nothing_is_worth_nothing() -> None:
@@ -130,7 +181,7 @@ def test_copies_and_constants_do_no_harm() -> None:
     more = rows.assign(copy=2 * rows["m03"], same=1.0, each=rows["recording"])
     ranking = rank_metrics(more, [*NAMES, "copy", "same", "each"], draws=100)
     assert not ranking.alone
-    assert set(ranking.candidates) == {"m03", "copy"}
+    assert {"m03", "copy"} <= set(ranking.candidates)
     assert "Not ranked, the same for all stimuli of a recording: same, each." in ranking.notes
     assert {"m03", "copy"} <= set(ranking.better)
 
@@ -196,6 +247,17 @@ def test_the_first_sentence_is_true_of_nothing_and_of_something(
     told = rank(something, info=info).answers[0]
     start = "Realism, best metric: Of 4 metrics, spectral match predicts realism ratings better than every other"
     assert told.startswith(start)
+
+
+def test_few_reducers_are_said_in_the_first_sentence(files: Callable[..., object]) -> None:
+    study = files(scales=("realism",), participants=6, recordings=6, spectral=60.0, noise=4.0)
+    add_columns(study, level_difference=np.random.default_rng(7).normal(size=99))
+    rows = pd.read_csv(study.ratings)
+    kept = rows["reducer"].isin([*DEFAULT_REDUCERS][2:5])
+    rows[kept].to_csv(study.ratings, index=False)
+    told = rank(study).answers[0]
+    start = "Realism, best metric: Which of 3 metrics predicts realism ratings for other reducers cannot be told with"
+    assert told.startswith(f"{start} 3 reducers, where 5 are needed. The highest correlation")
 
 
 def test_no_comparison_where_none_is_asked_for(files: Callable[..., object]) -> None:

@@ -1,4 +1,4 @@
-"""Which of many metrics predicts ratings best: out of fold, for other people and recordings, corrected for how many.
+"""Which of many metrics predicts ratings best: out of fold, for other people, recordings and reducers, for how many.
 
 Of twenty metrics that say nothing one will correlate by luck, and the best of twenty that all say something is
 flattered by having been picked. So every metric is judged on recordings that had no part in fitting it, all intervals
@@ -8,6 +8,7 @@ hold together, and what is said to be best, or better than level alone, is said 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -15,13 +16,7 @@ import numpy as np
 from feel321.analysis.agreement import find_ceiling
 from feel321.analysis.arrays import FLAT, PERFECT, Values, check_draws
 from feel321.analysis.association.correlate import find_sign
-from feel321.analysis.resampling import (
-    BLOCK,
-    MOST_UNDEFINED,
-    bootstrap_margin,
-    draw_counts,
-    weighted_ranks,
-)
+from feel321.analysis.resampling import BLOCK, bootstrap_margin, draw_counts, weighted_ranks
 from feel321.analysis.table.items import Items, Table, choose_info, choose_metrics, make_items
 from feel321.doors import as_rng, check_name
 from feel321.records import Result
@@ -45,6 +40,9 @@ FEWEST_PEOPLE, FEWEST_RECORDINGS = 3, 4
 SIMULATED = 10_000
 """Draws of a multivariate t distribution behind a critical value: known to about 1 % of it."""
 
+FEWEST_REDUCERS = 5
+"""Below, what holds for other reducers cannot be told."""
+
 FEWEST_METRICS, FEWEST_DRAWN = 2, 2
 STILL = 1e-9
 """Standard errors below this are those of two metrics that say the same."""
@@ -60,7 +58,7 @@ class Ranking(Result):
     ----------
     table : DataFrame
         Indexed by metric, the best first: value low high, the out-of-fold correlation with its simultaneous 95 %
-        two-way interval, and p, adjusted for all metrics; share, value / ceiling; over_baseline over_low over_high,
+        interval, and p, adjusted for all metrics; share, value / ceiling; over_baseline over_low over_high,
         what it has over the baseline, likewise simultaneous, and over_p; may_be_best, whether it belongs to the 95 %
         confidence set of the best metric; chosen, the share of folds in which the other recordings would choose it;
         fitted, the correlation within recordings of all stimuli, where the slope may have any sign.
@@ -73,12 +71,12 @@ class Ranking(Result):
     better : tuple of str
         Metrics that predict better than the baseline, the best first.
     honest_value, honest_low, honest_high : float
-        Out-of-fold correlation of whichever metric the other recordings would choose, with its 95 % two-way interval:
+        Out-of-fold correlation of whichever metric the other recordings would choose, with its 95 % bootstrap interval:
         what picking the best is worth.
     ceiling : float
         Noise ceiling of differences within recordings.
-    n_participants, n_recordings, n_sources, n_items, draws : int
-        Size of the data, and bootstrap draws.
+    n_participants, n_recordings, n_sources, n_reducers, n_items, draws : int
+        Size of the data, and bootstrap draws; 0 reducers where no reducer made stimuli of several recordings.
     method : str
         "pearson", or "spearman" for metrics ranked within recordings.
     notes : tuple of str
@@ -97,6 +95,7 @@ class Ranking(Result):
     n_participants: int
     n_recordings: int
     n_sources: int
+    n_reducers: int
     n_items: int
     draws: int
     method: str
@@ -154,7 +153,7 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     method : str
         ``pearson``, or ``spearman``: metrics as ranks within their recording, for those with outliers.
     draws : int
-        Bootstrap draws, at least 2.
+        Bootstrap draws for the interval of ``honest_value``, at least 2.
     rng : int or Generator
         Seed, or source of randomness.
     info : Mapping of str to MetricInfo, optional
@@ -179,26 +178,31 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     predicts nothing anywhere. With ``honest_value`` each recording is predicted by the metric that
     correlates best over the others.
 
-    **Intervals.** Participants and recordings (sources) are drawn with replacement and everything is repeated.
-    Fisher's z of the value has the standard error sqrt(U / (U - 1)) SD(z*), U the smaller of both numbers. Metrics
-    resemble each other, so instead of Holm's bound the correction is the single-step maximum of t statistics:
-    quantiles of max |t| under a multivariate t with U - 1 degrees of freedom and the correlations that the draws have.
-    It holds for all metrics together, and is narrower than Bonferroni's or Holm's where metrics agree. Three
-    families, each at 5 %: every value against 0; every metric against the baseline; and, for the confidence set of the
-    best metric, each metric as the control of all others, one-sided (multiple comparisons with the best): the truly
-    best metric is missing from the set in at most 5 % of studies.
+    **Intervals** hold for other participants, other recordings (sources) and other reducers. The variance of Fisher's z
+    of the values is that of clustering by all three factors, V_P + V_R + V_M - V_PR - V_PM - V_RM + V_PRM, from the
+    influence of each rating, each part times G / (G - 1) for G groups, and never less than that of one factor.
+    Metrics resemble each other, so instead of Holm's bound the correction is the single-step maximum of t statistics:
+    quantiles of max |t| under a multivariate t with U - 1 degrees of freedom, U the smallest of the three numbers, and
+    the correlations that the variance has. It holds for all metrics together, and is narrower than Bonferroni's or
+    Holm's where metrics agree. Three families, each at 5 %: every value against 0; every metric against the baseline;
+    and, for the confidence set of the best metric, each metric as the control of all others, one-sided (multiple
+    comparisons with the best): the truly best metric is missing from the set in about 5 % of studies. With fewer than
+    5 reducers what holds for others cannot be told: no interval, no p. Where no reducer made stimuli of several
+    recordings, the factors are participants and recordings. ``honest_value`` has the interval of a bootstrap of all
+    factors, which errs on the wide side.
 
-    In simulated studies of 12 people, 8 recordings, 6 reducers and 12 metrics of which none says anything (120 a case),
-    any was said to predict in 0, 2 and 15 %, to be better than the baseline in 0, 0 and 7 %, where reducers differ by a
-    standard deviation of 0, 3 and 8 points for reasons that no metric knows: reducers are taken as these ones, others
-    may rank metrics differently. A metric that explains 25 points per unit of itself was said to be better than the
-    baseline in 98 %, and than every other metric in 89 %; one of 10 points in 42 and 16 %.
+    In simulated studies of 12 people, 8 recordings, 6 reducers and 12 metrics of which none says anything (360, 240 and
+    360), any was said to predict in 0.6, 1.2 and 4.7 %, and to be better than the baseline in 2.2, 1.7 and 2.8 %, where
+    reducers differ by a standard deviation of 0, 3 and 8 points for reasons that no metric knows; in 7.5 and 4.2 % of
+    120 where by 25 points. A metric that explains 25 points per unit of itself was said to be better than the baseline
+    in 76, 74 and 53 %, and than every other metric in 53, 51 and 21 %; with 9 reducers and 8 points in 83 and 64 %.
 
     References
     ----------
     Hothorn, Bretz & Westfall (2008), Simultaneous inference in general parametric models, doi 10.1002/bimj.200810425;
     Hsu (1984), Constrained simultaneous confidence intervals for multiple comparisons with the best, Annals of
-    Statistics 12, 1136-1144, doi 10.1214/aos/1176346732; Owen (2007), doi 10.1214/07-AOAS122.
+    Statistics 12, 1136-1144, doi 10.1214/aos/1176346732; Cameron, Gelbach & Miller (2011), Robust inference with
+    multiway clustering, doi 10.1198/jbes.2010.07136.
 
     Examples
     --------
@@ -225,25 +229,53 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     names, items = _leave_flat(names, items, notes, ranked=method == "spearman")
     control = _choose_control(items, names, baseline)
     whole = _score(items, np.ones((1, items.n_participants)), np.ones((1, items.n_recordings)))
-    judged = _Judged(
-        whole,
-        _draw(items, draws=draws, rng=generator),
-        n_units=min(items.n_participants, items.n_sources),
-        rng=generator,
-    )
+    spreads = () if _has_few_reducers(items) else find_spreads(items)
+    judged = _Judged(whole, spreads, freedom=_count_units(items) - 1, rng=generator)
     ceiling, more = find_ceiling(items, within=True)
     table = judged.tabulate(names, control)
     table["share"] = table["value"] / (np.nan if items.n_missing else ceiling)
     table = table.sort_values(["value", "fitted"], ascending=False, kind="stable")
     better = table.index[(table["over_p"] < LEVEL) & (table["over_baseline"] > 0)]
-    honest_low, honest_high = judged.bound_honest()
+    honest_low, honest_high = _bound_honest(items, whole, draws=draws, rng=generator)
     return Ranking(
         table=table, best=str(table.index[0]), alone=bool(table["may_be_best"].sum() == 1),
         baseline=names[control] if control is not None else "", better=tuple(map(str, better)),
         honest_value=float(whole.honest[0]), honest_low=honest_low, honest_high=honest_high, ceiling=ceiling,
         n_participants=items.n_participants, n_recordings=items.n_recordings, n_sources=items.n_sources,
-        n_items=items.n_items, draws=draws, method=method, notes=(*items.notes, *notes, *more),
+        n_reducers=items.n_reducers, n_items=items.n_items, draws=draws, method=method,
+        notes=(*items.notes, *notes, *more, *_note_reducers(items)),
     )  # fmt: skip
+
+
+def _count_units(items: Items) -> int:
+    """Count the participants, sources or reducers, whichever are fewest: they limit what is known."""
+    return min(items.n_participants, items.n_sources, items.n_reducers or items.n_sources)
+
+
+def _has_few_reducers(items: Items) -> bool:
+    return 0 < items.n_reducers < FEWEST_REDUCERS
+
+
+def _note_reducers(items: Items) -> list[str]:
+    """Say what is not known of other reducers."""
+    if not items.n_reducers:
+        return [
+            "No reducer made stimuli of several recordings: intervals are for other participants and recordings."
+        ]
+    few = f"{items.n_reducers} reducers, where {FEWEST_REDUCERS} are needed for an interval."
+    return [few] if _has_few_reducers(items) else []
+
+
+def _bound_honest(
+    items: Items, whole: _Scores, *, draws: int, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Bound the value of whichever metric the other recordings choose."""
+    if _has_few_reducers(items):
+        return float("nan"), float("nan")
+    middle = float(_to_z(whole.honest)[0])
+    drawn = _draw(items, draws=draws, rng=rng)
+    margin = bootstrap_margin(_to_z(drawn.honest), _count_units(items))
+    return float(np.tanh(middle - margin)), float(np.tanh(middle + margin))
 
 
 def _leave_flat(
@@ -286,13 +318,19 @@ def _draw(items: Items, *, draws: int, rng: np.random.Generator) -> _Scores:
         number = min(block, draws - start)
         people = draw_counts(items.n_participants, number, rng=rng)
         scenes = draw_counts(items.n_sources, number, rng=rng)[:, items.of_source]
-        found.append(_score(items, people, scenes))
+        kinds = draw_counts(items.n_reducers, number, rng=rng) if items.n_reducers else None
+        found.append(_score(items, people, scenes, reducers=kinds))
     return _Scores(*(np.concatenate(part, axis=-1) for part in zip(*found, strict=True)))
 
 
-def _score(items: Items, people: Values, scenes: Values) -> _Scores:
-    """Correlate out of fold; people: (draws, n_participants), scenes: (draws, n_recordings), how often each counts."""
-    xy, xx, yy = _sum_products(items, people)
+def _score(
+    items: Items, people: Values, scenes: Values, *, reducers: Values | None = None
+) -> _Scores:
+    """Correlate out of fold, with how often each counts.
+
+    people: (draws, n_participants); scenes: (draws, n_recordings); reducers: (draws, n_reducers), once each if None.
+    """
+    xy, xx, yy = _sum_products(items, people, reducers)
     counts = scenes.T[..., None]
     # What is left of a sum without a recording and all others of its source.
     together = (items.of_source[:, None] == items.of_source[None, :]).astype(np.float64)
@@ -320,80 +358,152 @@ def _score(items: Items, people: Values, scenes: Values) -> _Scores:
     # Of one recording alone, however often it was drawn, nothing else predicts anything.
     drawn = (scenes > 0).astype(np.float64) @ together > 0
     lonely = np.array([len(np.unique(items.of_source[row])) < FEWEST_DRAWN for row in drawn])
+    if reducers is not None:
+        lonely |= (reducers > 0).sum(axis=1) < FEWEST_DRAWN
     fitted = correlate(xy, xx).T
     return _Scores(np.where(lonely, np.nan, values), np.where(lonely, np.nan, honest), best, fitted)
 
 
-def _sum_products(items: Items, people: Values) -> tuple[Values, Values, Values]:
+def _sum_products(
+    items: Items, people: Values, reducers: Values | None
+) -> tuple[Values, Values, Values]:
     """Sum products of centred metrics x and mean ratings y: xy, xx (n_recordings, draws, n_metrics), yy (.., 1)."""
     seen = np.isfinite(items.ratings)
     votes = people @ seen.astype(np.float64)
     sums = people @ np.where(seen, items.ratings, 0.0)
     means = np.divide(sums, votes, out=np.zeros_like(sums), where=votes > 0)
+    weights = (votes > 0).astype(np.float64)
+    if reducers is not None and items.reducers is not None:
+        weights *= reducers[:, items.reducers]
     found = []
     for number in range(items.n_recordings):
         own = items.recordings == number
-        x, weight, y = (
-            items.metrics[:, own].T,
-            (votes[:, own] > 0).astype(np.float64),
-            means[:, own],
-        )
+        x, weight, y = items.metrics[:, own].T, weights[:, own], means[:, own]
         total = np.maximum(weight.sum(axis=1, keepdims=True), 1.0)
-        y = weight * (y - (weight * y).sum(axis=1, keepdims=True) / total)
+        y = y - (weight * y).sum(axis=1, keepdims=True) / total
         found.append((
-            y @ x,
+            (weight * y) @ x,
             weight @ x**2 - (weight @ x) ** 2 / total,
-            (y**2).sum(axis=1, keepdims=True),
+            (weight * y**2).sum(axis=1, keepdims=True),
         ))
     xy, xx, yy = (np.array(part) for part in zip(*found, strict=True))
     return xy, np.maximum(xx, 0.0), yy
 
 
+def find_influences(items: Items) -> Values:
+    """Differentiate z of every metric by the weight of every rating: (n_metrics, n_participants, n_items).
+
+    A rating's weight w moves the mean of its stimulus, and the weight that the stimulus has among others. Summed over
+    the ratings of a person, recording or reducer: the derivative by how often those are drawn.
+    """
+    people, scenes = np.ones((1, items.n_participants)), np.arange(items.n_recordings)
+    xy, xx, yy = (one[:, 0].T for one in _sum_products(items, people, None))
+    apart = (items.of_source[:, None] != items.of_source[None, :]).astype(np.float64)
+    rest_xy, rest_xx = xy @ apart, xx @ apart
+    some = (rest_xx > FLAT * xx.max(initial=0.0)) & (rest_xy > 0)
+    per_xx = np.divide(1.0, rest_xx, out=np.zeros_like(rest_xx), where=some)
+    slope = rest_xy * per_xx
+    top, square, total = ((slope * xy).sum(axis=1), (slope**2 * xx).sum(axis=1), float(yy.sum()))
+    moves = (square > 0) & (total > 0)
+    size = np.where(moves, np.sqrt(square * total), np.inf)
+    square = np.where(moves, square, np.inf)
+    value = np.clip(top / size, -PERFECT, PERFECT)
+    # Of value = top / sqrt(square total), by the sums of one recording: its own part, and that in others' slopes.
+    by_xy = (slope + (xy * per_xx) @ apart) / size[:, None]
+    by_xy -= (value / square)[:, None] * ((slope * xx * per_xx) @ apart)
+    by_xx = -((xy * slope * per_xx) @ apart) / size[:, None]
+    by_xx -= (value / square)[:, None] * (slope**2 / 2 - (slope**2 * xx * per_xx) @ apart)
+    by_yy = -np.where(moves, value, 0.0) / (2 * max(total, STILL))
+    seen = np.isfinite(items.ratings)
+    votes = np.maximum(seen.sum(axis=0), 1)
+    from_item = np.where(seen, items.ratings - np.nansum(items.ratings, axis=0) / votes, 0.0)
+    found = np.zeros((len(items.metrics), *items.ratings.shape))
+    for scene in scenes:
+        own = np.flatnonzero((items.recordings == scene) & seen.any(axis=0))
+        x, y = items.metrics[:, own], np.nansum(items.ratings[:, own], axis=0) / votes[own]
+        x, y = x - x.mean(axis=1, keepdims=True), y - y.mean()
+        each_xy, each_xx = by_xy[:, [scene]], by_xx[:, [scene]]
+        of_weight = each_xy * x * y + each_xx * x**2 + by_yy[:, None] * y**2
+        of_mean = each_xy * x + 2 * by_yy[:, None] * y
+        found[:, :, own] = (of_weight / items.n_participants)[:, None, :]
+        found[:, :, own] += (of_mean / votes[own])[:, None, :] * from_item[:, own]
+    of_z: Values = found / (1 - value**2)[:, None, None]
+    return of_z
+
+
+def find_spreads(items: Items) -> tuple[Values, ...]:
+    """Find the covariance of z between metrics, for other people, recordings and reducers; then of each alone.
+
+    Each (n_metrics, n_metrics). What several factors share is counted once: V_P + V_R + V_M - V_PR - V_PM - V_RM +
+    V_PRM, with G / (G - 1) for G groups.
+    """
+    influences = find_influences(items).reshape(len(items.metrics), -1)
+    person, item = np.divmod(np.arange(influences.shape[1]), items.n_items)
+    factors = [person, items.of_source[items.recordings][item]]
+    if items.reducers is not None:
+        factors.append(items.reducers[item])
+    spread, alone = np.zeros((len(influences),) * 2), []
+    for number in range(1, len(factors) + 1):
+        for chosen in combinations(factors, number):
+            codes = np.unique(np.stack(chosen), axis=1, return_inverse=True)[1].ravel()
+            sums = np.stack([np.bincount(codes, row) for row in influences])
+            product = sums @ sums.T * (sums.shape[1] / max(sums.shape[1] - 1, 1))
+            spread += (-1.0) ** (number - 1) * product
+            alone += [product] if number == 1 else []
+    return spread, *alone
+
+
 class _Judged:
-    """What the draws say of values and their differences, all at once."""
+    """What the spread of values says of them and their differences, all at once."""
 
     def __init__(
-        self, whole: _Scores, drawn: _Scores, *, n_units: int, rng: np.random.Generator
+        self, whole: _Scores, spreads: tuple[Values, ...], *, freedom: int, rng: np.random.Generator
     ) -> None:
-        self.whole, self.drawn, self.freedom = whole, drawn, n_units - 1
-        self.z, draws = _to_z(whole.out[:, 0]), _to_z(drawn.out)
-        known = np.isfinite(draws).all(axis=0)
-        self.enough = known.mean() > 1 - MOST_UNDEFINED
-        share = n_units / (n_units - 1)
-        self.spread = share * np.atleast_2d(np.cov(draws[:, known])) if self.enough else None
-        self.rng = rng
-        if self.spread is not None:
-            values, vectors = np.linalg.eigh(self.spread)
+        self.whole, self.z, self.spreads = whole, _to_z(whole.out[:, 0]), spreads
+        if spreads:
+            values, vectors = np.linalg.eigh(spreads[0])
             root = vectors * np.sqrt(np.maximum(values, 0.0))
             normal = rng.standard_normal((SIMULATED, len(root))) @ root.T
-            chi = rng.chisquare(self.freedom, (SIMULATED, 1)) / self.freedom
-            self.simulated = normal / np.sqrt(chi)
+            self.simulated = normal / np.sqrt(rng.chisquare(freedom, (SIMULATED, 1)) / freedom)
+            self.simulated_spread = root @ root.T
+
+    def _measure(self, contrasts: Values) -> tuple[Values, Values]:
+        """Measure the standard errors of contrasts, never less than for one factor alone, and those simulated."""
+        most, own = (
+            np.zeros(len(contrasts)),
+            ((contrasts @ self.simulated_spread) * contrasts).sum(1),
+        )
+        for spread in self.spreads:
+            most = np.maximum(most, ((contrasts @ spread) * contrasts).sum(axis=1))
+        return np.sqrt(most), np.sqrt(np.maximum(own, 0.0))
 
     def test(self, contrasts: Values) -> tuple[Values, Values, Values]:
         """Estimate contrasts of z, (n, n_metrics), with simultaneous margins and adjusted p."""
         found = contrasts @ self.z
-        if self.spread is None:
+        if not self.spreads:
             none = np.full(len(found), np.nan)
             return found, none, none
-        se = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", contrasts, self.spread, contrasts), 0.0))
-        moves = se > STILL
-        scale = np.where(moves, se, np.inf)
-        largest = np.sort(np.abs(self.simulated @ contrasts.T / scale).max(axis=1))
-        above = SIMULATED - np.searchsorted(largest, np.abs(found / scale))
+        se, own = self._measure(contrasts)
+        moves = (se > STILL) & (own > STILL)
+        largest = np.abs(self.simulated @ contrasts.T / np.where(moves, own, np.inf)).max(axis=1)
+        above = SIMULATED - np.searchsorted(
+            np.sort(largest), np.abs(found / np.where(moves, se, np.inf))
+        )
         margin = np.where(moves, np.quantile(largest, 1 - LEVEL) * se, np.nan)
         return found, margin, np.where(moves, (above + 1) / (SIMULATED + 1), 1.0)
 
     def find_candidates(self) -> list[bool]:
         """Find which metrics may be the best: no other is better by more than chance, each in turn the control."""
-        if self.spread is None:
+        if not self.spreads:
             return [True] * len(self.z)
-        found, own = [], np.diag(self.spread)
-        for number, z in enumerate(self.z):
-            se = np.sqrt(np.maximum(own + own[number] - 2 * self.spread[number], 0.0))
-            per_se = np.divide(1.0, se, out=np.zeros_like(se), where=se > STILL)
-            ahead = (self.simulated - self.simulated[:, [number]]) * per_se
+        found, each = [], np.eye(len(self.z))
+        for number in range(len(self.z)):
+            contrasts = each - each[number]
+            se, own = self._measure(contrasts)
+            moves = (se > STILL) & (own > STILL)
+            ahead = self.simulated @ contrasts.T / np.where(moves, own, np.inf)
             limit = np.quantile(ahead.max(axis=1), 1 - LEVEL)
-            found.append(bool(((self.z - z) * per_se).max() <= limit))
+            found.append(bool((contrasts @ self.z / np.where(moves, se, np.inf)).max() <= limit))
         return found
 
     def tabulate(self, names: Sequence[str], control: int | None) -> DataFrame:
@@ -429,12 +539,6 @@ class _Judged:
         return pd.DataFrame(
             {**columns, **over}, index=pd.Series(names, name="metric", dtype=object)
         )
-
-    def bound_honest(self) -> tuple[float, float]:
-        """Bound the value of whichever metric the other recordings choose."""
-        middle = float(_to_z(self.whole.honest)[0])
-        margin = bootstrap_margin(_to_z(self.drawn.honest), self.freedom + 1)
-        return float(np.tanh(middle - margin)), float(np.tanh(middle + margin))
 
 
 def _to_z(values: Values) -> Values:

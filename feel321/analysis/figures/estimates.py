@@ -407,6 +407,6 @@ def draw_ranking(table: DataFrame, *, ceiling: float, level: float, size: str) -
         style.add_title(
             figure,
             f"{len(rows)} metrics, {size}.\n"
-            "Bars: 95 % two-way intervals that hold for all metrics together. Dashed: noise ceiling.",
+            "Bars: 95 % intervals that hold for all metrics together. Dashed: noise ceiling.",
         )
     return figure

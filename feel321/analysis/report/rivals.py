@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis import words
-from feel321.analysis.association.rivals import BASELINES, LEVEL, Ranking, rank_metrics
+from feel321.analysis.association.rivals import (
+    BASELINES,
+    FEWEST_REDUCERS,
+    LEVEL,
+    Ranking,
+    rank_metrics,
+)
 from feel321.analysis.figures.estimates import draw_ranking
 from feel321.analysis.report.parts import Choices, RatingsPart, split_parts
 from feel321.analysis.report.section import (
@@ -37,7 +43,8 @@ AMPLITUDE, STRENGTH = "rms_m_s2", "level_as_played"
 NAMED = 3
 """How many metrics a sentence names before it only counts."""
 
-JOINT = "simultaneous 95 % two-way bootstrap interval, over participants and recordings"
+JOINT = "simultaneous 95 % interval, for other participants, recordings and reducers"
+PICKING = "95 % bootstrap interval, over participants, recordings and reducers"
 OUT_OF_FOLD = "correlation within recordings of mean ratings with {metric}, out of fold"
 RANKED = TableForm(
     "All metrics, the best first: correlation with differences between stimuli of the same recording, each recording "
@@ -61,12 +68,12 @@ RANKED = TableForm(
 )  # fmt: skip
 PICKED = TableForm(
     "What picking the best is worth: the out-of-fold correlation of whichever metric the other recordings choose, with "
-    "its 95 % two-way interval.",
+    "its 95 % interval.",
     (
         RATINGS,
         Column(
             "r", "value", method="correlation of the metric that the other recordings choose, out of fold",
-            interval=words.TWO_WAY,
+            interval=PICKING,
         ),
         Column("Noise ceiling", "ceiling", end="ceiling", method="noise ceiling within recordings"),
         Column("Metrics", "n_metrics", COUNT, "n_metrics"), Column("Stimuli", "n", COUNT, "n_items"),
@@ -101,7 +108,7 @@ def compute(table: Table, choices: Choices) -> Section:
             Picture(
                 make_slug("rivals", *part.place),
                 f"How well each metric predicts {part.ratings} within recordings, out of fold: correlation with "
-                "simultaneous 95 % two-way intervals; hollow: not in the confidence set of the best metric. Dashed: "
+                "simultaneous 95 % intervals; hollow: not in the confidence set of the best metric. Dashed: "
                 "noise ceiling; dotted: level alone.",
                 _draw(ranking),
             )
@@ -143,7 +150,6 @@ def _list_picked(found: list[tuple[RatingsPart, Ranking]]) -> Iterator[dict[Any,
 
 
 LEAD = "best metric"
-OTHERS = "Other reducers may rank metrics differently."
 
 
 def describe_ranking(part: RatingsPart, ranking: Ranking) -> Iterator[Line]:
@@ -154,7 +160,7 @@ def describe_ranking(part: RatingsPart, ranking: Ranking) -> Iterator[Line]:
     told, interval = words.format_estimate(ranking.honest_value, low, high)
     text = (
         f"whichever metric the other recordings would have chosen predicts the one left out at r = {told} (95 % "
-        f"two-way interval {interval}): what picking the best is worth."
+        f"interval {interval}): what picking the best is worth."
     )
     yield Line(text, subject, "picking")
 
@@ -165,6 +171,9 @@ def _describe_best(part: RatingsPart, ranking: Ranking) -> str:
     level = f"level alone ({words.format_name(ranking.baseline)})" if ranking.baseline else ""
     found, best = _describe(ranking), words.format_name(ranking.best)
     highest = f"The highest correlation out of fold is that of {best}, {found}."
+    if 0 < ranking.n_reducers < FEWEST_REDUCERS:
+        few = f"with {ranking.n_reducers} reducers, where {FEWEST_REDUCERS} are needed"
+        return f"Which of {len(table)} metrics predicts {ratings} for other reducers cannot be told {few}. {highest}"
     if level and not ranking.better:
         others = f"None of the {len(table) - 1} other metrics is shown to predict {ratings} better"
         return f"{others} than {level}. {highest}"
@@ -173,12 +182,14 @@ def _describe_best(part: RatingsPart, ranking: Ranking) -> str:
     lead = f"Of {len(table)} metrics, "
     if ranking.alone:
         than = f", {level} included" if level else ""
-        return f"{lead}{best} predicts {ratings} better than every other{than}: out of fold {found}. {OTHERS}"
+        return (
+            f"{lead}{best} predicts {ratings} better than every other{than}: out of fold {found}."
+        )
     named = ranking.better if level else shown
     predict = f"{_name(named)} predict{'s' * (len(named) == 1)} {ratings}"
     return (
         f"{lead}{predict}{f' better than {level}' if level else ''}; which metric is best is open "
-        f"({len(ranking.candidates)} may be). {highest} {OTHERS}"
+        f"({len(ranking.candidates)} may be). {highest}"
     )
 
 

@@ -454,7 +454,8 @@ class Items:
     ratings: (n_participants, n_items), NaN where there is none; metrics: (n_metrics, n_items);
     recordings: (n_items,), number of the recording that each item was made from, counted from 0;
     sources: (n_recordings,), number of the source that each recording comes from, counted from 0:
-    several may be one, turned, cut or edited.
+    several may be one, turned, cut or edited; reducers: (n_items,), number of the reducer, None where no reducer
+    made stimuli of several recordings: nothing is then known of what stimuli of one reducer share.
     """
 
     names: tuple[str, ...]
@@ -463,6 +464,7 @@ class Items:
     recordings: NDArray[np.intp]
     sources: NDArray[np.intp] | None = None
     notes: tuple[str, ...] = ()
+    reducers: NDArray[np.intp] | None = None
 
     @property
     def n_participants(self) -> int:
@@ -488,6 +490,11 @@ class Items:
     def n_sources(self) -> int:
         """Number of sources: what is independent of each other among recordings."""
         return int(self.of_source.max()) + 1
+
+    @property
+    def n_reducers(self) -> int:
+        """Number of reducers, 0 where they are not known or none made stimuli of several recordings."""
+        return 0 if self.reducers is None else int(self.reducers.max()) + 1
 
     @property
     def n_missing(self) -> int:
@@ -529,7 +536,22 @@ def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
         if "source" in rows
         else None,
         notes=notes,
+        reducers=_number_reducers(rows, item=item, order=order, first=first),
     )
+
+
+def _number_reducers(
+    rows: DataFrame, *, item: NDArray[np.intp], order: NDArray[np.intp], first: NDArray[np.intp]
+) -> NDArray[np.intp] | None:
+    """Find the number of each stimulus's reducer; None if not known, or if none made stimuli of several recordings."""
+    from pandas import factorize
+
+    if "reducer" not in rows or rows["reducer"].isna().any():
+        return None
+    of_row = factorize(rows["reducer"], sort=True)[0][order]
+    numbers = np.asarray(of_row[first], dtype=np.intp)
+    crossed = len(np.unique(rows["recording"])) > 1 and len(np.unique(numbers)) < len(numbers)
+    return numbers if crossed and (of_row == numbers[item]).all() else None
 
 
 def _number_items(rows: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:
