@@ -260,6 +260,15 @@ def test_few_reducers_are_said_in_the_first_sentence(files: Callable[..., object
     assert told.startswith(f"{start} 3 reducers, where 5 are needed. The highest correlation")
 
 
+def test_the_answer_says_why_metrics_are_not_ranked(files: Callable[..., object]) -> None:
+    study = files(scales=("realism",), participants=8, recordings=3)
+    why = "ratings must have 4 recordings of their own or more to rank metrics, got 3"
+    told = f"Realism, best metric: not ranked: {why}."
+    section = rank(study)
+    assert list(map(str, section.verdict)) == [told]
+    assert section.is_empty  # no heading over nothing
+
+
 def test_no_comparison_where_none_is_asked_for(files: Callable[..., object]) -> None:
     study = files(scales=("realism",))
     assert rivals.compute(read_table(study.ratings, study.manifest), Choices(draws=10)).is_empty

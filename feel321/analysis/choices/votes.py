@@ -163,10 +163,10 @@ def _keep_comparable(
     if lost := int((is_test & ~kept).sum()):
         notes.append(
             f"{lost} choices have another reference than the recording, or a stimulus without a value of some metric: "
-            "metrics are not asked about them."
+            "no metric is tested on them."
         )
     if not kept.any():
-        raise ValueError("No choice is between two test stimuli that the metrics describe.")
+        raise ValueError(notes[0] if notes else "No choice is between two test stimuli.")
     return rows[kept], notes
 
 

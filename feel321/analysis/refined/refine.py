@@ -248,7 +248,7 @@ def _prepare(
     ):
         if count < least:
             raise ValueError(
-                f"ratings must come from more, got {count} {what}, of {least} that it takes; with fewer, a refined "
+                f"ratings must come from {least} {what} or more, got {count}; with fewer, a refined "
                 "metric cannot be chosen and judged on different ones"
             )
     if np.nanstd(items.ratings) == 0:

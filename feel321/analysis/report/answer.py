@@ -303,7 +303,7 @@ def _describe_hinge(found: Finding) -> str:
     if turns := found.hinges.to_dict("records"):
         join = ", but" if found.verdict == PREDICTS else ", and"
         without = f"the {_name_unit(turns[0])}: without it {_describe_without(turns[0], found)}"
-        others = _list_others(turns, "; it also turns without")
+        others = _list_others(turns, "; the verdict also turns without")
         return f"{join} this hinges on {without}{others}"
     moves = found.influence.find_moves(found.metric).to_dict("records")
     rows = [row for row in moves if abs(row["shift"]) > MOVED]

@@ -89,19 +89,20 @@ def compute(table: Table, choices: Choices) -> Section:
     if not table.rivals:
         return Section(KEY, TITLE)
     found: list[tuple[RatingsPart, Ranking]] = []
-    notes = []
+    notes: list[str] = []
+    lines: list[Line] = []
     for part in split_parts(table):
         try:
             found.append((part, _rank(part, table, choices)))
-        except ValueError as error:
-            notes.append(f"{part.lead}: metrics are not ranked. {error}")
+        except ValueError as error:  # it was asked for, so the answer says why there is none
+            lines.append(Line(f"not ranked: {error}.", words.capitalise(part.subject), LEAD))
             continue
+        lines += describe_ranking(*found[-1])
         notes += [f"{part.lead}, metrics ranked: {note}" for note in found[-1][1].notes]
-    lines = [line for part, ranking in found for line in describe_ranking(part, ranking)]
     rows = [row for part, ranking in found for row in _list_rows(part, ranking)]
     return Section(
         key=KEY, title=TITLE, verdict=lines[:1] + [line for line in lines[1:] if line.lead == LEAD],
-        answers=tuple(map(str, lines)),
+        answers=tuple(map(str, lines)) if found else (),  # no heading over nothing
         grids=(RANKED.build(rows), PICKED.build(_list_picked(found))),
         tables={"rivals": rows}, notes=notes, how=read_methods(KEY, draws=choices.draws),
         pictures=[

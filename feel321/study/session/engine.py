@@ -21,7 +21,7 @@ from feel321.protocols.trial import FREE, MATCHING, RATING_RANGE, Flow, Page, Pa
 from feel321.records import Result
 from feel321.study.session import events, ports
 from feel321.study.session.codes import list_by_code
-from feel321.study.session.pace import TIMED_OUT, Schedule, find_gap
+from feel321.study.session.pace import TIMED_OUT, TOLD_S, Schedule, find_gap
 from feel321.study.session.plan import Plan, advance, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
@@ -176,7 +176,7 @@ class _Lead:
                 flags = getattr(event, "flags", ())
                 self.setup.pace.timed_out = TIMED_OUT in flags
                 if TIMED_OUT in flags and not self.setup.pace.is_fixed(step):
-                    self.aside = Page(TIMED_OUT)
+                    self.aside = Page(TIMED_OUT, TOLD_S)
                 self.look_after_device(flags)
 
     def take(self, step: Page | Trial) -> None:

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 TIMED_OUT = "timed_out"
 """Flag of an attempt that was not answered in time, and key of the page that says so."""
 
+TOLD_S = 1.0
+"""How long that page stays at least: a key that came just too late for the answer must not take it away unread."""
+
 LATE_S = 0.1
 """A trial that begins so much after it was due moves the schedule; what is less does not add up."""
 

@@ -129,6 +129,9 @@ def test_only_test_stimuli_and_the_recording_as_reference_count(plant: Plant) ->
     plain, found = (analysis.predict_votes(one.read()) for one in (planted, more))
     assert found.n_votes == plain.n_votes == len(planted.votes)
     assert "3 choices have another reference than the recording" in found.notes[0]
+    alone = planted._replace(votes=foreign).read()
+    with pytest.raises(ValueError, match="3 choices have another reference than the recording"):
+        analysis.predict_votes(alone)
 
 
 def test_what_cannot_be_asked_is_refused(plant: Plant) -> None:

@@ -112,32 +112,6 @@ def test_a_simulated_participant_finishes_by_keys_alone(
         check_files(study)
 
 
-def test_choices_by_keys_are_killed_resumed_and_analysed(
-    lab: Any, make_study: Callable[..., StudyFolder], tmp_path: Path
-) -> None:
-    study = make_study("triplet", "preference", reducers=("sax321", "mag321"))
-    session = lab.start(study, "sim001", *HAND)
-    session.wait_for("rated", 3)
-    session.send(signal.SIGKILL)
-    session.finish()
-    done = session.count_done()
-    code, out, err = lab.run(study, "sim001", *HAND)
-    assert (code, err) == (0, "")
-    # Of each of two recordings the pair of reducers, and with the recording itself three pairs.
-    assert out == f"sim001: {done} of 8 done so far\nsim001: all 8 done\n"
-    assert audit_study(study) == []
-    alone = ask_minds_alone(study, tmp_path / "alone")
-    assert list_answers(study) == list_answers(alone)
-    analyze_study(study)
-    rows = pd.read_csv(study.ratings, keep_default_na=False)
-    assert rows["scale"].value_counts().to_dict() == {"preference": 6, "triplet": 2}
-    assert set(rows["rating"]) <= {0.0, 100.0}
-    assert (rows["other_id"] != rows["stimulus_id"]).all()
-    assert (rows["reference_id"] != "").tolist() == (rows["scale"] == "triplet").tolist()
-    answers = json.loads((study.report / "results.json").read_text(encoding="utf-8"))["answers"]
-    assert answers["choices"][0].startswith("Whether a metric predicts which of two stimuli ")
-
-
 ASKING = """
 [tasks.realism]
 scales = ["realism", "roughness", "hardness"]
@@ -178,26 +152,45 @@ when = "after"
 """
 
 
-def test_several_scales_and_questions_are_answered_by_keys(
+def test_scales_questions_and_choices_are_killed_twice_resumed_and_analysed(
     lab: Any, make_study: Callable[..., StudyFolder], tmp_path: Path
 ) -> None:
-    study = make_study("realism", reducers=("sax321", "mag321"))
+    study = make_study("realism", "triplet", "preference", reducers=("sax321", "mag321"))
     with study.settings.open("a", encoding="utf-8") as file:
         file.write(ASKING)
-    code, _, err = lab.run(study, "sim001", *HAND)
+    before = []
+    for event, number in (("answered", 2), ("rated", 9)):
+        session = lab.start(study, "sim001", *HAND)
+        session.wait_for(event, number)
+        session.send(signal.SIGKILL)
+        _, out, _ = session.finish()
+        before.append(session.count_done())
+    code, out, err = lab.run(study, "sim001", *HAND)
     assert (code, err) == (0, "")
+    # Of each of two recordings three stimuli on scales, three pairs of them, and the pair of reducers beside the first.
+    assert out == f"sim001: {before[-1]} of 14 done so far\nsim001: all 14 done\n"
     assert audit_study(study) == []
     alone = ask_minds_alone(study, tmp_path / "alone")
-    assert list_answers(study) == list_answers(alone)
-    assert {tuple(values) for _, values in list_answers(study)} == {
-        ("test", "test:roughness", "test:hardness")
-    }
+    answers = list_answers(study)
+    assert answers == list_answers(alone)
+    scales = {("test", "test:roughness", "test:hardness"), ("a",)}
+    assert {tuple(values) for _, values in answers} == scales
     names = ("question", "occasion", "answer", "personal")
     own, others = (
         [[row[name] for name in names] for row in write_answers(one)] for one in (study, alone)
     )
     assert own == others
-    assert [row[0] for row in own] == ["age", "hand", "tired", "words"]
+    assert [row[0] for row in own] == ["age", "hand", "tired", "tired", "words"]
+    analyze_study(study)
+    rows = pd.read_csv(study.ratings, keep_default_na=False)
+    per_scale = {"preference": 6, "triplet": 2, "realism": 6, "roughness": 6, "hardness": 6}
+    assert rows["scale"].value_counts().to_dict() == per_scale
+    chosen = rows[rows["scale"].isin(["preference", "triplet"])]
+    assert set(chosen["rating"]) <= {0.0, 100.0}
+    assert (chosen["other_id"] != chosen["stimulus_id"]).all()
+    assert (chosen["reference_id"] != "").tolist() == (chosen["scale"] == "triplet").tolist()
+    told = json.loads((study.report / "results.json").read_text(encoding="utf-8"))["answers"]
+    assert told["choices"][0].startswith("Whether a metric predicts which of two stimuli ")
 
 
 def test_a_reference_of_three_axes_is_felt_through_the_sound_server(

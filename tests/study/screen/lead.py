@@ -10,12 +10,13 @@ import json
 import queue
 import threading
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
 from runpy import run_path
 from typing import TYPE_CHECKING, Any
 
+from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import read_scales, read_texts
 from feel321.protocols.trial import Flow, Page
 from feel321.study.screen.layout import compose
@@ -23,6 +24,7 @@ from feel321.study.screen.presenter import ScreenPresenter
 from feel321.study.screen.view import Hand, View, make_screen_texts
 from feel321.study.screen.window import Window, open_screen
 from feel321.study.session.engine import Setup, Stopped, conduct_page, conduct_trial
+from feel321.study.session.pace import Schedule
 from feel321.study.session.ports import Place, Playback, Surface
 
 if TYPE_CHECKING:
@@ -186,9 +188,10 @@ def main(spec: dict[str, Any]) -> bool:
         presenter = ScreenPresenter(
             window, output, texts, clock=clock, surfaces=surfaces, hand=watcher
         )
-        setup = Setup(
-            presenter, dict.fromkeys(f"s{n}" for n in range(13)), scales, Journal(), Flow(gap_s=0.1)
-        )
+        limits = spec.get("limits_s", {}).items()
+        tasks = {name: replace(make_task(name), answer_timeout_s=limit) for name, limit in limits}
+        stimuli = dict.fromkeys(f"s{n}" for n in range(13))
+        setup = Setup(presenter, stimuli, scales, Journal(), Flow(gap_s=0.1), pace=Schedule(tasks))
         try:
             for step in spec["steps"]:
                 conduct(step, setup)

@@ -58,6 +58,29 @@ def test_slider_by_keys(seat: Callable[..., Any]) -> None:
     assert events[-1]["event"] == "closed"
 
 
+def test_an_answer_that_is_late_does_not_count(seat: Callable[..., Any]) -> None:
+    again = {"page": "timed_out", "least_s": 1.0}, {"trial": "triplet"}
+    here = seat({"trial": "triplet"}, *again, limits_s={"triplet": 1.5})
+    here.see(state="answering", left_s=2)
+    here.press("Left")
+    here.see(chosen="a")
+    here.see(left_s=1)
+    here.see(page="timed_out")
+    spoiled = here.find("spoiled")[0]
+    assert spoiled["flags"] == ["timed_out"]
+    ended_s = [words["collected"] for words in here.told if "collected" in words][-1]
+    assert spoiled["time_s"] - ended_s > 1.5
+    here.press("Return")
+    here.until(lambda view: view["notice"].startswith("Please wait a "))
+    here.see(left_s=0)
+    here.press("Return")
+    here.see(state="answering", left_s=2)
+    assert here.view["chosen"] == ""  # nothing of the last attempt is left
+    here.press("Right", "Return")
+    here.finish()
+    assert [event["values"] for event in here.find("rated")] == [{"a": "b"}]
+
+
 def test_slider_by_mouse(seat: Callable[..., Any]) -> None:
     here = seat({"page": "main"}, {"trial": "realism"})
     here.see(page="main")
@@ -192,7 +215,7 @@ def test_pages_stand_and_count_down(seat: Callable[..., Any]) -> None:
     here = seat(*pages, held=True)
     here.see(page="rest", left_s=2)
     here.press("Return")
-    here.until(lambda view: view["notice"] == "Please rest a little longer.")
+    here.until(lambda view: view["notice"] == "Please wait a little longer.")
     assert "confirm" not in here.view["targets"]
     here.order("go on")
     here.see(left_s=0)

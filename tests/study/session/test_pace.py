@@ -92,6 +92,8 @@ def test_an_answer_that_comes_too_late_is_not_taken_and_the_trial_comes_again(
     assert [(data["trial"], data["flags"]) for data in spoiled] == [(2, ["timed_out"])]
     place = presenter.log.index("page timed_out 1/10")
     assert presenter.log[place + 1].startswith("show 3")
+    told = next(record.data for record in records if record.data.get("key") == "timed_out")
+    assert told["stood_s"] == 1.0  # a key that came just too late does not take it away
     shown = [record.data for record in records if record.event == "shown"]
     assert [data["attempt"] for data in shown if data["trial"] == 2] == [1, 2]
     assert "limit 4.0" in presenter.log
