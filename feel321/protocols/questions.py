@@ -163,7 +163,7 @@ def check_label(name: str) -> str:
     """Demand a name that can stand in a table."""
     if not LABEL.fullmatch(name):
         raise ValueError(
-            "must be up to 40 small letters (a-z), digits and _, beginning with a letter"
+            "must be up to 40 lower-case letters (a-z), digits and _, beginning with a letter"
         )
     return name
 

@@ -253,7 +253,7 @@ class _Course:
             )
         if question.find_fault(event.value) or event.personal is not question.personal:
             raise ValueError(
-                f"answers {event.question!r} as nobody can: the value must be one that the plan offers, and marked "
+                f"answers {event.question!r} against the plan: the value must be one that it offers, and marked "
                 f"personal = {question.personal}"
             )
 

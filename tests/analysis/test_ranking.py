@@ -182,7 +182,7 @@ def test_copies_and_constants_do_no_harm() -> None:
     ranking = rank_metrics(more, [*NAMES, "copy", "same", "each"], draws=100)
     assert not ranking.alone
     assert {"m03", "copy"} <= set(ranking.candidates)
-    assert "Not ranked, the same for all stimuli of a recording: same, each." in ranking.notes
+    assert "Not ranked, because constant within recordings: same, each." in ranking.notes
     assert {"m03", "copy"} <= set(ranking.better)
 
 

@@ -1,6 +1,6 @@
 """Which of many metrics predicts ratings best: out of fold, for other people, recordings and reducers, for how many.
 
-Of twenty metrics that say nothing one will correlate by luck, and the best of twenty that all say something is
+Of twenty uninformative metrics one will correlate by chance, and the best of twenty informative ones is
 flattered by having been picked. So every metric is judged on recordings that had no part in fitting it, all intervals
 hold together, and what is said to be best, or better than level alone, is said at 5 % for all metrics together.
 """
@@ -290,7 +290,7 @@ def _leave_flat(
         centred[:, own] -= centred[:, own].mean(axis=1, keepdims=True)
     varies = (centred**2).sum(axis=1) > FLAT * (items.metrics**2).sum(axis=1)
     if flat := [name for name, moves in zip(names, varies, strict=True) if not moves]:
-        notes.append(f"Not ranked, the same for all stimuli of a recording: {', '.join(flat)}.")
+        notes.append(f"Not ranked, because constant within recordings: {', '.join(flat)}.")
     left = tuple(name for name, moves in zip(names, varies, strict=True) if moves)
     return left, replace(items, metrics=centred[varies])
 

@@ -165,7 +165,7 @@ def fit_votes(
     design = np.column_stack([votes.differences / units, np.ones((len(votes), int(order_effect)))])
     if not terms or np.linalg.matrix_rank(design) < design.shape[1]:
         raise ValueError(
-            f"metrics must differ in ways of their own, got {', '.join(votes.metrics) or 'none'}, of which one follows "
+            f"metrics must not be collinear, got {', '.join(votes.metrics) or 'none'}, of which one follows "
             "from the others; leave one out"
         )
     chose = votes.chose_first.astype(np.float64)

@@ -165,7 +165,7 @@ def predict(votes: Votes) -> VotePrediction:
         notes.append("Below 3 participants or 3 recordings there is no interval.")
     if not is_known:
         notes.append(
-            "Fewer than half of the choices were also made by somebody else: how far people agree is not known."
+            "Fewer than half of the choices were also made by somebody else: how well people agree cannot be estimated."
         )
     alike = infer_share(votes, others if is_known else np.full(len(votes), np.nan))
     return VotePrediction(

@@ -84,7 +84,7 @@ ASSOCIATIONS = TableForm(
 DIFFERENCE = "{method} correlation with {first} minus that with {second}"
 DIFFERENCES = TableForm(
     "Correlation with the first metric minus correlation with the second; where lower is better, the sign of a "
-    "correlation is changed before. If an interval covers zero, the data do not show which metric predicts better. All "
+    "correlation is reversed first. If an interval covers zero, the data do not show which metric predicts better. All "
     "intervals are 95 % intervals.",
     (
         RATINGS, Column("First", "first", TEXT), Column("Second", "second", TEXT), METHOD,

@@ -63,8 +63,8 @@ COMPARED = page.TableForm(
 )  # fmt: skip
 WEIGHTS = page.TableForm(
     "Weights of the metrics in one logistic model: change in log odds of a choice per typical (root mean square) "
-    "difference of the two stimuli. Order: log odds of what was felt first, against an equal. Lapses: share of choices "
-    "that rest on nothing felt.",
+    "difference of the two stimuli. Order: log odds of the one felt first, between equals. Lapses: share of choices "
+    "made regardless of what was felt.",
     (
         WHICH, page.Column("Term", "term", page.TEXT),
         page.Column("Weight", "estimate", end="weight", method="logistic regression", interval=CLUSTERED),
@@ -256,7 +256,7 @@ def _describe(arm: _Arm, found: VotePrediction) -> str:
         names = words.join_words([
             f"{words.format_name(str(name))} {_format_share(row)}" for name, row in wrong.iterrows()
         ])
-        told.append(f"The better value of {names} was chosen less often than the worse.")
+        told.append(f"Stimuli with the better value of {names} were chosen less often.")
     return lead + " ".join(filter(None, told))
 
 

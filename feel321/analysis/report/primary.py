@@ -85,7 +85,7 @@ STANDARDISED = TableForm(
 FIRST, SECOND = Column("First", "first", TEXT), Column("Second", "second", TEXT)
 DIFFERENCES = TableForm(
     "Slope on the first metric minus slope on the second, in this study's standard deviations: which matters more when "
-    "both are known; the sign of a slope on a metric of which lower is better is changed before. 95 % intervals; p not "
+    "both are known; slopes of metrics where lower is better are reversed first. 95 % intervals; p not "
     "adjusted.",
     (
         RATINGS, FIRST, SECOND,

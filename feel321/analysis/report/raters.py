@@ -91,7 +91,7 @@ NORMAL_INTERVAL = "95 % normal interval"
 MODEL = TableForm(
     "Rater model (ITU-T P.913), in points: bias, how far a rater's ratings lie above the panel's; inconsistency, the "
     "standard deviation of the rater's ratings about the quality of the stimulus plus that bias; 95 % intervals. "
-    "Apart: an inconsistency unlike the others'.",
+    "Apart: whether the inconsistency is an outlier.",
     (
         RATINGS, Column("Rater", "participant", NAME),
         Column(
@@ -231,7 +231,7 @@ def _describe_consistency(model: RaterModel) -> str:
     rest = spread[~model.raters["apart"]]
     reach = words.format_interval(rest.min(), rest.max(), kind="rating")
     if not model.apart:
-        return f"inconsistency runs from {reach} points, and nobody's is unlike the others'"
+        return f"inconsistency ranges from {reach} points, without outliers"
     names = words.join_words(model.apart)
     own = words.format_interval(spread[list(model.apart)].min(), spread.max(), kind="rating")
     one = len(model.apart) == 1

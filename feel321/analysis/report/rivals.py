@@ -48,7 +48,7 @@ PICKING = "95 % bootstrap interval, over participants, recordings and reducers"
 OUT_OF_FOLD = "correlation within recordings of mean ratings with {metric}, out of fold"
 RANKED = TableForm(
     "All metrics, the best first: correlation with differences between stimuli of the same recording, each recording "
-    "predicted from the others; 0: it predicts nothing in the direction that it declares. Intervals and p hold for all "
+    "predicted from the others; 0: no prediction in the direction that it declares. Intervals and p hold for all "
     "metrics together. May be best: in the 95 % confidence set of the best metric. Chosen: share of recordings for "
     "which the others would have chosen it. In fold: correlation without holding anything out.",
     (
@@ -67,7 +67,7 @@ RANKED = TableForm(
     path="rivals.{scale}.{level}.{metric}",
 )  # fmt: skip
 PICKED = TableForm(
-    "What picking the best is worth: the out-of-fold correlation of whichever metric the other recordings choose, with "
+    "What to expect of the metric picked: the out-of-fold correlation when the metric is chosen on the others, with "
     "its 95 % interval.",
     (
         RATINGS,
@@ -160,7 +160,7 @@ def describe_ranking(part: RatingsPart, ranking: Ranking) -> Iterator[Line]:
     low, high = ranking.honest_low, ranking.honest_high
     told, interval = words.format_estimate(ranking.honest_value, low, high)
     text = (
-        f"whichever metric the other recordings would have chosen predicts the one left out at r = {told} (95 % "
+        f"the metric chosen on the other recordings predicts the one left out with r = {told} (95 % "
         f"interval {interval}): what picking the best is worth."
     )
     yield Line(text, subject, "picking")
@@ -189,7 +189,7 @@ def _describe_best(part: RatingsPart, ranking: Ranking) -> str:
     named = ranking.better if level else shown
     predict = f"{_name(named)} predict{'s' * (len(named) == 1)} {ratings}"
     return (
-        f"{lead}{predict}{f' better than {level}' if level else ''}; which metric is best is open "
+        f"{lead}{predict}{f' better than {level}' if level else ''}; which of them is best is unresolved "
         f"({len(ranking.candidates)} may be). {highest}"
     )
 

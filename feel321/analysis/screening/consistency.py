@@ -209,8 +209,8 @@ def find_apart(inconsistency: Values) -> tuple[NDArray[np.bool_], list[str]]:
 
     apart = np.zeros(len(inconsistency), dtype=bool)
     if len(inconsistency) < FEWEST_COMPARED:
-        few = f"{FEWEST_COMPARED} raters are needed to know how far honest ones differ"
-        return apart, [f"Nobody can be said to be less consistent than others: {few}."]
+        few = f"{FEWEST_COMPARED} raters are needed to estimate how much honest ones differ"
+        return apart, [f"Unusually inconsistent raters cannot be found: {few}."]
     with np.errstate(divide="ignore"):
         logs = np.log(inconsistency)
     # One without any noise has no logarithm, and is not what this test looks for.
@@ -268,7 +268,7 @@ def _project(votes: _Votes) -> tuple[Values, Values, Values, int, list[str]]:
         return quality, bias, spread, rounds, []
     who = votes.raters[int(weights.argmax())]
     note = (
-        f"Weighted by consistency, the ratings of {who} alone would be the qualities, as happens with few raters; all "
+        f"Weighted by consistency, {who} alone would determine the qualities, as happens with few raters; all "
         "raters count alike instead."
     )
     quality, bias, spread, rounds = _alternate(votes, floor=math.inf)

@@ -1,4 +1,4 @@
-"""Reducers that keep the intensity of the motion at each moment: candidate reasons why the vector's length feels good.
+"""Reducers that keep the intensity of the motion at each moment: possible reasons why vector magnitude feels good.
 
 Conventions: acceleration (..., 3, n) in, reduced signal (..., n) out, same unit, float64; the input is never modified.
 In a study the length of the vector (`mag321`) felt good despite its low matches [1]_. Two accounts of that can be

@@ -1,1 +1,1 @@
-"""Rival metrics: what else the literature compares vibrations by, so that the match metrics are not tried alone."""
+"""Rival metrics: other ways to compare vibrations, most from the literature, to test the match metrics against."""

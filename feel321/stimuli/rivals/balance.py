@@ -1,4 +1,4 @@
-"""The balance of high and low frequencies: what noisy vibrations of one intensity are told apart by."""
+"""The balance of high and low frequencies, by which noisy vibrations of equal intensity can be told apart."""
 
 import math
 

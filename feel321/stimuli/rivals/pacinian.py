@@ -1,4 +1,4 @@
-"""What the Pacinian channel makes of vibrations: power over the detection threshold, in all or band by band.
+"""Vibrations as weighted by the Pacinian channel: power relative to the detection threshold, in total or by band.
 
 References
 ----------

@@ -1,4 +1,4 @@
-"""Intensity segment by segment: what short vibrations feel alike by, whatever their waveform."""
+"""Intensity in short segments: where it is equal, vibrations are hard to tell apart, whatever their waveform."""
 
 import numpy as np
 from numpy.typing import ArrayLike

@@ -430,7 +430,7 @@ class StreamOutput:
         )
 
     def _measure_times(self, take: Take, cue: Cue) -> dict[str, float]:
-        """Measure blocks, and times of the device: onset, how long a stop took, how late motions were felt."""
+        """Measure blocks, and times of the device: onset, how long a stop took, the latency of motions."""
         ahead_s = self._clock_ahead_s
         measured = {"blocks": float(take.n_blocks), "callback_ms_max": take.longest_s * 1e3}
         if take.onset_s is not None:

@@ -134,7 +134,7 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
 )
 @shared.flag(
     "--benchmark",
-    "Instead, put methods through the fixed battery and write a JSON card for each; --recordings: the folder of public "
+    "Instead, run methods on the fixed battery and write a JSON card for each; --recordings: the folder of public "
     "recordings that are its second part.",
 )
 @click.option(
@@ -164,12 +164,12 @@ def chart(
     """
     if (full or task.scenes) and (benchmark or cards):
         raise click.UsageError(
-            "--benchmark and --leaderboard go without --full and --scenes: the battery is fixed"
+            "--benchmark and --leaderboard exclude --full and --scenes: the battery is fixed"
         )
     if methods and not benchmark:
-        raise click.UsageError("--method goes with --benchmark; add it")
+        raise click.UsageError("--method requires --benchmark; add it")
     if cards is not None and benchmark:
-        raise click.UsageError("--leaderboard goes without --benchmark; make the cards first")
+        raise click.UsageError("--leaderboard excludes --benchmark; make the cards first")
     if cards is not None:
         _make_leaderboard(cards, task.given_output, as_json=as_json)
     elif benchmark:

@@ -139,7 +139,7 @@ def reduce(  # noqa: PLR0913 - one per option
 )
 @raw_option
 @shared.flag(
-    "--rivals", "Compare by the rivals of the match metrics too: level, spectra, envelopes."
+    "--rivals", "Also compute the rivals of the match metrics: level, spectra and envelopes."
 )
 @shared.json_option
 def match(

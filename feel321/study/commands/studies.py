@@ -55,7 +55,7 @@ Example: feel321 check my-study
 @click.option(
     "--kind",
     type=click.Choice(["reducer", "metric"]),
-    help="What the method is.  [default: by its parameters]",
+    help="Kind of method.  [default: guessed from its parameters]",
 )
 @shared.json_option
 @click.pass_context
@@ -65,7 +65,7 @@ def check(
     """Check everything that a study needs.
 
     Settings, recordings, strength of the stimuli, rig and stimulus set: every problem is listed at once. With
-    --method: whether a reducer or metric of your own keeps the form that everything else relies on.
+    --method: whether a reducer or metric of your own meets feel321's requirements.
     """
     if method is not None:
         context.exit(_check_method(folder, method, kind, as_json=as_json))
@@ -423,7 +423,7 @@ Example: feel321 analyze my-study
 @click.option(
     "--rivals",
     is_flag=True,
-    help="Also say which of all metrics predicts best, corrected for how many were tried.",
+    help="Also rank all metrics by how well they predict, corrected for how many were tried.",
 )
 @shared.json_option
 def analyze(  # noqa: PLR0913 - one per option

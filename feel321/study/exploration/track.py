@@ -56,7 +56,7 @@ def describe_track(track: Samples, *, duration_s: float) -> dict[str, float]:
 
 
 def find_latencies(explorer: Explorer, *, first_s: float, rate_hz: float) -> dict[str, float]:
-    """Find how long after its report a motion is felt, in ms; first_s: when the first sample leaves the converter."""
+    """Find the latency from motion report to output, in ms; first_s: when the first sample leaves the converter."""
     uses = explorer.uses[: explorer.n_uses]
     late_ms = 1e3 * (first_s + uses[:, 1] / rate_hz - uses[:, 0])
     # What was reported before the playback began was not waiting to be felt.

@@ -341,7 +341,7 @@ def _check_matching(settings: Settings) -> Iterator[str]:
 def _check_tasks(settings: Settings) -> Iterator[str]:
     for name, table in settings.tasks.items():
         if table.explore and name not in EXPLORABLE:
-            yield f"tasks.{name}.explore goes with {' and '.join(EXPLORABLE)} only; take it out"
+            yield f"tasks.{name}.explore is for {' and '.join(EXPLORABLE)} only; remove it"
         # Each setting by itself, so that every mistake is found; then all together.
         alone = [TaskTable(**{key: value}) for key, value in table if key in table.model_fields_set]
         found = [line for one in alone if (line := _try_task(name, one))]

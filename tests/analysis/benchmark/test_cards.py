@@ -280,7 +280,7 @@ def test_the_verb(
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--method", "mag321"], "goes with --benchmark"),
+        (["--method", "mag321"], "requires --benchmark"),
         (["--benchmark", "--scenes"], "the battery is fixed"),
         (["--benchmark", "--leaderboard", "."], "make the cards first"),
         (["--leaderboard", "nowhere"], "must be a folder of cards"),

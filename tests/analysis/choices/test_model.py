@@ -118,7 +118,7 @@ def test_what_has_no_estimate_is_refused(plant: Plant) -> None:
     same = planted.stimuli.assign(twin=2 * planted.stimuli["temporal_match"], flat=1.0)
     for given, metrics, message in [
         (certain, METRICS, "choices must not all follow the metrics"),
-        (planted.votes, ("temporal_match", "twin"), "must differ in ways of their own"),
+        (planted.votes, ("temporal_match", "twin"), "must not be collinear"),
         (planted.votes, ("flat",), "'flat' never does; leave it out"),
     ]:
         with pytest.raises(ValueError, match=message):

@@ -51,8 +51,8 @@ def test_nothing_is_claimed_of_noise(plant: Plant) -> None:
 def test_a_reversed_metric_is_not_said_to_predict(plant: Plant) -> None:
     said = answer(plant(weights=(-7.0, 0.0), recordings=12))
     assert "Neither metric is shown to predict" in said
-    assert "The better value of bounded spectral match (2" in said
-    assert said.endswith("was chosen less often than the worse.")
+    assert "Stimuli with the better value of bounded spectral match (2" in said
+    assert said.endswith("were chosen less often.")
 
 
 def test_a_tiny_study_says_what_it_lacks(plant: Plant) -> None:

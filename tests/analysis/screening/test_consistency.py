@@ -141,7 +141,7 @@ def test_few_raters_are_not_compared() -> None:
     model = rater_model(rows[rows["participant"].isin(PEOPLE[:5])])
     assert not model.raters["apart"].any()
     assert model.notes == (
-        "Nobody can be said to be less consistent than others: 6 raters are needed to know how far honest ones differ.",
+        "Unusually inconsistent raters cannot be found: 6 raters are needed to estimate how much honest ones differ.",
     )
 
 

@@ -303,7 +303,7 @@ def test_what_explores_stands_in_the_header_and_cannot_change(tmp_path: Path) ->
     ("old", "new", "message"),
     [
         ('"gain"', '"loudness"', "explore"),
-        ("[tasks.realism]", "[tasks.mushra]", "tasks.mushra.explore goes with realism and similarity only"),
+        ("[tasks.realism]", "[tasks.mushra]", "tasks.mushra.explore is for realism and similarity only"),
         ("[tasks.realism]", "[session.exploration]\nreference_m_s = 0\n[tasks.realism]", "reference_m_s"),
     ],
 )  # fmt: skip

@@ -114,7 +114,7 @@ def test_what_is_no_answer_is_refused_and_asked_again(
 @pytest.mark.parametrize(
     ("forged", "finding"),
     [
-        ({"value": 17.0}, "answers 'age' as nobody can"),
+        ({"value": 17.0}, "answers 'age' against the plan"),
         ({"personal": False}, "marked personal = True"),
         ({"occasion": 2}, "answers 'age' as occasion 2, it is 1"),
         ({"question": "name"}, "answers 'name', which the plan does not ask"),

@@ -49,7 +49,7 @@ MISTAKES = {
     f"{ASK}kind = 'text'\n{ASK}kind = 'text'": "must hold each name once; more than once: q",
     "[[session.questions]]\nuse = 'demographic'": "must be one of demographics, got 'demographic'; did you",
     "[[session.questions]]\nuse = 'demographics'\npersonal = false": "brings its own questions; remove pe",
-    "[[session.questions]]\nname = 'How old'\nkind = 'text'\nquestion = 'A'": "must be up to 40 small lett",
+    "[[session.questions]]\nname = 'How old'\nkind = 'text'\nquestion = 'A'": "must be up to 40 lower-case l",
     "[[session.questions]]\nname = 'q'\nkind = 'text'\nquestion = ''": "question must not be empty",
     "[[session.questions]]\nuse = 'demographics'\n[[session.questions]]\nname = 'age'\nkind = 'text'\n"
     "question = 'A'": "more than once: age",
@@ -67,7 +67,7 @@ SCALE_MISTAKES = {
     f"{ROUGH}[tasks.realism]\nscales = 'roughness'": "tasks.realism.scales must be a valid array, got 'roughness'",
     "[scales.roughness]\nquestion = 'How rough?'\nlow = 'smooth'": "scales.roughness.high: missing; add it",
     f"{ROUGH}high_label = 'x'": "scales.roughness.high_label: unknown setting; known: question, low, high, anchors",
-    "[scales.'How rough']\nquestion = 'a'\nlow = 'b'\nhigh = 'c'": "must be up to 40 small letters",
+    "[scales.'How rough']\nquestion = 'a'\nlow = 'b'\nhigh = 'c'": "must be up to 40 lower-case letters",
     "[scales.abx]\nquestion = 'a'\nlow = 'b'\nhigh = 'c'": "scales.abx: must not be set, the answer to abx is a choice",
     "[tasks.realism]\nanswer_timeout_s = 0": "tasks.realism.answer_timeout_s must be greater than 0, got 0",
     "[tasks.realism]\ngap_s = 40": "tasks.realism.gap_s must be 0 to 30, got 40",

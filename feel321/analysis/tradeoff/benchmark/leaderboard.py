@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 SUFFIX = ".card.json"
 CAPTION = (
-    "Methods on battery {version} (digest {digest}), sorted by {by}, the highest first; equal ones by failed scenes. "
+    "Methods on battery {version} (digest {digest}), sorted by {by}, the highest first; ties by failed scenes. "
     "In each column the best value is marked with a star."
 )
 APART = "Cards of battery {version} (digest {digest}): another battery, not comparable with other tables."
