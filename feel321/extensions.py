@@ -9,14 +9,15 @@ A method is given as
 - a function, in Python.
 
 The name behind the colon, or that of the table or entry point, is what stands in manifests, file names and tables; one
-that is taken is refused. A method is recorded with the SHA-256 digest of its code: every `*.py` of the folder that
-holds a file, every `*.py` of a package, the source of a function, or a command line and the files that it names.
+that is taken is refused. A method is recorded with the SHA-256 digest of its code: a file and what it imports from
+its folder, every `*.py` of a package, the source of a function, or a command line and the files that it names.
 
 The code of a lab is called by `call` only: whatever it raises or prints, and however it ends, becomes one line.
 """
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import hashlib
 import importlib
@@ -189,7 +190,7 @@ def _find_place(kind: str, place: str, *, folder: Path) -> Method:
     where, _, name = place.rpartition(":")
     if where.endswith(".py"):
         path = _find_file(kind, place, where=where, folder=folder)
-        return Method(kind, name, place, _digest_folder(path.parent), "file", folder=folder)
+        return Method(kind, name, place, _digest_file(path), "file", folder=folder)
     if not fullmatch(r"\w+(\.\w+)*", where):
         raise ValueError(f"{kind} {place!r}: not a method; allowed: {FORMS}")
     return Method(kind, name, place, _digest_module(kind, place, folder), "module", folder=folder)
@@ -237,19 +238,31 @@ def _digest_files(paths: Mapping[str, Path], start: str = "") -> str:
     return digest.hexdigest()
 
 
-def _digest_folder(folder: Path) -> str:
-    """Digest every `*.py` of a folder, and of those below it that are packages."""
-    found = {
-        path.relative_to(folder).as_posix(): path
-        for path in folder.rglob("*.py")
-        if all((folder / above / "__init__.py").is_file() for above in _list_above(path, folder))
-    }
+def _digest_file(path: Path) -> str:
+    """Digest a file, and what it imports from its own folder: modules, and packages whole."""
+    found: dict[str, Path] = {}
+    waiting = [path]
+    while waiting:
+        one = waiting.pop()
+        name = one.relative_to(path.parent).as_posix()
+        if name not in found:
+            found[name] = one
+            waiting += _list_imported(one, path.parent)
     return _digest_files(found)
 
 
-def _list_above(path: Path, folder: Path) -> Iterator[Path]:
-    """List the folders between a file and the folder that is searched."""
-    yield from (above for above in path.relative_to(folder).parents if above != Path())
+def _list_imported(path: Path, folder: Path) -> list[Path]:
+    """List the files of a folder that one of them imports; none where it has a syntax error, as loading it tells."""
+    try:
+        nodes = [*ast.walk(ast.parse(path.read_bytes()))]
+    except (SyntaxError, ValueError, RecursionError):
+        return []
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+    tops = {name.partition(".")[0] for name in names} - {""}
+    modules = [one for top in tops if (one := folder / f"{top}.py").is_file()]
+    packages = [folder / top for top in tops if (folder / top / "__init__.py").is_file()]
+    return [*modules, *(one for package in packages for one in package.rglob("*.py"))]
 
 
 def _digest_module(kind: str, place: str, folder: Path | None = None) -> str:
@@ -325,7 +338,7 @@ def _load(method: Method, folder: Path | None) -> Any:  # noqa: ANN401 - whateve
     where, _, name = method.place.rpartition(":")
     load = _load_file if method.origin == "file" else _load_module
     module = call(method, load, where, folder, doing="cannot be loaded")
-    if method.origin == "file" and _digest_folder(_find_roots(method)[0]) != method.sha256:
+    if method.origin == "file" and _digest_file((folder or Path()) / where) != method.sha256:
         raise ValueError(f"{method}: {where} was changed in the meantime; run the command again")
     if not hasattr(module, name):
         raise ValueError(

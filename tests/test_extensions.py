@@ -81,7 +81,7 @@ def test_a_method_survives_the_way_to_another_process(study: Path) -> None:
     assert (info.label, info.higher, info.low, info.unit) == ("crest", "worse", 1.0, "of RMS")
 
 
-def test_the_digest_covers_the_folder_the_package_and_what_a_command_names(
+def test_the_digest_covers_what_is_imported_the_package_and_what_a_command_names(
     study: Path, package: Path
 ) -> None:
     table = {"run": {"command": "sh methods/run.sh {input} {output}"}}
@@ -91,9 +91,17 @@ def test_the_digest_covers_the_folder_the_package_and_what_a_command_names(
         given = ["methods/my321.py:my321", "mylab.haptics:my321", "run"]
         return [find_method("reducer", one, folder=study, declared=table).sha256 for one in given]
 
+    code = study / "methods" / "my321.py"
+    code.write_text("from helper import X\n" + code.read_text())
+    (study / "methods" / "helper.py").write_text("from parts.deep import X\n")
+    (study / "methods" / "parts").mkdir()
+    for name in ("__init__", "deep"):
+        (study / "methods" / "parts" / f"{name}.py").write_text("X = 1\n")
     before = digest()
-    (study / "methods" / "helper.py").write_text("X = 1\n")
+    (study / "methods" / "another.py").write_text("X = 1\n")
     (study / "methods" / "notes.txt").write_text("not code\n")
+    assert digest() == before
+    (study / "methods" / "parts" / "deep.py").write_text("X = 2\n")
     first = digest()
     (package / "mylab" / "other.py").write_text("X = 1\n")
     second = digest()
