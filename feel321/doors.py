@@ -108,7 +108,7 @@ Entry = TypeVar("Entry")
 
 
 class Registry(Mapping[str, Entry]):
-    """An ordered, read-only mapping of names; an entry is also an attribute, and a wrong name lists the right ones.
+    """An ordered mapping of names; an entry is also an attribute, and a wrong name lists the right ones.
 
     Examples
     --------
@@ -139,6 +139,10 @@ class Registry(Mapping[str, Entry]):
             return self._entries[name]
         except KeyError:
             raise KeyError(refuse_name(name, self._entries, self._what)) from None
+
+    def admit(self, name: str, entry: Entry) -> None:
+        """Put an entry of a lab's own beside the others, or in place of its former self."""
+        self._entries[name] = entry
 
     def __getattr__(self, name: str) -> Entry:
         """Return an entry, so that Tab completes names."""

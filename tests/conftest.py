@@ -11,6 +11,8 @@ import pytest
 from filelock import FileLock
 from hypothesis import settings
 
+from feel321.protocols.tasks import PROTOCOLS
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -90,3 +92,9 @@ def shared_recordings() -> Path:
             "NO REAL RECORDINGS: the folder shared/recordings beside the project is missing"
         )
     return RECORDINGS
+
+
+@pytest.fixture(autouse=True)
+def _feel321s_protocols_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take out protocols of a lab's own after each test."""
+    monkeypatch.setattr(PROTOCOLS, "_entries", dict(PROTOCOLS))

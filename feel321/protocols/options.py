@@ -105,7 +105,8 @@ def _check_scales(task: Task, scales: tuple[str, ...]) -> tuple[str, ...]:
         raise ValueError(
             f"{key} must be at most {MOST_SCALES} names, each once, got {list(scales)}; ask on fewer scales"
         )
-    taken = {*(other.scale for other in PROTOCOLS.values()), THRESHOLD, MATCHING}
+    ours = (other.scale for other in PROTOCOLS.values() if not other.sha256)
+    taken = {*ours, THRESHOLD, MATCHING}
     if foreign := sorted(taken.intersection(scales) - {protocol.scale}):
         raise ValueError(
             f"{key} must not hold the scale of another task, got {', '.join(map(repr, foreign))}; name one of your own"

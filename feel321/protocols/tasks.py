@@ -1,7 +1,7 @@
 """The rating tasks: what each compares and how it is scored, PROTOCOLS, the one list of them, and `make_task`.
 
-A new protocol is a `Protocol` in this module and its texts in `catalog/`. Triplets and preferences are described in
-`choosing`.
+A new protocol is a `Protocol` in this module and its texts in `catalog/`; a lab's own carries its texts with it, or a
+file of texts has them. Triplets and preferences are described in `choosing`.
 
 Realism: one stimulus, from not at all real to like the real surface, which may be stroked first. Every stimulus is
 judged by itself, the recording's own vibration and the anchors among them.
@@ -39,10 +39,11 @@ References
    doi:10.4324/9781410611147
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import prod
+from typing import Any
 
 from feel321.doors import Registry, check_name
 from feel321.protocols import choosing
@@ -79,7 +80,8 @@ class Protocol:
     (a whole number) it is, so that successive turns balance positions within a trial. score: turns an answer, with
     the ids of the parts by name, into 0 to 100 points. choices: parts to choose from; none where there is a slider.
     sure_end: the end of its slider that means the same to everybody, for the simulated observer. some_pairs: whether
-    a study may ask for some of its pairs only.
+    a study may ask for some of its pairs only. texts: what a lab's own carries with it: question, low_label, high_label
+    and perhaps anchors of its scale, title and text of its page of instructions. sha256: digest of a lab's own code.
     """
 
     name: str
@@ -95,6 +97,8 @@ class Protocol:
     choices: tuple[str, ...] = ()
     sure_end: float = RATING_RANGE[0]
     some_pairs: bool = False
+    texts: Mapping[str, Any] = field(default_factory=dict)
+    sha256: str = ""
 
     @property
     def scale(self) -> str:
@@ -269,6 +273,11 @@ _ALL = (
 )
 PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
 """Name -> protocol, the only list of names. Later ones are added, none renamed."""
+
+
+def digest_protocols(names: Iterable[str]) -> dict[str, str]:
+    """Return the digests of those protocols that are a lab's own, as plans and journals name them."""
+    return {f"protocol.{name}": own for name in names if (own := PROTOCOLS[name].sha256)}
 
 
 def make_task(  # noqa: PLR0913 - the options that a task has

@@ -150,14 +150,26 @@ _SCALE = {"question", "low_label", "high_label"}
 
 
 def _leave_out_own_scales(texts: dict[str, Any]) -> dict[str, Any]:
-    """Leave out scales of a lab's own that have all their texts."""
+    """Leave out scales of a lab's own that have all their texts, and the pages of its own protocols."""
     scales = texts["scales"]
-    if not isinstance(scales, dict):
+    if not isinstance(scales, dict) or not isinstance(texts["pages"], dict):
         return texts
     known = read_texts()["scales"]
-    return texts | {
-        "scales": {k: entry for k, entry in scales.items() if k in known or not _is_scale(entry)}
+    own = {name for name, entry in scales.items() if name not in known and _is_scale(entry)}
+    pages = {
+        key: entry
+        for key, entry in texts["pages"].items()
+        if key.removeprefix("instructions.") not in own or not _is_page(entry)
     }
+    return texts | {"scales": {k: scales[k] for k in scales if k not in own}, "pages": pages}
+
+
+def _is_page(entry: object) -> bool:
+    return (
+        isinstance(entry, dict)
+        and entry.keys() == {"title", "text"}
+        and not any(_find_fault("", text, "") for text in entry.values())
+    )
 
 
 def _is_scale(entry: object) -> bool:

@@ -18,6 +18,7 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import cli
 from feel321.study.actuator.rig import read_rig
+from feel321.study.folder import add_methods, create_study
 from feel321.study.settings.read import read_settings
 
 if TYPE_CHECKING:
@@ -235,6 +236,7 @@ def test_every_setting_is_accepted(blocks: tuple[Block, ...], tmp_path: Path) ->
     """What a page shows of study.toml or rig.toml is read once what it leaves out is added."""
     toml = [block.text for block in blocks if block.language == "toml"]
     assert toml
+    add_methods(create_study(tmp_path))  # whose files pages name
     for text in toml:
         given = tomllib.loads(text)
         if {"actuators", "keys"} & given.keys():

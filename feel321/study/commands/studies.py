@@ -25,7 +25,7 @@ DEMO_PARTICIPANTS = 16
     "--with",
     "extra",
     type=click.Choice(["methods"]),
-    help="Also a working example of a reducer, a metric, a format and a command of your own, in methods/.",
+    help="Also a working example of a reducer, a metric, a format, a protocol and a command of your own, in methods/.",
 )
 def new(folder: Path, *, bundled: str | None, extra: str | None) -> None:
     """Begin a study: a commented study.toml, ready to use."""

@@ -328,12 +328,13 @@ SURE_ENDS = {name: task.sure_end for name, task in PROTOCOLS.items() if not task
 
 def find_sure_end(trial: Trial) -> float:
     """Find the end of a trial's slider that means the same to everybody."""
-    if trial.protocol not in SURE_ENDS:
+    protocol = PROTOCOLS.get(trial.protocol)
+    if protocol is None or protocol.choices:
         raise ValueError(
             f"simulated observer: the protocol of a slider must be one of {', '.join(SURE_ENDS)}; "
             f"got {trial.protocol!r}"
         )
-    return SURE_ENDS[trial.protocol]
+    return protocol.sure_end
 
 
 def find_percept(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:

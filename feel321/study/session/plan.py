@@ -28,8 +28,9 @@ from feel321.protocols.order import (
     order_tasks,
 )
 from feel321.protocols.questions import PREFIX, Question
-from feel321.protocols.tasks import is_as_expected
+from feel321.protocols.tasks import digest_protocols, is_as_expected
 from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
+from feel321.study.admission import require_protocols
 from feel321.study.session import events
 from feel321.study.session import journal as journals
 from feel321.study.session.codes import list_by_code
@@ -117,7 +118,7 @@ class Plan:
     questions : tuple of Question
         The question pages besides the trials.
     methods : Mapping of str to str
-        The lab's own reducers and metrics, by name: digests of their code.
+        The lab's own reducers, metrics and protocols, by name: digests of their code.
     sha256 : str
         Digest of the plan as it was stored; empty before that.
     """
@@ -182,7 +183,7 @@ def make_plan(
         task_order=design.task_order,
         matching=own.matching,
         questions=own.questions,
-        methods=stimuli.find_methods(),
+        methods=stimuli.find_methods() | digest_protocols(task.protocol for task in own.tasks),
     )
 
 
@@ -266,16 +267,19 @@ def require_plan(path: Path) -> Plan:
         stored = entry.pop("format", None)
         if stored == FORMAT:
             text = json.dumps({**entry, "sha256": journals.digest(body)})
-            return _make_adapter().validate_json(text, strict=True, extra="forbid")
+            plan = _make_adapter().validate_json(text, strict=True, extra="forbid")
     except (ValueError, AttributeError, RecursionError) as error:
         listed: Any = getattr(error, "errors", list)()  # pydantic's own, or JSON's single one
         faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in listed]
         raise ValueError(
             f"{path}: not a plan as this version writes it ({[*faults, error][0]}); use the feel321 that wrote it"
         ) from None
-    raise ValueError(
-        f"{path}: the plan's format must be {FORMAT}, got {stored}; use the feel321 that wrote it"
-    )
+    if stored != FORMAT:
+        raise ValueError(
+            f"{path}: the plan's format must be {FORMAT}, got {stored}; use the feel321 that wrote it"
+        )
+    require_protocols(path, [task.protocol for task in plan.tasks], plan.methods)
+    return plan
 
 
 @cache

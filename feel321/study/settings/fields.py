@@ -28,10 +28,11 @@ class TomlTable(BaseModel):
 
 def one_of(names: Collection[str]) -> AfterValidator:
     """Make the rule that a name is one of a registry's."""
-    return AfterValidator(lambda name: _check_one_of(name, names))
+    return AfterValidator(lambda name: check_one_of(name, names))
 
 
-def _check_one_of(name: str, names: Collection[str]) -> str:
+def check_one_of(name: str, names: Collection[str]) -> str:
+    """Demand one of several names."""
     if name not in names:
         near = get_close_matches(name, list(names), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
@@ -45,7 +46,7 @@ def own_or_one_of(names: Collection[str], kind: str, table: str) -> AfterValidat
     def check(name: str, info: ValidationInfo) -> str:
         declared = (info.context or {}).get(table)
         known = declared if isinstance(declared, dict) else {}
-        return name if is_given(kind, name, known) else _check_one_of(name, names)
+        return name if is_given(kind, name, known) else check_one_of(name, names)
 
     return AfterValidator(check)
 

@@ -16,7 +16,7 @@ from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
 from feel321.files import write_text
 from feel321.protocols.questions import Question, read_ready
-from feel321.protocols.tasks import PROTOCOLS
+from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
@@ -28,6 +28,7 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
 from feel321.stimuli.synthesis import make_scene
+from feel321.study import admission
 from feel321.study.session.journal import digest
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
@@ -38,9 +39,21 @@ MOST_TRIALS = 10_000
 """Trials in a session; people do a few hundred, simulated participants somewhat more."""
 
 
-def read_settings(path: Path) -> Settings:
-    """Read and check a `study.toml`."""
+def read_settings(path: Path, folder: Path | None = None) -> Settings:
+    """Read and check a `study.toml`; folder: of the study, where the file is no more than a draft of its settings.
+
+    Protocols of the lab's own have their short names in it.
+    """
     settings = parse_toml(path, Settings)
+    session = settings.session
+    try:
+        names = admission.admit_protocols(session.protocols, folder or path.parent)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path.name}: {error}") from None
+    if names != session.protocols:
+        settings = settings.model_copy(
+            update={"session": session.model_copy(update={"protocols": names})}
+        )
     if mistakes := find_conflicts(settings):
         raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
     return settings
@@ -171,8 +184,9 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     if mute := list(find_mute_scales(settings, texts["scales"])):
         raise ValueError("\n".join(f"study.toml: {line} (here, or in {language})" for line in mute))
     texts["scales"] |= {name: table.to_texts() for name, table in settings.scales.items()}
-    if own := settings.session.consent:
-        texts["pages"][CONSENT]["text"] = own
+    admission.add_texts(texts, settings.session.protocols)
+    if consent := settings.session.consent:
+        texts["pages"][CONSENT]["text"] = consent
     return texts
 
 
@@ -243,6 +257,7 @@ def make_identity(
 def _identify_methods(settings: Settings, folder: Path) -> dict[str, Any]:
     """Return the digests of the lab's own methods that the stimuli are made with, if there are any."""
     found = {one.name: one.sha256 for one in make_recipe(settings, folder).methods}
+    found |= digest_protocols(settings.session.protocols)
     return {"methods": found} if found else {}
 
 
@@ -407,8 +422,9 @@ def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[
     for items, own in _list_groups(settings, tasks):
         for task in own:
             try:
+                PROTOCOLS[task.protocol].make_lessons(items, task)
                 PROTOCOLS[task.protocol].compare(items, task)
-            except ValueError as error:
+            except (TypeError, ValueError) as error:
                 yield f"tasks.{task.protocol}: {error}"
 
 
@@ -579,5 +595,5 @@ def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
     with TemporaryDirectory() as folder:
         trial = Path(folder) / path.name
         trial.write_bytes(text.encode())
-        read_settings(trial)
+        read_settings(trial, path.parent)
     write_text(path, text)

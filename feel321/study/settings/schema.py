@@ -10,13 +10,13 @@ from math import prod
 from pathlib import PurePath
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
 from feel321.protocols.detection import ThresholdBlock, name_tone
 from feel321.protocols.matching import MatchingBlock
 from feel321.protocols.options import refine_task
 from feel321.protocols.order import ORDERS, TASK_ORDERS
-from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import list_languages
 from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdPlan
 from feel321.protocols.trial import CHOOSING, FLAGS, Flow, Task
@@ -27,6 +27,7 @@ from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
+from feel321.study.admission import OURS, name_protocols
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.exploration.explorer import EXPLORERS
 from feel321.study.exploration.motion import POINTER
@@ -195,10 +196,20 @@ class ExplorationTable(kinds.TomlTable):
     mm_per_pixel: kinds.Positive = 0.25
 
 
+_OWN_PROTOCOL = kinds.own_or_one_of(OURS, "protocol", "protocols")
+
+
+def _check_task(name: str, info: ValidationInfo) -> str:
+    """Demand the name of one of feel321's protocols, or the short name of one of the study's own."""
+    session = (info.context or {}).get("session")
+    given = session.get("protocols") if isinstance(session, dict) else ()
+    return kinds.check_one_of(name, (*OURS, *name_protocols(given)))
+
+
 class SessionTable(kinds.TomlTable):
     """`[session]`: what participants do."""
 
-    protocols: Annotated[tuple[Annotated[str, kinds.one_of(PROTOCOLS)], ...], kinds.Some] = (
+    protocols: Annotated[tuple[Annotated[str, _OWN_PROTOCOL], ...], kinds.Some] = (
         "realism",
         "similarity",
     )
@@ -237,7 +248,7 @@ class TaskTable(kinds.TomlTable):
         return refine_task(make_task(name, training=training, practice=practice, **own), **options)
 
 
-Tasks = dict[Annotated[str, kinds.one_of(PROTOCOLS)], TaskTable]
+Tasks = dict[Annotated[str, AfterValidator(_check_task)], TaskTable]
 Between = Annotated[
     dict[
         Annotated[str, AfterValidator(check_factor)], Annotated[tuple[kinds.Words, ...], kinds.Some]

@@ -1,0 +1,223 @@
+"""A lab's own protocols: found, checked, called under guard, and put beside feel321's while a study is open.
+
+`PROTOCOLS` is looked up by name from many places, so a study's own protocols are added to it when its settings are
+read. Two studies of one process whose protocols have one name must take turns: the last that was read has it.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from feel321.doors import describe
+from feel321.extensions import call, find_method, is_given
+from feel321.protocols.detection import THRESHOLD
+from feel321.protocols.tasks import PROTOCOLS, Protocol
+from feel321.protocols.trial import (
+    MATCHING,
+    RATING_RANGE,
+    SURFACE,
+    TIMINGS,
+    Comparison,
+    Judgement,
+    Part,
+)
+
+if TYPE_CHECKING:
+    from feel321.extensions import Method
+    from feel321.protocols.arms import Comparisons, Items
+    from feel321.protocols.trial import Task
+
+OURS = tuple(name for name, one in PROTOCOLS.items() if not one.sha256)
+"""Names of feel321's own protocols."""
+
+WORDS = ("question", "low_label", "high_label")
+PAGE = ("title", "text")
+FACTORS = ("recording", "reducer", "level", "pair")
+CATCHES = ("", "identical", "hidden_reference", "anchor")
+
+
+def name_protocols(given: object) -> list[str]:
+    """Name those of a list of protocols that are the lab's own, by their short names."""
+    listed = given if isinstance(given, list | tuple) else []
+    own = [one for one in listed if isinstance(one, str) and one not in OURS]
+    return [one.rpartition(":")[2] for one in own if is_given("protocol", one)]
+
+
+def admit_protocols(given: Sequence[str], folder: Path) -> tuple[str, ...]:
+    """Load a study's own protocols and put them beside feel321's; returns the short names of all."""
+    names = tuple(name if name in OURS else _admit(name, folder) for name in given)
+    if doubled := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(
+            f"session.protocols must hold each name once; more than once: {', '.join(doubled)}"
+        )
+    return names
+
+
+def require_protocols(path: Path, names: Sequence[str], digests: Mapping[str, str]) -> None:
+    """Admit the lab's own protocols of a stored plan, for verbs that read journals only."""
+    own = {name: digests.get(f"protocol.{name}") for name in names if name not in OURS}
+    if all(name in PROTOCOLS and PROTOCOLS[name].sha256 == own[name] for name in own):
+        return
+    settings = path.parents[2] / "study.toml"
+    try:
+        given = tomllib.loads(settings.read_text(encoding="utf-8-sig"))["session"]["protocols"]
+        admit_protocols([one for one in given if one.rpartition(":")[2] in own], settings.parent)
+    except (OSError, LookupError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"{path}: {', '.join(own)} cannot be opened: {error}") from None
+    if lost := [name for name in own if name not in PROTOCOLS]:
+        raise ValueError(
+            f"{path}: protocol {', '.join(lost)} is not in session.protocols of {settings.name}; name it there again"
+        )
+
+
+def add_texts(texts: dict[str, Any], names: Sequence[str]) -> None:
+    """Add the texts that the lab's own protocols carry, where those of the language and the study have none."""
+    for name in names:
+        protocol = PROTOCOLS[name]
+        if not protocol.sha256:
+            continue
+        page = f"instructions.{name}"
+        own = dict(protocol.texts)
+        scale = {key: own[key] for key in (*WORDS, "anchors") if key in own}
+        given = texts["scales"].get(name) or scale
+        shown = texts["pages"].get(page) or {key: own[key] for key in PAGE if key in own}
+        missing = [
+            *(key for key in WORDS if key not in given),
+            *(p for p in PAGE if p not in shown),
+        ]
+        if missing:
+            raise ValueError(
+                f"protocol {name} has no {', '.join(missing)}; give texts={{...}} to its Protocol, or write "
+                f'[scales.{name}] and [pages."{page}"] into a file of texts and name it as session.language'
+            )
+        choices = {"choices": list(protocol.choices)} if protocol.choices else {}
+        texts["scales"][name] = {**given, **choices}
+        texts["pages"][page] = shown
+
+
+def _admit(given: str, folder: Path) -> str:
+    method = find_method("protocol", given, taken=(*OURS, THRESHOLD, MATCHING), folder=folder)
+    PROTOCOLS.admit(method.name, _guard(method, _check(method, method.load())))
+    return method.name
+
+
+def _check(method: Method, found: object) -> Protocol:
+    if not isinstance(found, Protocol):
+        raise TypeError(
+            f"{method}: must be a feel321.protocols.tasks.Protocol, got {describe(found)}; make one of it"
+        )
+    if found.name != method.name:
+        raise ValueError(
+            f"{method}: its Protocol is named {found.name!r}; the two must be the same, rename one"
+        )
+    for what, names, allowed in (
+        ("timings", found.timings, TIMINGS),
+        ("factors", found.factors, FACTORS),
+        ("sure_end", (found.sure_end,), RATING_RANGE),
+    ):
+        if not isinstance(names, tuple) or not names or not {*names} <= {*allowed}:
+            listed = ", ".join(map(str, allowed))
+            raise ValueError(f"{method}: {what} must be of {listed}; got {describe(names)}")
+    _check_texts(method, found.texts)
+    return found
+
+
+def _check_texts(method: Method, texts: object) -> None:
+    allowed = (*WORDS, *PAGE, "anchors")
+    if not isinstance(texts, Mapping) or not {*texts} <= {*allowed}:
+        raise ValueError(
+            f"{method}: texts must be a mapping of {', '.join(allowed)}; got {describe(texts)}"
+        )
+    for key, text in texts.items():
+        for one in text if key == "anchors" and isinstance(text, list | tuple) else [text]:
+            if not isinstance(one, str) or not one.strip() or "{" in one or "}" in one:
+                raise ValueError(
+                    f"{method}: texts[{key!r}] must be words without braces, got {describe(one)}"
+                )
+
+
+def _guard(method: Method, protocol: Protocol) -> Protocol:
+    """Let the lab's functions be called as all of its code is, and check what they return."""
+    own, teach = partial(_compare, method=method), protocol.teach
+    return replace(
+        protocol,
+        compare=partial(own, function=protocol.compare, doing="comparing"),
+        teach=teach and partial(own, function=teach, doing="making its training"),
+        arrange=partial(_arrange, method=method, function=protocol.arrange),
+        score=partial(_score, method=method, function=protocol.score),
+        sha256=method.sha256,
+    )
+
+
+def _compare(
+    items: Items, task: Task, *, method: Method, function: Callable[..., Any], doing: str
+) -> Comparisons:
+    found = call(method, function, items, task, doing=doing)
+    if not isinstance(found, list | tuple):
+        raise TypeError(f"{method}: must return Comparisons, got {describe(found)}; {doing}")
+    for one in found:
+        _check_comparison(method, one, {item.stimulus_id for item in items}, doing=doing)
+    return tuple(found)
+
+
+def _arrange(
+    comparison: Comparison, turn: int, *, method: Method, function: Callable[..., Any]
+) -> Comparison:
+    found: Comparison = call(method, function, comparison, turn, doing="arranging")
+    _check_comparison(method, found, _list_ids(comparison), doing="arranging")
+    return found
+
+
+def _score(
+    judgement: Judgement,
+    answer: float | str,
+    parts: Mapping[str, str | None],
+    *,
+    method: Method,
+    function: Callable[..., Any],
+) -> float:
+    points = call(method, function, judgement, answer, parts, doing="scoring")
+    low, high = RATING_RANGE
+    if not isinstance(points, float | int) or not low <= points <= high:
+        got = f"{describe(points)} for {describe(answer)}"
+        raise ValueError(f"{method}: score must return 0 to 100 points, got {got}")
+    return float(points)
+
+
+def _check_comparison(method: Method, one: object, known: set[str | None], *, doing: str) -> None:
+    is_whole = isinstance(one, Comparison) and all(
+        isinstance(thing, kind)
+        for things, kind in ((one.parts, Part), (one.judgements, Judgement))
+        for thing in things
+    )
+    if not isinstance(one, Comparison) or not is_whole:
+        got = describe(one)
+        raise TypeError(
+            f"{method}: must make Comparisons of Parts and Judgements, got {got}; {doing}"
+        )
+    if fault := next(_find_faults(one, known), ""):
+        raise ValueError(f"{method}: a comparison {fault}; {doing}")
+
+
+def _list_ids(one: Comparison) -> set[str | None]:
+    judged = {name for j in one.judgements for name in (j.stimulus_id, j.reference_id)}
+    return {part.stimulus_id for part in one.parts} | judged
+
+
+def _find_faults(one: Comparison, known: set[str | None]) -> Iterator[str]:
+    names = [part.name for part in one.parts]
+    if not names or not one.judgements:
+        yield "must have parts and judgements"
+    if len({*names}) < len(names):
+        yield f"names a part twice: {', '.join(names)}"
+    if strange := _list_ids(one) - known - {None, SURFACE}:
+        yield f"names stimuli that it was not given: {', '.join(map(str, strange))}"
+    if other := [j.part for j in one.judgements if j.part not in names]:
+        yield f"judges {other[0]!r}, which is not one of its parts: {', '.join(names)}"
+    if one.catch not in CATCHES:
+        yield f"must have a catch of {', '.join(map(repr, CATCHES))}, got {one.catch!r}"
