@@ -4,6 +4,7 @@ Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `reduce
 """
 
 from feel321.doors import forward_old_names as _forward_old_names
+from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.conform import check_dft321
 from feel321.stimuli.conform_stream import check_stream
@@ -18,7 +19,6 @@ from feel321.stimuli.match import (
     temporal_match_details,
 )
 from feel321.stimuli.metrics import METRICS, match
-from feel321.stimuli.names import METRIC_INFO
 from feel321.stimuli.recording import Recording, Reduced
 from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer, reduce
 from feel321.stimuli.rotation import INVARIANTS, rotation_statistics

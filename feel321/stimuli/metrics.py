@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from numpy.typing import ArrayLike
 
 from feel321.doors import Registry, name_of
+from feel321.names import MATCHES
 from feel321.stimuli.guard import find_metric
 from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
-from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Reduced, Signal, as_pair, check_acceleration, coerce_real
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS

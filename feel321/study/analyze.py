@@ -14,9 +14,9 @@ import pandas as pd
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.table.metrics import list_rivals, make_info
 from feel321.analysis.table.reading import Further, Table, read_table
+from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimuli

@@ -16,7 +16,7 @@ from feel321.analysis.report.parts import Choices
 from feel321.analysis.table.metrics import find_steps, order_reducers
 from feel321.analysis.table.reading import Further, read_table
 from feel321.analysis.words import declaring
-from feel321.stimuli.names import MATCHES
+from feel321.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import MetricInfo
 

@@ -14,7 +14,7 @@ from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.write import describe_inputs
 from feel321.analysis.table.metrics import describe_further
 from feel321.analysis.table.reading import Further, Table, read_table
-from feel321.stimuli.names import MATCHES
+from feel321.names import MATCHES
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
 from feel321.stimuli.metrics import match
-from feel321.stimuli.names import METRIC_INFO
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS
 from feel321.stimuli.rotation import INVARIANTS

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from feel321 import stimuli
+from feel321.names import MATCHES
 from feel321.stimuli.match import (
     WeberSmoothing,
     energy_spectrum,
@@ -14,7 +15,6 @@ from feel321.stimuli.match import (
     temporal_match,
     temporal_match_details,
 )
-from feel321.stimuli.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import (
     INVARIANTS,

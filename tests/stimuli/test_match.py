@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from feel321.names import MATCHES, METRIC_INFO
 from feel321.stimuli.match import (
     spectral_match,
     spectral_match_details,
@@ -12,7 +13,6 @@ from feel321.stimuli.match import (
     temporal_match_details,
 )
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.names import MATCHES, METRIC_INFO
 from feel321.stimuli.reducers.registry import REDUCERS
 
 RATE = 4000.0

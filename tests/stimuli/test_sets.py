@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from feel321.files import hold_lock
+from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.names import MATCHES
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, felt_level, loudest_levels, sensation_level_db

@@ -135,9 +135,9 @@ def test_sessions_from_before_there_were_certificates_go_on(
     def open_presenter(*_: object, **__: object) -> Iterator[Any]:
         yield scripted(stop_after=1)
 
-    make_identity = lab.make_identity
+    make_identity = lab.read.make_identity
     with monkeypatch.context() as before:
-        before.setattr(lab, "make_identity", lambda *given, **_: make_identity(*given))
+        before.setattr(lab.read, "make_identity", lambda *given, **_: make_identity(*given))
         before.setattr(lab, "open_lab", open_presenter)
         with pytest.raises(KeyboardInterrupt):
             visit(ready)

@@ -16,11 +16,11 @@ import pytest
 from feel321.analysis.report import association
 from feel321.analysis.table.reading import Further
 from feel321.files import write_text
+from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition, list_steps
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.match import spectral_match
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS
 from feel321.stimuli.synthesis import make_scene

@@ -22,7 +22,7 @@ from feel321.analysis.report.section import (
 )
 from feel321.analysis.table.schema import ERROR, SOURCE
 from feel321.analysis.words import COUNT
-from feel321.stimuli.names import MATCHES
+from feel321.names import MATCHES
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series

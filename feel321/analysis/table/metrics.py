@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from feel321.analysis.table import schema
-from feel321.stimuli.names import MATCHES, METRIC_INFO, REDUCER_NAMES
+from feel321.names import MATCHES, METRIC_INFO, REDUCER_NAMES
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from feel321.analysis.table import schema
 from feel321.analysis.table.items import ROLE, STIMULUS, TEST
 from feel321.analysis.table.metrics import describe_explored
 from feel321.analysis.table.schema import shorten
-from feel321.stimuli.names import REDUCER_NAMES
+from feel321.names import REDUCER_NAMES
 
 if TYPE_CHECKING:
     from pandas import DataFrame

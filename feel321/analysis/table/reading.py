@@ -30,7 +30,7 @@ from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import roster, schema
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.doors import as_names, as_path, describe
-from feel321.stimuli.names import REDUCER_NAMES
+from feel321.names import REDUCER_NAMES
 from feel321.types import MetricInfo, PathLike
 
 if TYPE_CHECKING:

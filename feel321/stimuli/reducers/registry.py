@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.doors import Registry, check_name, name_of
+from feel321.names import REDUCER_NAMES
 from feel321.stimuli.guard import find_reducer
-from feel321.stimuli.names import REDUCER_NAMES
 from feel321.stimuli.recording import (
     SAFE_PEAK,
     Recording,

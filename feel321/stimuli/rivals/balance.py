@@ -5,8 +5,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from feel321.names import MOST_DB
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ
-from feel321.stimuli.names import MOST_DB
 from feel321.stimuli.recording import Signal
 from feel321.stimuli.rivals.pairs import Pair, level_db, make_pair
 from feel321.types import Samples

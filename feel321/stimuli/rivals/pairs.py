@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from feel321.names import MOST_DB
 from feel321.stimuli import recording
 from feel321.stimuli.match import (
     HIGHEST_HZ,
@@ -28,7 +29,6 @@ from feel321.stimuli.match import (
     WeberSmoothing,
     linear_grid,
 )
-from feel321.stimuli.names import MOST_DB
 from feel321.types import Samples
 
 _BEYOND_COMPARISON = 1e80

@@ -18,11 +18,11 @@ import numpy as np
 from feel321 import __version__
 from feel321.doors import check_name
 from feel321.extensions import Method
+from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import condition, fade, resample
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.names import METRIC_INFO
 from feel321.stimuli.recording import Recording, digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db

@@ -36,9 +36,9 @@ class ReducerName(click.ParamType[str]):
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:  # noqa: ARG002 - click's form
         """List the names, for the help."""
-        from feel321.stimuli.reducers.registry import REDUCERS
+        from feel321.names import REDUCER_NAMES
 
-        return f"[{'|'.join(REDUCERS)}|PLACE:NAME]"
+        return f"[{'|'.join(REDUCER_NAMES)}|PLACE:NAME]"
 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
@@ -357,7 +357,7 @@ def _match_further(
 
 
 def _print_matches(facts: dict[str, Any]) -> None:
-    from feel321.stimuli.names import MATCHES
+    from feel321.names import MATCHES
 
     steps = ", ".join(facts["steps"]) or "none, as it was measured"
     source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
@@ -381,7 +381,7 @@ def _print_matches(facts: dict[str, Any]) -> None:
 
 
 def _print_rival(name: str, value: float, *, reason: str | None) -> None:
-    from feel321.stimuli.names import METRIC_INFO
+    from feel321.names import METRIC_INFO
 
     info = METRIC_INFO[name]
     sense = "higher is better" if info.higher == "better" else "lower is better"

@@ -15,6 +15,7 @@ from typing import Any
 from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
 from feel321.files import write_text
+from feel321.names import MATCHES, METRIC_INFO
 from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import MODEL, read_texts
@@ -23,7 +24,6 @@ from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.own import find_format, read_own
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.names import MATCHES, METRIC_INFO
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe

@@ -56,6 +56,8 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     ),
     "fit_primary": lambda table: analysis.fit_primary(table, METRICS).slopes,
     "profile_reducers": analysis.profile_reducers,
+    "rank_metrics": lambda table: analysis.rank_metrics(table, METRICS, draws=10, rng=make_rng()),
+    "rater_model": analysis.rater_model,
     "refine_metric": lambda table: analysis.refine_metric(table, METRICS, draws=2, rng=make_rng()),
     "run_multiverse": lambda table: (
         analysis.run_multiverse(
@@ -80,7 +82,10 @@ INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
 OTHERS = {"bradley_terry by rater", "find_sources"}
 """Further forms, and functions that are not on the face."""
 
-ELSEWHERE = {"advise", "chart", "read_table", "write_report"}
+CHOICES = {"embed_triplets", "fit_choices", "plan_choices", "predict_votes"}
+"""What takes choices between two stimuli, tried in `tests/analysis/choices`."""
+
+ELSEWHERE = {"advise", "chart", "read_table", "write_report", *CHOICES}
 """What is tried with ratings in `test_tradeoff_doors`, `test_table` and `test_notebook`."""
 
 PAIRS = {"bradley_terry by rater", "bradley_terry", "discriminate"}

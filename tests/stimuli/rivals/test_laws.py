@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from feel321.names import METRIC_INFO
 from feel321.stimuli.match import spectral_match
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.names import METRIC_INFO
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
 from feel321.stimuli.rotation import random_rotations

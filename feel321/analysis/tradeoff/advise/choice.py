@@ -110,6 +110,12 @@ class SceneAdvice:
         return f"{self.scene.name}: {self.answer}{tied}, {place}: {self.reason}"
 
 
+def list_reducers(ratings: Mapping[str, Rated] | None = None) -> dict[str, Reducer]:
+    """List the reducers that may be advised: `COMPARISONS` only if they were rated."""
+    left_out = {*COMPARISONS} - {*(ratings or {})}
+    return {name: one for name, one in REDUCERS.items() if name not in left_out}
+
+
 def advise_scene(
     scene: AdviceScene,
     context: Context,
@@ -120,11 +126,9 @@ def advise_scene(
 ) -> SceneAdvice:
     """Find the simplest sufficient reducer of a scene.
 
-    reducers: all but `COMPARISONS` if left out; of these, those that were rated.
+    reducers: those of `list_reducers` if left out.
     """
-    if reducers is None:
-        left_out = {*COMPARISONS} - {*(ratings or {})}
-        reducers = {name: one for name, one in REDUCERS.items() if name not in left_out}
+    reducers = list_reducers(ratings) if reducers is None else reducers
     if problem := _find_problem(scene.recording):
         return SceneAdvice(scene, reason=problem)
     listed = dict(_list_contenders(scene, context, reducers))

@@ -10,12 +10,16 @@ from typing import TYPE_CHECKING, Any
 from feel321 import __version__
 from feel321.analysis.figures import style
 from feel321.analysis.report.section import Picture
-from feel321.analysis.tradeoff.advise.choice import SceneAdvice, advise_scene, find_common
+from feel321.analysis.tradeoff.advise.choice import (
+    SceneAdvice,
+    advise_scene,
+    find_common,
+    list_reducers,
+)
 from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings
 from feel321.records import to_json_value
-from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import PathLike, Reducer
 
 if TYPE_CHECKING:
@@ -199,14 +203,14 @@ def advise_recordings(  # noqa: PLR0913 - every choice that changes the advice h
     scenes = [scene for recording in recordings for scene in split_recording(recording, segment_s)]
     note = "" if ratings is None else _refuse_ratings(ratings, context, segment_s)
     used = {} if ratings is None or note else ratings
-    advices, reducers = [], {**REDUCERS, **(own or {})}
+    advices = []
     # The work is in transforms: threads of the linear algebra only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         for done, scene in enumerate(scenes, start=1):
+            rated_here = used.get(scene.source)
+            reducers = {**list_reducers(rated_here), **(own or {})}
             advices.append(
-                advise_scene(
-                    scene, context, seed=seed, ratings=used.get(scene.source), reducers=reducers
-                )
+                advise_scene(scene, context, seed=seed, ratings=rated_here, reducers=reducers)
             )
             if progress is not None:
                 progress(done, len(scenes))
