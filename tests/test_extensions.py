@@ -1,5 +1,6 @@
 """A lab's own methods are found, digested and called like feel321's."""
 
+import os
 import pickle
 import sys
 from collections.abc import Iterator
@@ -71,6 +72,17 @@ def test_a_file_a_package_an_entry_point_and_a_function_are_one_reducer(study: P
         np.testing.assert_array_equal(found, expected)
     turned = np.stack([SCENE.acceleration, -SCENE.acceleration])
     np.testing.assert_array_equal(OwnReducer(methods[0])(turned, 1e4), [expected, -expected])
+
+
+def test_a_file_edited_within_the_same_second_is_read_anew(study: Path) -> None:
+    path, found = study / "methods" / "my321.py", []
+    for index in (0, 1, 2):
+        path.write_text(CODE.replace("acceleration.sum(axis=0)", f"acceleration[{index}]"))
+        os.utime(path, (1e9, 1e9))
+        method = find_method("reducer", "methods/my321.py:my321", folder=study)
+        found.append(OwnReducer(method)(SCENE.acceleration, SCENE.rate_hz))
+    np.testing.assert_array_equal(found, SCENE.acceleration)
+    assert not (path.parent / "__pycache__").exists()
 
 
 def test_a_method_survives_the_way_to_another_process(study: Path) -> None:

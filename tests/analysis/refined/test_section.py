@@ -133,7 +133,7 @@ def test_small_studies_are_told_why_there_is_none(make_table: Callable[..., Tabl
     assert section.is_empty
     (note,) = section.notes
     assert note.startswith("realism, as_is, refined metrics: none is searched. ")
-    assert "got 4 recordings of their own" in note
+    assert "5 recordings of their own or more, got 4" in note
 
 
 def test_what_has_no_interval_is_not_recommended(make_table: Callable[..., Table]) -> None:
