@@ -251,8 +251,14 @@ def test_the_same_seed_gives_the_same_result_in_any_block(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"recording": lambda rows: rows["recording"] % 4}, "5 recordings of their own or more, got 4"),
-        ({"source": lambda rows: rows["recording"] % 4}, "5 recordings of their own or more, got 4"),
+        (
+            {"recording": lambda rows: rows["recording"] % 4},
+            "5 recordings of their own or more, got 4",
+        ),
+        (
+            {"source": lambda rows: rows["recording"] % 4},
+            "5 recordings of their own or more, got 4",
+        ),
         ({"participant": lambda rows: rows["participant"] % 2}, "3 participants or more, got 2"),
         ({"sm": 1.0, "tm": 0.5}, "got sm, tm, none of which varies"),
         ({"rating": 50.0}, "the same rating everywhere"),
