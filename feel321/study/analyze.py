@@ -1,7 +1,7 @@
 """Steps of a study that need the analysis: the report, and the recordings for chart, stress and advise."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from itertools import chain, count
@@ -77,7 +77,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         sources=list_origins(settings) if settings else {},
         further=further,
         info=list_info(settings) if settings else {},
-        paper=make_paper(settings) if settings else None,
+        paper=make_paper(settings, further.mountings) if settings else None,
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
@@ -108,7 +108,12 @@ def add_rivals(
         note = f"Metrics that the manifest lacks are not compared: {reason}." if reason else ""
     metrics = further.metrics.join(measured, how="outer") if len(measured) else further.metrics
     notes = (*further.notes, note) if note else further.notes
-    return Further(metrics, notes, rivals=tuple(dict.fromkeys([*names, *map(str, measured)])))
+    return replace(
+        further,
+        metrics=metrics,
+        notes=notes,
+        rivals=tuple(dict.fromkeys([*names, *map(str, measured)])),
+    )
 
 
 def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Recording], Recipe, str]:
@@ -184,16 +189,21 @@ def compute_rotations(
     n_turns = min(MOST, max(LEAST, AFFORDABLE // size))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
-    def describe(recording: Recording) -> np.ndarray:
+    def match(recording: Recording) -> np.ndarray:
         ready = condition(recording, recipe.conditioning)
-        matches = match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
-        both = np.stack([matches.mean(axis=-1), matches.std(axis=-1, ddof=1)], axis=-1)
-        return both.reshape(len(reducers), -1).round(DIGITS)
+        return match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
 
     # Threads: nearly all of the work is done by libraries that release the interpreter. A lab's own code gets one.
     with ThreadPoolExecutor(1 if recipe.methods else os.cpu_count()) as pool:
         names = [recording.name for recording in recordings]
-        found = dict(zip(names, pool.map(describe, recordings), strict=True))
+        matches = dict(zip(names, pool.map(match, recordings), strict=True))
+    found = {
+        name: np
+        .stack([one.mean(axis=-1), one.std(axis=-1, ddof=1)], axis=-1)
+        .reshape(len(reducers), -1)
+        .round(DIGITS)
+        for name, one in matches.items()
+    }
     table = pd.DataFrame(
         [found[stimulus.recording][reducers.index(stimulus.reducer)] for stimulus in tests],
         index=pd.Index([stimulus.stimulus_id for stimulus in tests], name="stimulus_id"),
@@ -205,7 +215,20 @@ def compute_rotations(
         "resampling and fades, which stimuli go through afterwards, have no part in it."
         + (f" Without {', '.join(sorted(commands))}: commands." if commands else "")
     )
-    return Further(table, (note,))
+    return Further(table, (note,), mountings=_tabulate_mountings(matches, reducers))
+
+
+def _tabulate_mountings(matches: Mapping[str, np.ndarray], reducers: Sequence[str]) -> pd.DataFrame:
+    """Tabulate mean and quantiles of every metric over orientations; matches: (reducers, metrics, turns) each."""
+    shares = {"q05": 0.05, "q50": 0.5, "q95": 0.95}
+    rows = []
+    for recording, found in matches.items():
+        for reducer, of_reducer in zip(reducers, found, strict=True):
+            for metric, values in zip(MATCHES, of_reducer, strict=True):
+                ends = {key: float(np.quantile(values, share)) for key, share in shares.items()}
+                names = {"recording": recording, "reducer": reducer, "metric": metric}
+                rows.append(names | {"mounting_mean": float(values.mean()), **ends})
+    return pd.DataFrame(rows)
 
 
 # What chart, stress and advise work on: a study's recordings, the bundled scenes, recordings from elsewhere.
