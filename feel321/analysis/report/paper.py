@@ -30,13 +30,13 @@ VERDICTS = {
 }  # fmt: skip
 
 CLAIMS = TableForm(
-    "What the paper says, where that was seen, its number and this study's with a 95 % interval. Agrees or differs: "
-    "the whole interval lies where the paper says, or elsewhere; open: it holds both. Without: the same without the "
-    "reducers that the paper names as exceptions.",
+    "Each claim of the paper, its number and this study's with a 95 % interval, and where it was seen. Agrees or "
+    "differs: the whole interval lies where the paper says, or elsewhere; open: it holds both. Without: the same "
+    "without the reducers that the paper names as exceptions.",
     (
-        Column("Claim", "claim", NAME), Column("Seen in", "source", NAME), Column("The paper", "_paper", NAME),
-        Column("Here", "_here", NAME), Column("Interval", "_interval", NAME), Column("Verdict", "_verdict", NAME),
-        Column("Without", "_without", NAME),
+        Column("Claim", "name", TEXT), Column("Verdict", "_verdict", NAME), Column("The paper", "_paper", NAME),
+        Column("Here", "_here", NAME), Column("Interval", "_interval", NAME), Column("Without", "_without", NAME),
+        Column("Seen in", "source", NAME),
     ),
     path="claim.{name}", detail=False,
 )  # fmt: skip
@@ -60,7 +60,13 @@ def compute(
 
 
 def _describe(one: PaperAnswer) -> str:
-    return f"{one.claim.claim} ({one.claim.source}). {words.capitalise(one.sentence)}"
+    return f"{one.claim.claim} [{one.claim.source}]. {words.capitalise(one.sentence)}"
+
+
+def list_claims(sections: Sequence[Section]) -> tuple[dict[str, Any], ...]:
+    """List the claims of a report with their verdicts, for a program; none where no paper is replicated."""
+    found = [one.tables["paper_claims"] for one in sections if "paper_claims" in one.tables]
+    return tuple(row for rows in found for row in rows.to_dict("records"))
 
 
 def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[str]:
