@@ -93,11 +93,30 @@ def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[s
 
 
 def _count_verdicts(answers: Sequence[PaperAnswer], paper: Paper) -> str:
-    """Count the claims with each verdict."""
-    counts = {word: sum(one.verdict == key for one in answers) for key, word in VERDICTS.items()}
-    told = "; ".join(f"{word}: {count}" for word, count in counts.items() if count)
-    claims = f"{len(answers)} claim{'s' * (len(answers) != 1)}"
-    return f"{claims} of {paper.citation} ({paper.seen}) examined here. {words.capitalise(told)}."
+    """Count the claims with each verdict, those first that differ, by name."""
+    told = []
+    for key, (one, more) in {
+        paper_claims.DIFFERS: ("differs from", "differ from"), paper_claims.AGREES: ("agrees with", "agree with"),
+        paper_claims.OPEN: ("stays open in", "stay open in"),
+        NOT_ESTIMABLE: ("is not estimable in", "are not estimable in"),
+    }.items():  # fmt: skip
+        own = [answer.claim.name for answer in answers if answer.verdict == key]
+        if own:
+            which = (
+                f" ({', '.join(map(words.format_name, own))})"
+                if key == paper_claims.DIFFERS
+                else ""
+            )
+            told.append(f"{len(own)} {more if len(own) > 1 else one} this study{which}")
+    told[1:] = [
+        text
+        .replace(" from this study", "")
+        .replace(" with this study", "")
+        .replace(" in this study", "")
+        for text in told[1:]
+    ]
+    claims = f"{len(answers)} claims" if len(answers) > 1 else "claim"
+    return f"of the paper's {claims}, {words.join_words(told)} ({paper.citation}; {paper.seen})."
 
 
 def _make_row(one: PaperAnswer) -> dict[str, Any]:
