@@ -60,6 +60,7 @@ def ask_to_close(display: str, window: int) -> None:
     server.close()
 
 
+@pytest.mark.soak
 def test_killed_in_the_middle_it_resumes_and_is_analysed(
     rig: Any, make_study: Callable[..., StudyFolder]
 ) -> None:
@@ -210,6 +211,7 @@ def lead_by_keys(session: Any, *, until: Callable[[], bool]) -> None:
         time.sleep(0.1)
 
 
+@pytest.mark.soak
 def test_a_person_with_a_pedal_is_interrupted_by_a_crash_and_by_a_dead_server(
     rig: Any, sound: Any, make_study: Callable[..., StudyFolder]
 ) -> None:
