@@ -319,7 +319,8 @@ def audit(
         own = {"findings": findings, "seal": found.seal, "remarks": found.remarks}
         shared.print_json(own)
     else:
-        good = f"{path}: {len(study.folder.journals)} journals, all as they were written"
+        n = len(study.folder.journals)
+        good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, all as they were written"
         click.echo("\n".join([*(findings or [good]), *found.remarks]))
         click.echo(f"seal: {found.seal}; keep it elsewhere")
     context.exit(1 if findings else 0)
