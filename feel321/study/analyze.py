@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from feel321.analysis.report.write import Results, write_report
+from feel321.analysis.screening.rules import find_rules
 from feel321.analysis.table.metrics import list_rivals, make_info
 from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.names import MATCHES
@@ -59,10 +60,8 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     if settings and ratings is None:
         further = _derive_ratings(study, settings)
     if settings and metrics and set(metrics) != set(chosen.metrics):
-        note = (
-            f"Metrics {', '.join(metrics)} were asked for with this analysis; {study.settings.name} declares "
-            f"{', '.join(chosen.metrics)}."
-        )
+        asked, declared = ", ".join(metrics), ", ".join(chosen.metrics)
+        note = f"Metrics {asked} were asked for with this analysis; {study.settings.name} declares {declared}."
         further = replace(further, notes=(*further.notes, note))
     if rivals:
         own = settings if manifest is None else None
@@ -77,6 +76,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         sources=list_origins(settings) if settings else {},
         further=further,
         info=list_info(settings) if settings else {},
+        rules=find_rules(chosen.screening, study.path),
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )

@@ -452,6 +452,7 @@ class AnalysisTable(kinds.TomlTable):
     """`[analysis]`: how ratings are related to metrics; chosen before they are seen."""
 
     metrics: Annotated[tuple[kinds.Words, ...], kinds.Some] = PLANNED
+    screening: tuple[kinds.Words, ...] = ()
     draws: Annotated[int, Field(ge=100)] = 2000
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
 
