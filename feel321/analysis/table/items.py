@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
-from feel321.analysis.table.schema import APART, NAMING, NO, YES
+from feel321.analysis.table.schema import APART, HIGHEST, NAMING, NO, PAIRED, RECAST, YES
 from feel321.doors import as_names, check_name
 from feel321.records import Result
 from feel321.types import MetricInfo
@@ -414,11 +414,22 @@ def split_tests(ratings: Table | DataFrame) -> Iterator[Tests]:
     for column in ARMS:
         rows[column] = rows.get(column, "")
     _refuse_unnamed(rows, ARMS)
+    rows = recast_pairs(rows)
     rated = (rows[ROLE] == TEST if ROLE in rows else True) & ~rows["scale"].isin(APART)
     if "matched" in rows:
         rated &= rows["matched"]
     for (scale, level), part in rows[rated].groupby(list(ARMS), observed=True):
         yield Tests(str(scale), str(level), part)
+
+
+def recast_pairs(rows: DataFrame) -> DataFrame:
+    """Let a dissimilarity from the original be a rating of what was compared with it: 100 less the dissimilarity."""
+    if ROLE not in rows or not (turned := (rows["scale"] == PAIRED) & (rows[ROLE] == TEST)).any():
+        return rows
+    return rows.assign(
+        scale=rows["scale"].mask(turned, RECAST),
+        rating=rows["rating"].mask(turned, HIGHEST - rows["rating"]),
+    )
 
 
 def find_sources(rows: Table | DataFrame) -> Series:

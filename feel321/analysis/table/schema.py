@@ -39,6 +39,9 @@ CHOSEN = ("triplet", "preference")
 APART = (PAIRED, ANSWERED, *CHOSEN)
 """Scales that enter no association: a metric describes one stimulus, and is larger or smaller."""
 
+RECAST = "recast_similarity"
+"""Scale of dissimilarities from the original turned round: 100 less the dissimilarity is a rating of one stimulus."""
+
 ROLES = ("test", "reference", "anchor")
 PAIR = "pair"
 """Role of a stimulus that is rated against another one than the reference."""
