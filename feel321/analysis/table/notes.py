@@ -160,6 +160,6 @@ def _note_pairs(rows: DataFrame, none: str) -> str:
     return (
         f"Scale '{schema.PAIRED}': {turned} of its {len(rows)} judgements compare a reduction with its original. Those "
         f"enter associations and slopes as a similarity, 100 less the dissimilarity (scale '{schema.RECAST}'): with "
-        f"the dissimilarity itself every slope and every correlation has the opposite sign. The other {len(rows) - turned} "
-        f"(two reductions, identical pairs, anchors) enter none of them. {SPACE}"
+        "the dissimilarity itself every slope and every correlation has the opposite sign. The other "
+        f"{len(rows) - turned} (two reductions, identical pairs, anchors) enter none of them. {SPACE}"
     )
