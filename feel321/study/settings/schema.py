@@ -271,6 +271,7 @@ class SourceTable(kinds.TomlTable):
     """`[[recordings]]`: what every entry may say."""
 
     name: str = ""
+    interaction: kinds.Words | None = None
     sample: kinds.Words | None = None
     picture: kinds.Words | None = None
     rotation: kinds.Count | None = None
