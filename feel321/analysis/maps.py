@@ -65,6 +65,7 @@ class GroupMap:
     space: Space
     ellipses: Ellipses | None = None
     n_recordings: int = 0
+    people: tuple[str, ...] = ()
 
 
 def split_groups(rows: DataFrame) -> Iterator[tuple[str, str, DataFrame]]:
@@ -82,10 +83,10 @@ def split_groups(rows: DataFrame) -> Iterator[tuple[str, str, DataFrame]]:
 
 def map_groups(rows: DataFrame, *, draws: int, rng: np.random.Generator) -> list[GroupMap]:
     """Map all recordings, and each group of them whose pairs were all rated; the map of all comes first."""
-    rows = rows[rows["scale"] == PAIRED]
+    rows = rows[(rows["scale"] == PAIRED) & (rows["reference_reducer"] != "")]
     names, matrices = gather_dissimilarities(rows)
     whole = fit_space(matrices, rng=rng)
-    found = [GroupMap(ALL, ALL, names, matrices, whole, n_recordings=rows["recording"].nunique())]
+    found = [GroupMap(ALL, ALL, names, matrices, whole, **_count(rows))]
     for kind, name, part in split_groups(rows):
         try:
             own_names, own = gather_dissimilarities(part)
@@ -100,10 +101,16 @@ def map_groups(rows: DataFrame, *, draws: int, rng: np.random.Generator) -> list
             ellipses = replace(
                 ellipses, space=turned, angle=(angle[0] + angle[1] * ellipses.angle) % 180
             )
-        found.append(
-            GroupMap(kind, name, names, own, turned, ellipses, part["recording"].nunique())
-        )
+        found.append(GroupMap(kind, name, names, own, turned, ellipses, **_count(part)))
     return found
+
+
+def _count(rows: DataFrame) -> dict[str, Any]:
+    """Count the recordings of a group, and name its participants in the order of their matrices."""
+    people = tuple(
+        sorted(rows.loc[rows["reducer"] != rows["reference_reducer"], "participant"].unique())
+    )
+    return {"n_recordings": len(rows["recording"].unique()), "people": people}
 
 
 def turn_map(space: Space, reference: Space) -> tuple[Space, tuple[float, float]]:
@@ -138,9 +145,9 @@ def compare_groups(
     return rows
 
 
-def map_people(group: GroupMap, people: Sequence[str]) -> Iterator[dict[str, Any]]:
+def map_people(group: GroupMap) -> Iterator[dict[str, Any]]:
     """Map each participant of a group who rated every pair: places turned onto the group's map, stress, agreement."""
-    for who, matrix in zip(people, group.matrices, strict=True):
+    for who, matrix in zip(group.people, group.matrices, strict=True):
         try:
             check_dissimilarities(matrix)
             own = refit_space(matrix, group.space)
@@ -180,9 +187,11 @@ DIRECTIONS = "directions"
 
 
 def gather_points(
-    rows: DataFrame, stimuli: DataFrame, whole: GroupMap, *, rng: np.random.Generator
+    rows: DataFrame, stimuli: DataFrame | None, whole: GroupMap, *, rng: np.random.Generator
 ) -> Points:
     """Map every recording by itself and gather every number that is known of its stimuli."""
+    if stimuli is None:
+        raise ValueError("Nothing is known of the stimuli.")
     rows = rows[rows["scale"] == PAIRED]
     is_whole = (stimuli["role"] == "reference") & ~stimuli["reducer"].isin(REDUCER_NAMES)
     numbers = stimuli.select_dtypes("number").assign(**{DIRECTIONS: np.where(is_whole, 3.0, 1.0)})

@@ -12,7 +12,6 @@ from feel321.analysis.figures.scatter import draw_space
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.report import section as page
 from feel321.analysis.report.parts import SIGNIFICANCE
-from feel321.analysis.space import gather_dissimilarities
 from feel321.analysis.table.schema import LABELS, PAIRED
 
 if TYPE_CHECKING:
@@ -42,8 +41,8 @@ GROUPS = page.TableForm(
     path="maps.{level}.{kind}.{group}",
 )  # fmt: skip
 AGREEMENT = page.TableForm(
-    "Agreement of maps with that of all recordings and with each other, after shifting, turning and scaling; p: whether "
-    "their stimuli correspond better than by chance.",
+    "Agreement of maps with that of all recordings and with each other, after shifting, turning and scaling; p: "
+    "whether their stimuli correspond better than by chance.",
     (
         LEVEL, page.Column("Of", "kind", page.NAME), page.Column("Map", "first", page.NAME),
         page.Column("With", "second", page.NAME),
@@ -61,7 +60,7 @@ ATTRIBUTES = page.TableForm(
         page.Column("Axis 1", "axis_1", end="axis_1", method="direction of the attribute, unit vector"),
         page.Column("Axis 2", "axis_2", end="axis_2", method="direction of the attribute, unit vector"),
         page.Column("p", "p", "p", "p", "permutation of stimuli, {permutations} orders"),
-        page.Column("p (Holm)", "p_holm", "p", "p_holm", "permutation of stimuli, Holm's adjustment"),
+        page.Column("p (Holm)", "p_holm", "p", "p_holm", "the same, Holm's adjustment"),
         page.Column("Least p", "p_least", "p", "p_least", "share of permutations that leave the attribute as it is"),
         page.Column("Points", "n", words.COUNT, "n"),
     ),
@@ -115,10 +114,8 @@ def _map_level(
     """Map the groups of one level and add the rows of its tables; returns its sentences, notes and figures."""
     rng = choices.make_rng(KEY, level)
     groups = maps.map_groups(rows, draws=min(DRAWS, max(choices.draws, 3)), rng=rng)
-    people = sorted(rows["participant"].unique())
     for group in groups:
-        _, rated = gather_dissimilarities(rows), group.matrices
-        own = list(maps.map_people(group, people)) if len(rated) == len(people) else []
+        own = list(maps.map_people(group))
         found["people"] += [{"level": level, **row} for row in own]
         found["groups"].append({"level": level, **_sum_up_group(group, own)})
         found["maps"] += [{"level": level, **row} for row in _list_places(group)]
@@ -126,20 +123,30 @@ def _map_level(
     found["agreement"] += [{"level": level, **row} for row in agreement]
     answers, notes = list(_describe_agreement(agreement)), list(_note_labels(rows))
     try:
-        if table.stimuli is None:
-            raise ValueError("nothing is known of the stimuli")
         points = maps.gather_points(rows, table.stimuli, groups[0], rng=rng)
         attributes = maps.regress_points(points, draws=min(choices.draws, 1000), rng=rng)
-        holm = adjust_holm([row["p"] for row in attributes])
-        rated = [row | {"p_holm": p} for row, p in zip(attributes, holm, strict=True)]
-        found["attributes"] += [{"level": level, **row} for row in rated]
+        _adjust(attributes, table.metrics)
+        found["attributes"] += [{"level": level, **row} for row in attributes]
         axes = maps.regress_axes(points, [*table.metrics, maps.DIRECTIONS])
         found["axes"] += [{"level": level, "_axis": str(row["axis"]), **row} for row in axes]
-        answers += _describe_attributes(rated)
-        notes += _note_points(points, len(rated))
+        answers += _describe_attributes(attributes)
+        notes += _note_points(points, attributes)
     except ValueError as error:
         notes.append(f"axes are not compared with attributes. {error}")
-    return page.Section(KEY, TITLE, answers=answers, notes=notes, pictures=list(_draw(groups, level)))
+    return page.Section(
+        KEY, TITLE, answers=answers, notes=notes, pictures=list(_draw(groups, level))
+    )
+
+
+def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
+    """Adjust p by Holm over the metrics that were planned, and over the others; of those that could be small at all."""
+    for is_planned in (True, False):
+        own = [row for row in rows if (row["property"] in planned) == is_planned]
+        tested = [row for row in own if row["p_least"] < SIGNIFICANCE]
+        for row in own:
+            row["p_holm"] = float("nan")
+        for row, p in zip(tested, adjust_holm([row["p"] for row in tested]), strict=True):
+            row["p_holm"] = p
 
 
 def _sum_up_group(group: maps.GroupMap, people: Sequence[Row]) -> Row:
@@ -165,11 +172,13 @@ def _draw(groups: Sequence[maps.GroupMap], level: str) -> Iterator[page.Picture]
     for group in groups:
         if group.ellipses:
             caption = (
-                f"Map of the dissimilarities of {group.kind} {group.name} at level {words.format_name(level)}, turned onto "
-                "the map of all recordings, with 95 % bootstrap ellipses over participants."
+                f"Map of the dissimilarities of {group.kind} {group.name} at level {words.format_name(level)}, turned "
+                "onto the map of all recordings, with 95 % bootstrap ellipses over participants."
             )
             slug = page.make_slug(KEY, level, group.kind, group.name)
-            yield page.Picture(slug, caption, partial(draw_space, group.ellipses, group.names), detail=True)
+            yield page.Picture(
+                slug, caption, partial(draw_space, group.ellipses, group.names), detail=True
+            )
 
 
 def _describe_agreement(rows: Sequence[Row]) -> Iterator[str]:
@@ -178,8 +187,13 @@ def _describe_agreement(rows: Sequence[Row]) -> Iterator[str]:
         own = [row for row in rows if row["kind"] == kind and row["second"] != maps.ALL]
         if own:
             least = min(own, key=lambda row: row["correlation"])
-            r, p = words.format_number(least["correlation"]), words.format_number(least["p"], kind="p")
-            pairs = "the two maps" if len(own) == 1 else f"the least alike of {len(own)} pairs of maps"
+            r, p = (
+                words.format_number(least["correlation"]),
+                words.format_number(least["p"], kind="p"),
+            )
+            pairs = (
+                "the two maps" if len(own) == 1 else f"the least alike of {len(own)} pairs of maps"
+            )
             yield (
                 f"By {kind}, {pairs} ({least['first']} and {least['second']}) agree at Procrustes r = {r} (permutation "
                 f"p {p if p.startswith('<') else f'= {p}'})."
@@ -190,7 +204,8 @@ def _describe_attributes(rows: Sequence[Row]) -> Iterator[str]:
     clear = [row for row in rows if row["p_holm"] < SIGNIFICANCE]
     if clear:
         listed = [
-            f"{words.format_name(row['property'])} (R² = {words.format_number(row['r2'])})" for row in clear
+            f"{words.format_name(row['property'])} (R² = {words.format_number(row['r2'])})"
+            for row in clear
         ]
         yield f"Within recordings, the axes of the maps are associated with {words.join_words(listed)}."
     elif rows:
@@ -209,13 +224,15 @@ def _note_labels(rows: DataFrame) -> Iterator[str]:
         )
 
 
-def _note_points(points: maps.Points, attributes: int) -> Iterator[str]:
+def _note_points(points: maps.Points, rows: Sequence[Row]) -> Iterator[str]:
     """Say on how little a regression of axes on attributes rests."""
     n = len(points.stimuli)
-    if n < maps.FEWEST:
-        yield f"{n} stimuli on each map are too few for a test of attributes; {maps.FEWEST + 1} or more are wanted."
-    if points.size < maps.ENOUGH * attributes:
+    if mute := [
+        words.format_name(row["property"]) for row in rows if row["p_least"] >= SIGNIFICANCE
+    ]:
+        yield f"permutations of {n} stimuli cannot show an association of the axes with {words.join_words(mute, 'or')}."
+    if points.size < maps.ENOUGH * len(rows):
         yield (
-            f"{attributes} attributes are compared with {points.size} points ({n} stimuli in {len(points.places)} "
+            f"{len(rows)} attributes are compared with {points.size} points ({n} stimuli in {len(points.places)} "
             f"recordings); {maps.ENOUGH} for each are wanted: read R² as a description."
         )

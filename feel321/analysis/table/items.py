@@ -55,9 +55,9 @@ class Table(Result):
         One row per judgement: participant, stimulus_id, reference_id, reference_reducer and other_id (which may be
         empty), source, recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and
         response_time_s if there are any, one column per metric and further metric, rms_m_s2 if there is one,
-        interaction and sample of the recording if given, and one per label of the participants. The role is the one that the
-        stimulus had in that judgement; matched is whether the metrics describe that judgement; a dissimilarity is about
-        the stimulus compared with the reference.
+        interaction and sample of the recording if given, and one per label of the participants. The role is the one
+        that the stimulus had in that judgement; matched is whether the metrics describe that judgement; a dissimilarity
+        is about the stimulus compared with the reference.
     metrics : tuple of str
         The metrics that the primary analysis is about, as they were declared.
     notes : tuple of str

@@ -142,32 +142,40 @@ def read_table(
     rows[ROLE] = _find_roles(rows, stimuli)
     rows["matched"] = _find_references(rows, stimuli).isin(["", SURFACED, UNLISTED])
     rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
-    notes += [
-        *beyond,
-        *joined,
-        *more_notes,
-        *remarks.note_gaps(rows, stimuli),
-        *_note_references(rows, stimuli),
-        *remarks.note_sources(rows),
-        *remarks.note_lookalikes(rows),
-        *remarks.note_lacking(rows, planned),
-    ]
+    notes += [*beyond, *joined, *more_notes, *_note_rows(rows, stimuli, planned)]
     rows, explored, compared, lacking = _select_columns(rows, planned, rivals)
     rows, more_notes = roster.join_labels(rows, judged.given)
     rows, on_rigs = roster.join_rigs(rows, judged.given)
     notes += [*lacking, *more_notes, *on_rigs]
-    columns = ["source", *ECHOED, ROLE, *dict.fromkeys([*planned, *explored, *compared])]
-    columns += [name for name in schema.LABELS if name in stimuli]
+    names = dict.fromkeys([*planned, *explored, *compared])
+    columns = [
+        "source",
+        *ECHOED,
+        ROLE,
+        *names,
+        *(name for name in schema.LABELS if name in stimuli),
+    ]
     sheet = stimuli[columns]
     if (rows["scale"] == schema.PAIRED).any():
-        attributes = metrics_of.read_attributes(listed.given)
-        sheet = sheet.join(attributes[[name for name in attributes if name not in sheet]])
+        more = metrics_of.read_attributes(listed.given)
+        sheet = sheet.join(more[[name for name in more if name not in sheet]])
     return Table(rows, planned, tuple(notes), explored, compared, known, sheet)
+
+
+def _note_rows(rows: DataFrame, stimuli: DataFrame, planned: Sequence[str]) -> Iterator[str]:
+    """Say what ratings lack, and what about them is odd."""
+    yield from remarks.note_gaps(rows, stimuli)
+    yield from _note_references(rows, stimuli)
+    yield from remarks.note_sources(rows)
+    yield from remarks.note_lookalikes(rows)
+    yield from remarks.note_lacking(rows, planned)
 
 
 def _label(manifest: DataFrame, labels: DataFrame | None) -> DataFrame:
     """Give every stimulus the interaction and sample of its recording, where the manifest has none."""
-    given = {} if labels is None else {name: labels[name] for name in schema.LABELS if name in labels}
+    given = (
+        {} if labels is None else {name: labels[name] for name in schema.LABELS if name in labels}
+    )
     for name, said in given.items():
         if name not in manifest:
             manifest[name] = manifest["recording"].map(said).fillna("").astype(str)
