@@ -75,13 +75,22 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         margin=chosen.margin,
         metrics=metrics or chosen.metrics,
         sources=list_origins(settings) if settings else {},
-        further=further,
+        further=replace(further, labels=list_labels(settings)) if settings else further,
         info=list_info(settings) if settings else {},
         rules=find_rules(chosen.screening, study.path),
         paper=make_paper(settings) if settings else None,
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
+
+
+def list_labels(settings: Settings) -> pd.DataFrame:
+    """List what each recording is of, where that is said: columns interaction and sample, by recording."""
+    said = {
+        one.title: {"interaction": one.interaction, "sample": one.sample}
+        for one in settings.recordings
+    }
+    return pd.DataFrame.from_dict(said, orient="index").dropna(axis=1, how="all")
 
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:

@@ -28,6 +28,7 @@ from feel321.analysis.report.section import (
 )
 from feel321.analysis.screening.consistency import RaterModel, rater_model
 from feel321.analysis.screening.screen import Screening, screen_raters
+from feel321.analysis.table.items import recast_pairs
 from feel321.analysis.table.schema import APART, PAIR
 
 if TYPE_CHECKING:
@@ -131,7 +132,7 @@ REPEATED = TableForm(
 
 def compute(table: Table, choices: Choices) -> Section:
     """Screen raters, measure their agreement, and repeat the primary analysis without those flagged."""
-    rows = table.rows
+    rows = recast_pairs(table.rows)
     single = rows[~rows["scale"].isin(APART) & (rows["role"] != PAIR)]
     if single.empty:
         why = "Raters were not screened: no stimulus was rated by itself."

@@ -22,6 +22,7 @@ from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.report import (
     association,
     delivered,
+    maps,
     pairs,
     primary,
     raters,
@@ -39,6 +40,7 @@ from feel321.analysis.screening.rules import RULES, find_rules
 from feel321.analysis.table.items import find_sources, format_recordings
 from feel321.analysis.table.reading import Further, Table, find_tables, read_table
 from feel321.analysis.table.roster import ROSTER_FILE
+from feel321.analysis.table.schema import RECAST
 from feel321.doors import as_seed, follow
 from feel321.records import Result
 from feel321.types import MetricInfo, PathLike, Progress, Rng
@@ -240,6 +242,7 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     chosen.compute_choices,
     pairs.compute_discrimination,
     pairs.compute_space,
+    maps.compute_maps,
     robustness.compute_refined,
     association.compute_further,
     delivered.compute,
@@ -446,7 +449,7 @@ def gather_results(
 ) -> Results:
     """Gather what ``results.json`` holds."""
     rows = table.rows
-    names = [*rows["scale"].unique(), *rows["level"].unique()]
+    names = [*rows["scale"].unique(), RECAST, *rows["level"].unique()]
     names += [*table.metrics, *table.further, *table.rivals]
     own = [words.format_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
     pictures = _gather(sections, "pictures")

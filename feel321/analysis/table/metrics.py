@@ -119,6 +119,17 @@ def list_rivals(manifest: Path | DataFrame) -> list[str]:
     ]
 
 
+def read_attributes(manifest: Path | DataFrame) -> DataFrame:
+    """Read every numeric column of a manifest that may say what stimuli are like, by stimulus_id."""
+    import pandas as pd
+
+    facts = {name for name, column in schema.MANIFEST.items() if not column.used} | {schema.GAIN}
+    cells = schema.read_cells(manifest)
+    names = [name for name in list_numeric(cells) if name not in facts]
+    numbers = {name: pd.to_numeric(cells[name], errors="coerce").to_numpy() for name in names}
+    return pd.DataFrame(numbers, index=pd.Index(cells["stimulus_id"]))
+
+
 def gather_info(
     names: Collection[str], declared: Mapping[str, MetricInfo] | None, manifest: Path | DataFrame
 ) -> tuple[dict[str, MetricInfo], frozenset[str]]:

@@ -59,6 +59,7 @@ ECHOED = ("recording", "reducer", "level")
 
 OPTIONAL = (
     "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
+    *schema.LABELS,
 )  # fmt: skip
 """Columns that judgements keep where there are any."""
 
@@ -71,11 +72,13 @@ class Further:
     """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed.
 
     rivals: metrics, columns of these or of the manifest, that are to be compared with those of the primary analysis.
+    labels: interaction and sample of each recording, by its name, where the manifest does not say them.
     """
 
     metrics: DataFrame
     notes: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
+    labels: DataFrame | None = None
 
 
 def read_table(
@@ -130,7 +133,7 @@ def read_table(
     rivals = further.rivals if further else ()
     stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources, further=further)
     known, beyond = _read_info(stimuli, info, listed, names=(*planned, *rivals))
-    stimuli = stimuli.set_index(STIMULUS)
+    stimuli = _label(stimuli, further.labels if further else None).set_index(STIMULUS)
     rows, more_notes = _read_ratings(*judged)
     _check_stimuli(rows, stimuli, names=(judged.what, listed.what))
     stimuli, joined = _join_further(stimuli, rows, further, names=(judged.what, listed.what))
@@ -139,22 +142,44 @@ def read_table(
     rows[ROLE] = _find_roles(rows, stimuli)
     rows["matched"] = _find_references(rows, stimuli).isin(["", SURFACED, UNLISTED])
     rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
-    notes += [
-        *beyond,
-        *joined,
-        *more_notes,
-        *remarks.note_gaps(rows, stimuli),
-        *_note_references(rows, stimuli),
-        *remarks.note_sources(rows),
-        *remarks.note_lookalikes(rows),
-        *remarks.note_lacking(rows, planned),
-    ]
+    notes += [*beyond, *joined, *more_notes, *_note_rows(rows, stimuli, planned)]
     rows, explored, compared, lacking = _select_columns(rows, planned, rivals, given=further)
     rows, more_notes = roster.join_labels(rows, judged.given)
     rows, on_rigs = roster.join_rigs(rows, judged.given)
     notes += [*lacking, *more_notes, *on_rigs]
-    columns = ["source", *ECHOED, ROLE, *dict.fromkeys([*planned, *explored, *compared])]
-    return Table(rows, planned, tuple(notes), explored, compared, known, stimuli[columns])
+    names = dict.fromkeys([*planned, *explored, *compared])
+    columns = [
+        "source",
+        *ECHOED,
+        ROLE,
+        *names,
+        *(name for name in schema.LABELS if name in stimuli),
+    ]
+    sheet = stimuli[columns]
+    if (rows["scale"] == schema.PAIRED).any():
+        more = metrics_of.read_attributes(listed.given)
+        sheet = sheet.join(more[[name for name in more if name not in sheet]])
+    return Table(rows, planned, tuple(notes), explored, compared, known, sheet)
+
+
+def _note_rows(rows: DataFrame, stimuli: DataFrame, planned: Sequence[str]) -> Iterator[str]:
+    """Say what ratings lack, and what about them is odd."""
+    yield from remarks.note_gaps(rows, stimuli)
+    yield from _note_references(rows, stimuli)
+    yield from remarks.note_sources(rows)
+    yield from remarks.note_lookalikes(rows)
+    yield from remarks.note_lacking(rows, planned)
+
+
+def _label(manifest: DataFrame, labels: DataFrame | None) -> DataFrame:
+    """Give every stimulus the interaction and sample of its recording, where the manifest has none."""
+    given = (
+        {} if labels is None else {name: labels[name] for name in schema.LABELS if name in labels}
+    )
+    for name, said in given.items():
+        if name not in manifest:
+            manifest[name] = manifest["recording"].map(said).fillna("").astype(str)
+    return manifest
 
 
 def _select_columns(

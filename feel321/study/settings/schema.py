@@ -273,6 +273,7 @@ class SourceTable(kinds.TomlTable):
 
     name: str = ""
     sample: kinds.Words | None = None
+    interaction: kinds.Words | None = None
     picture: kinds.Words | None = None
     rotation: kinds.Count | None = None
 
