@@ -309,12 +309,18 @@ def judge_stream(
     if off > allowed and reducer == OPEN_PHASE and conform.cancels(vector.acceleration):
         energy = energies[0] / energies[1]
         return Judged(name, tuple(conform.judge_frames(name, energy, n)), energy=energy)
-    faults = []
-    if off > max(allowed, vector.slack):
-        faults.append(f"{name}: off by {off:.2g} of the peak, more than {allowed:g}")
+    faults = _list_deviations(off, energies, allowed=allowed, slack=vector.slack)
+    named = tuple(f"{name}: {fault}" for fault in faults)
+    return Judged(name, named, off * (not vector.slack))
+
+
+def _list_deviations(
+    off: float, energies: tuple[float, float], *, allowed: float, slack: float
+) -> Iterator[str]:
+    if off > max(allowed, slack):
+        yield f"off by {off:.2g} of the peak, more than {allowed:g}"
     if abs(energies[0] - energies[1]) > ENERGY_TOLERANCE * max(energies[1], allowed):
-        faults.append(f"{name}: holds {energies[0]:.3g} of energy, must be {energies[1]:.3g}")
-    return Judged(name, tuple(faults), off * (not vector.slack))
+        yield f"holds {energies[0]:.3g} of energy, must be {energies[1]:.3g}"
 
 
 def _check_turns(make: Callable[[float, OnGap], Stream], allowed: float) -> Iterator[str]:

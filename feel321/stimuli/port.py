@@ -63,18 +63,15 @@ def write_port(
     place.mkdir(parents=True, exist_ok=True)
     vectors = list(_list_vectors(form, reducer))
     paths = [_write_input(place, vector) for vector in vectors]
-    content: dict[str, Any] = {"form": form, "rate_hz": RATE_HZ}
-    if form == STREAMING:
-        content["reducer"] = reducer
-    content["vectors"] = [_describe(vector) for vector in vectors]
+    kind = {"form": form, "reducer": reducer} if form == STREAMING else {"form": form}
+    content = {**kind, "rate_hz": RATE_HZ, "vectors": [_describe(vector) for vector in vectors]}
     write_text(place / LIST, json.dumps(content, indent=1) + "\n")
     what, length, more = (
         (f"the stream of {reducer}", "the input's length plus one latency, the same for all", _FED)
         if form == STREAMING
         else (f"DFT321 ({form})", "the same length", _WHOLE)
     )
-    how = _HOW.format(what=what, length=length, more=more, folder=place.name)
-    write_text(place / READ_ME, how)
+    write_text(place / READ_ME, _HOW.format(what=what, length=length, more=more, folder=place.name))
     return paths
 
 
@@ -96,8 +93,7 @@ def check_port(
     if form != STREAMING:
         return conform.conclude(judged, form=form)
     if len(lengths) > 1:
-        latencies = [length - streams.N_SAMPLES for length in sorted(lengths)]
-        text = f"the latency must be one number, got {latencies} samples"
+        text = f"the latency must be one number, got answers of {sorted(lengths)} samples"
         judged.append(Judged("latency", (text,)))
     return conform.conclude(judged, form=reducer, name=reducer)
 
