@@ -171,12 +171,12 @@ def compute_rotations(
     recordings: Sequence[Recording], stimuli: StimulusSet, *, recipe: Recipe, seed: int
 ) -> Further:
     """Condition recordings, rotate them, reduce them, and describe their metrics; a command would take too long."""
-    commands = {one.name for one in recipe.methods if one.origin == "command"}
+    commands = {one.name for one in recipe.methods if not one.is_python}
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
     if not reducers:
         return Further(
-            pd.DataFrame(), ("Rotation statistics: all reducers are commands; left out.",)
+            pd.DataFrame(), ("Rotation statistics: all reducers are commands or files; left out.",)
         )
     own = [find_reducer(recipe, name) for name in reducers]
     size = sum(recording.acceleration.size for recording in recordings) * len(reducers)
@@ -202,7 +202,7 @@ def compute_rotations(
         f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {n_turns} random "
         f"orientations of the sensor (seed {seed}, the same ones for all), reduced and matched with itself; level, "
         "resampling and fades, which stimuli go through afterwards, have no part in it."
-        + (f" Without {', '.join(sorted(commands))}: commands." if commands else "")
+        + (f" Without {', '.join(sorted(commands))}: commands or files." if commands else "")
     )
     return Further(table, (note,))
 

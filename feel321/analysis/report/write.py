@@ -24,6 +24,7 @@ from feel321.analysis.report import (
     delivered,
     pairs,
     primary,
+    rate,
     raters,
     reducers,
     rivals,
@@ -226,6 +227,7 @@ def list_versions() -> dict[str, str]:
 
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
+    rate.compute,
     primary.compute,
     rivals.compute,
     association.compute_association,
