@@ -172,7 +172,7 @@ def _check_name(method: Method, taken: Collection[str]) -> Method:
 def _find_declared(kind: str, name: str, table: Mapping[str, Any], *, folder: Path) -> Method:
     own = {key: value for key, value in table.items() if value is not None}
     use, command, made = (own.pop(key, None) for key in ("use", "command", "file"))
-    if [use, command, made].count(None) != 2:  # noqa: PLR2004 - of three
+    if sum(one is not None for one in (use, command, made)) != 1:
         third = ' or file = "made/{recording}.wav"' if kind == "reducer" else ""
         raise ValueError(
             f'{kind} {name!r}: its table must say either use = "..." or command = "..."{third}; use takes {FORMS}'

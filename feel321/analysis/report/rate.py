@@ -12,7 +12,7 @@ from feel321.analysis.contrasts.compare import profile_reducers
 from feel321.analysis.figures.rate import draw_rates
 from feel321.analysis.p1401 import FEW_ITEMS, p1401
 from feel321.analysis.report import section as pages
-from feel321.analysis.report.parts import Choices, RatingsPart, split_parts
+from feel321.analysis.report.parts import RatingsPart, split_parts
 from feel321.analysis.report.standard import INDEPENDENT
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.schema import BIT_RATE
@@ -20,6 +20,7 @@ from feel321.analysis.table.schema import BIT_RATE
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.resampling import Choices
     from feel321.analysis.table.reading import Table
 
 KEY, TITLE = "rates", "Ratings over the bit rate"
@@ -66,15 +67,15 @@ def compute(table: Table, choices: Choices) -> pages.Section:  # noqa: ARG001 - 
             notes.append(f"{part.lead}, bit rates: left out. {error}")
     rows = [row for _, own, _ in found for row in own]
     mappings = [mapping for _, _, mapping in found]
-    lines = [_sum_up(*one) for one in found]
+    lines = [
+        words.Line(_sum_up(rows, mapping), words.capitalise(part.subject), "bit rate")
+        for part, rows, mapping in found
+    ]
     return pages.Section(
         key=KEY,
         title=TITLE,
-        answers=lines,
-        verdict=[
-            words.Line(text, part.subject, "bit rate")
-            for text, (part, _, _) in zip(lines, found, strict=True)
-        ],
+        answers=[*map(str, lines)],
+        verdict=lines,
         grids=(RATES.build(rows), MAPPINGS.build(mappings)),
         tables={"rates": rows, "rate_mapping": mappings},
         pictures=[_picture(*one) for one in found],
@@ -123,7 +124,7 @@ def _profile(part: RatingsPart, table: Table) -> DataFrame:
     return profile_reducers(rows[here & rows["role"].isin(["test", "reference"])])
 
 
-def _sum_up(part: RatingsPart, rows: list[dict[str, Any]], mapping: dict[str, Any]) -> str:
+def _sum_up(rows: list[dict[str, Any]], mapping: dict[str, Any]) -> str:
     coded = [row for row in rows if not np.isnan(row[BIT_RATE])]
 
     def write(row: dict[str, Any]) -> str:
@@ -134,7 +135,7 @@ def _sum_up(part: RatingsPart, rows: list[dict[str, Any]], mapping: dict[str, An
     plain = [f"{write(row)} without ({row['reducer']})" for row in rows if row not in coded]
     plcc, reach = words.format_estimate(mapping["plcc"], mapping["plcc_low"], mapping["plcc_high"])
     return (
-        f"{words.capitalise(part.subject)}: mean rating {write(first)} at {first[BIT_RATE]:g} kbit/s, "
+        f"mean rating {write(first)} at {first[BIT_RATE]:g} kbit/s, "
         f"{write(last)} at {last[BIT_RATE]:g} kbit/s{''.join(f', {one}' for one in plain)}. The bit rate alone, mapped "
         f"by P.1401, gives the mean ratings of the stimuli of other recordings with a correlation of {plcc} ({reach}) "
         f"and an error of {words.format_number(mapping['rmse'], kind='rating')} points."

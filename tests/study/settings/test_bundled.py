@@ -27,8 +27,9 @@ JUDGEMENTS = {
     "lee2022": 8 * (6 * 5 // 2 + 1),
     "airotouch": 8 * (5 + 1),
     "generated": 6 * (8 + 1),
+    "codec": 6 * (5 + 1 + 2),
 }
-DESIGNS = ("airotouch", "generated")
+DESIGNS = ("airotouch", "codec", "generated")
 """Of our own, after no paper."""
 
 
