@@ -229,12 +229,12 @@ def compute_rotations(
     """
     copies = copies or {}
     recordings = [one for one in recordings if copies.get(one.name, one.name) == one.name]
-    commands = {one.name for one in recipe.methods if one.origin == "command"}
+    commands = {one.name for one in recipe.methods if not one.is_python}
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
     if not reducers:
         return Further(
-            pd.DataFrame(), ("Rotation statistics: all reducers are commands; left out.",)
+            pd.DataFrame(), ("Rotation statistics: all reducers are commands or files; left out.",)
         )
     own = [find_reducer(recipe, name) for name in reducers]
     size = sum(recording.acceleration.size for recording in recordings) * len(reducers)
@@ -267,7 +267,7 @@ def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> st
         f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {turned}, reduced and "
         "matched with itself; level, resampling and fades, which stimuli go through afterwards, have no part in it."
         + (" Turned copies of a recording share theirs." if shared else "")
-        + (f" Without {', '.join(commands)}: commands." if commands else "")
+        + (f" Without {', '.join(commands)}: commands or files." if commands else "")
     )
 
 

@@ -25,6 +25,7 @@ from feel321.analysis.report import (
     maps,
     pairs,
     primary,
+    rate,
     raters,
     reducers,
     rivals,
@@ -233,6 +234,7 @@ def list_versions() -> dict[str, str]:
 
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
+    rate.compute,
     primary.compute,
     rivals.compute,
     association.compute_association,

@@ -109,7 +109,7 @@ def list_numeric(cells: DataFrame) -> list[str]:
 def list_rivals(manifest: Path | DataFrame) -> list[str]:
     """List the columns of a manifest that may be compared as metrics: numeric, and no fact about the file or gain."""
     facts = {name for name, column in schema.MANIFEST.items() if not column.used}
-    facts |= {schema.AMPLITUDE, schema.GAIN, schema.SENSATION}
+    facts |= {*schema.FACTS}
     cells = schema.read_cells(manifest)
     kinds = tuple(f"_{kind}" for kind in KINDS)
     return [

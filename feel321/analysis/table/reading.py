@@ -58,7 +58,7 @@ ECHOED = ("recording", "reducer", "level")
 """Columns that both files may hold and must then agree on."""
 
 OPTIONAL = (
-    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
+    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.BIT_RATE, schema.ERROR, schema.SOURCE,
     *schema.LABELS,
 )  # fmt: skip
 """Columns that judgements keep where there are any."""
@@ -364,7 +364,7 @@ def _read_manifest(
     )
     schema.refuse_doubled(sheet, STIMULUS, what)
     _read_metrics(sheet, planned, what, rivals=rivals)
-    for name in (schema.AMPLITUDE, schema.GAIN, schema.SENSATION):
+    for name in schema.FACTS:
         if name not in {*planned, *rivals}:
             schema.read_column(sheet, name, what, kind=columns[name].kind)
     sheet["source"] = _read_sources(sheet, sources or {}, what)

@@ -19,7 +19,10 @@ DEMO_PARTICIPANTS = 16
 @click.command(epilog="Example: feel321 new my-study --study park2019")
 @click.argument("folder", metavar="DIR", type=shared.FILE)
 @click.option(
-    "--study", "bundled", type=click.Choice(list_bundled()), help="A published study to run again."
+    "--study",
+    "bundled",
+    type=click.Choice(list_bundled()),
+    help="A ready study: a published one, or a design.",
 )
 @click.option(
     "--with",
