@@ -147,19 +147,20 @@ def read_table(
     rows, more_notes = roster.join_labels(rows, judged.given)
     rows, on_rigs = roster.join_rigs(rows, judged.given)
     notes += [*lacking, *more_notes, *on_rigs]
-    names = dict.fromkeys([*planned, *explored, *compared])
-    columns = [
-        "source",
-        *ECHOED,
-        ROLE,
-        *names,
-        *(name for name in schema.LABELS if name in stimuli),
-    ]
-    sheet = stimuli[columns]
+    listing = _list_stimuli(stimuli, rows, listed, metrics=[*planned, *explored, *compared])
+    return Table(rows, planned, tuple(notes), explored, compared, known, listing)
+
+
+def _list_stimuli(
+    stimuli: DataFrame, rows: DataFrame, listed: _Source, *, metrics: Sequence[str]
+) -> DataFrame:
+    """List the stimuli with their metrics; where pairs were compared, with every number that the manifest has."""
+    labels = [name for name in schema.LABELS if name in stimuli]
+    sheet = stimuli[["source", *ECHOED, ROLE, *dict.fromkeys(metrics), *labels]]
     if (rows["scale"] == schema.PAIRED).any():
         more = metrics_of.read_attributes(listed.given)
         sheet = sheet.join(more[[name for name in more if name not in sheet]])
-    return Table(rows, planned, tuple(notes), explored, compared, known, sheet)
+    return sheet
 
 
 def _note_rows(rows: DataFrame, stimuli: DataFrame, planned: Sequence[str]) -> Iterator[str]:
