@@ -92,31 +92,22 @@ def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[s
         )
 
 
+COUNTED = {
+    paper_claims.DIFFERS: ("differs from this study", "differ from this study"),
+    paper_claims.AGREES: ("agrees", "agree"), paper_claims.OPEN: ("stays open", "stay open"),
+    NOT_ESTIMABLE: ("is not estimable", "are not estimable"),
+}  # fmt: skip
+
+
 def _count_verdicts(answers: Sequence[PaperAnswer], paper: Paper) -> str:
     """Count the claims with each verdict, those first that differ, by name."""
     told = []
-    for key, (one, more) in {
-        paper_claims.DIFFERS: ("differs from", "differ from"), paper_claims.AGREES: ("agrees with", "agree with"),
-        paper_claims.OPEN: ("stays open in", "stay open in"),
-        NOT_ESTIMABLE: ("is not estimable in", "are not estimable in"),
-    }.items():  # fmt: skip
-        own = [answer.claim.name for answer in answers if answer.verdict == key]
-        if own:
-            which = (
-                f" ({', '.join(map(words.format_name, own))})"
-                if key == paper_claims.DIFFERS
-                else ""
-            )
-            told.append(f"{len(own)} {more if len(own) > 1 else one} this study{which}")
-    told[1:] = [
-        text
-        .replace(" from this study", "")
-        .replace(" with this study", "")
-        .replace(" in this study", "")
-        for text in told[1:]
-    ]
-    claims = f"{len(answers)} claims" if len(answers) > 1 else "claim"
-    return f"of the paper's {claims}, {words.join_words(told)} ({paper.citation}; {paper.seen})."
+    for key, forms in COUNTED.items():
+        if own := [one.claim.name for one in answers if one.verdict == key]:
+            which = f" ({', '.join(map(words.format_name, own))})" * (key == paper_claims.DIFFERS)
+            told.append(f"{len(own)} {forms[len(own) > 1]}{which}")
+    claims = f"claims of the paper ({paper.citation}; {paper.seen})"
+    return f"of {len(answers)} {claims}, {words.join_words(told)}."
 
 
 def _make_row(one: PaperAnswer) -> dict[str, Any]:
@@ -185,17 +176,14 @@ def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
     if paper.published is None or table.stimuli is None:
         return pd.DataFrame()
     known = [name for name in MATCH_METRICS if name in table.stimuli]
-    parts = [
-        tabulate_metric(table, name)
-        .reset_index()
-        .melt("recording", var_name="reducer", value_name="value")
-        .dropna(subset="value")
-        .assign(metric=name)
-        for name in known
-    ]
-    if not parts:
+    if not known:
         return pd.DataFrame()
-    found = pd.concat(parts, ignore_index=True)
+    wide = {name: tabulate_metric(table, name).reset_index() for name in known}
+    long = (
+        own.melt("recording", var_name="reducer", value_name="value").assign(metric=name)
+        for name, own in wide.items()
+    )
+    found = pd.concat(long, ignore_index=True).dropna(subset="value")
     for beside in (paper.published, paper.mountings):
         if beside is not None:
             found = found.merge(beside, how="left", on=ROW_KEYS)
