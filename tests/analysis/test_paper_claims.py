@@ -5,7 +5,13 @@ from dataclasses import replace
 
 import pytest
 
-from feel321.analysis.replication.claims import ClaimValue, PaperClaim, find_measure, judge
+from feel321.analysis.replication.claims import (
+    ClaimValue,
+    PaperClaim,
+    describe_nearest,
+    find_measure,
+    judge,
+)
 from feel321.names import MEASURES
 
 CLAIM = PaperClaim("one", "It is so", "ours", "slope")
@@ -56,3 +62,17 @@ def test_the_highest_is_above_all_others_and_the_lowest_below(
     assert judge(replace(CLAIM, expect="highest"), found) == verdict
     turned = {name: (-value, -high, -low) for name, (value, low, high) in gaps.items()}
     assert judge(replace(CLAIM, expect="lowest"), replace(found, beside=turned)) == verdict
+
+
+@pytest.mark.parametrize(
+    ("gap", "told"),
+    [
+        ((0.31, 0.28, 0.35), "0.31 higher than that of b (0.28 to 0.35)"),
+        ((-0.31, -0.35, -0.28), "0.31 lower than that of b (0.28 to 0.35)"),
+        ((-0.001, math.nan, math.nan), "the same as that of b"),
+    ],
+)
+def test_the_nearest_of_the_others_is_named_with_the_way_the_difference_goes(
+    gap: tuple[float, float, float], told: str
+) -> None:
+    assert describe_nearest({"c": (2, 1, 3), "b": gap}, upward=True, kind="correlation") == told

@@ -224,14 +224,14 @@ def _describe(claim: PaperClaim, found: ClaimValue, without: ClaimValue | None) 
         parts.append(f"the paper {words.format_interval(low, high, kind=found.kind)}")
     if claim.expect in {"highest", "lowest"} and found.beside:
         parts.append(
-            _describe_nearest(found.beside, upward=claim.expect == "highest", kind=found.kind)
+            describe_nearest(found.beside, upward=claim.expect == "highest", kind=found.kind)
         )
     if without is not None:
         parts.append(f"without {words.join_words(claim.exceptions)} {without.describe()}")
     return "; ".join(parts) + "." + (f" {found.note}" if found.note else "")
 
 
-def _describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) -> str:
+def describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) -> str:
     """Name the unit that comes closest, or is beyond."""
     sign = 1 if upward else -1
     name, ends = min(beside.items(), key=lambda item: sign * item[1][0])
@@ -239,6 +239,7 @@ def _describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) ->
     low, high = sorted(way * end for end in ends[1:])
     value, interval = words.format_estimate(way * ends[0], low, high, kind=kind)
     told = f" ({interval})" if interval != words.ABSENT else ""
-    return (
-        f"{value} {'higher' if way > 0 else 'lower'} than that of {words.format_name(name)}{told}"
-    )
+    other = f"that of {words.format_name(name)}"
+    if not told and value == words.format_number(0.0, kind=kind):
+        return f"the same as {other}"
+    return f"{value} {'higher' if way > 0 else 'lower'} than {other}{told}"

@@ -189,7 +189,9 @@ def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
             found = found.merge(beside, how="left", on=ROW_KEYS)
     texts = found.select_dtypes(exclude="number").columns
     found[texts] = found[texts].fillna("")
-    return found
+    later = ~found["recording"].isin(paper.published["recording"])  # first what the paper shows
+    found = found.assign(later=later).sort_values(["later", "recording", "metric"], kind="stable")
+    return found.drop(columns="later").reset_index(drop=True)
 
 
 def _build_metrics(found: DataFrame) -> Iterator[PageTable]:
