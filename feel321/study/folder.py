@@ -174,6 +174,7 @@ def add_methods(study: StudyFolder) -> None:
     begin, end = text.index("reducers = ["), text.index("levels = [")
     own = 'reducers = ["say321", "pca321", "dft321", "my321", "wav321"]  # the last two are your own, see below\n'
     text = (text[:begin] + own + text[end:]).replace("metrics = []", 'metrics = ["snr"]')
+    text = text.replace("screening = []", 'screening = ["methods/slow.py:slow"]')
     text = text.replace(
         'protocols = ["realism", "similarity"]',
         'protocols = ["realism", "similarity", "methods/roughness.py:roughness"]',

@@ -190,7 +190,7 @@ class Contents:
             What every function of `feel321.analysis` takes.
         """
         from feel321.analysis.table.reading import read_table
-        from feel321.study.analyze import list_info
+        from feel321.study.analyze import list_info, measure_declared
         from feel321.study.settings.read import list_origins
 
         self.ratings()
@@ -201,6 +201,7 @@ class Contents:
             sources=list_origins(settings),
             metrics=settings.analysis.metrics,
             info=list_info(settings),
+            further=measure_declared(self.folder, settings),
         )
 
     def _find(self, participant: str) -> Path:

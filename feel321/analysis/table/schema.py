@@ -39,6 +39,13 @@ CHOSEN = ("triplet", "preference")
 APART = (PAIRED, ANSWERED, *CHOSEN)
 """Scales that enter no association: a metric describes one stimulus, and is larger or smaller."""
 
+RECAST = "recast_similarity"
+"""Scale of dissimilarities from the original turned round: 100 less the dissimilarity is a rating of one stimulus."""
+
+INTERACTION, SAMPLE = "interaction", "sample"
+LABELS = (INTERACTION, SAMPLE)
+"""What a recording is of, in the lab's words; maps of dissimilarities are made for each."""
+
 ROLES = ("test", "reference", "anchor")
 PAIR = "pair"
 """Role of a stimulus that is rated against another one than the reference."""
@@ -128,11 +135,13 @@ MANIFEST: Mapping[str, ColumnInfo] = {
     "source": ColumnInfo(
         "what the recording was made from, where several are one and the same, turned, cut or edited"
     ),
+    INTERACTION: ColumnInfo("what the tool did, such as tap or drag"),
+    SAMPLE: ColumnInfo("the surface that was recorded"),
 }  # fmt: skip
 """One row per stimulus."""
 
 NOT_METRICS = frozenset({
-    *IDENTITY, "level", "role", "source", "file", "sha256", "recording_sha256"
+    *IDENTITY, *LABELS, "level", "role", "source", "file", "sha256", "recording_sha256"
 })  # fmt: skip
 
 MOSTLY = 0.5
