@@ -11,6 +11,7 @@ import pytest
 
 from feel321 import stimuli
 from feel321.extensions import find_method
+from feel321.stimuli.conformance import check_method
 from feel321.stimuli.guard import OwnMetric, OwnReducer, find_reducer
 
 CODE = """\
@@ -205,6 +206,9 @@ def test_what_was_made_elsewhere_is_refused_where_it_does_not_fit(study: Path) -
     (study / "made").mkdir()
     with pytest.raises(ValueError, match="for the study's recordings only; leave it out here"):
         find_made(study)(SCENE.acceleration, SCENE.rate_hz)
+    with pytest.raises(ValueError, match=r"there is no made/bumps\.wav; put it there"):
+        stimuli.build_stimuli(SCENE, study / "set", reducers=[find_made(study).method])
+    (study / "made" / "bumps.wav").write_bytes(b"RIFF")
     with pytest.raises(ValueError, match=r"made/bumps\.wav cannot be read as a WAV file"):
         stimuli.build_stimuli(SCENE, study / "set", reducers=[find_made(study).method])
     stimuli.write_wav(study / "made" / "bumps.wav", np.zeros(3000), 8000)
@@ -215,6 +219,8 @@ def test_what_was_made_elsewhere_is_refused_where_it_does_not_fit(study: Path) -
         ValueError, match=r"numbers of shape \(3000,\), got float64 of shape \(2999,\)"
     ):
         stimuli.build_stimuli(SCENE, study / "set", reducers=[find_made(study).method])
+    (checked,) = check_method(find_made(study).method)
+    assert (checked.check, checked.passed) == ("loads", True)
     for file in ("made/{input}.wav", "../{recording}.wav", "/{recording}.wav"):
         with pytest.raises(ValueError, match="must be in the study's folder and name each"):
             find_made(study, {"made321": {"file": file}})

@@ -259,8 +259,11 @@ def read_made(method: Method, recording: str, rate_hz: float) -> Samples:
             f"{method}: was made elsewhere, for the study's recordings only; leave it out here"
         )
     file = method.place.replace(RECORDING, recording)
+    path = (method.folder or Path()) / file
+    if not path.is_file():
+        raise ValueError(f"{method}: there is no {file}; put it there, or take {method.name} out")
     try:
-        samples, rate = read_wav((method.folder or Path()) / file)
+        samples, rate = read_wav(path)
     except (OSError, ValueError) as error:
         raise ValueError(f"{method}: {file} cannot be read as a WAV file ({error})") from None
     if rate != round(rate_hz):

@@ -146,7 +146,6 @@ def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
     return [
         f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
         for one in methods
-        if one.origin != "made"
         for found in check_method(one, quick=True)
         if not found.passed
     ]

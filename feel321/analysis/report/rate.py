@@ -132,7 +132,7 @@ def _sum_up(rows: list[dict[str, Any]], mapping: dict[str, Any]) -> str:
         return f"{mean} (95 % CI {interval})"
 
     first, last = coded[0], coded[-1]
-    plain = [f"{write(row)} without ({row['reducer']})" for row in rows if row not in coded]
+    plain = [f"{write(row)} not coded ({row['reducer']})" for row in rows if row not in coded]
     plcc, reach = words.format_estimate(mapping["plcc"], mapping["plcc_low"], mapping["plcc_high"])
     return (
         f"mean rating {write(first)} at {first[BIT_RATE]:g} kbit/s, "

@@ -56,7 +56,7 @@ def test_a_planted_curve_is_recovered_and_opens_the_report() -> None:
     assert mapping["plcc_low"] > 0.9
     (line,) = section.verdict
     assert str(line).startswith("Realism, bit rate: mean rating ")
-    assert all(part in line.text for part in ("at 0.5 kbit/s", "at 8 kbit/s", "without (plain)"))
+    assert all(part in line.text for part in ("at 0.5 kbit/s", "at 8 kbit/s", "not coded (plain)"))
     assert section.pictures[0].figure.axes[0].get_xlabel() == "Bit rate (kbit/s)"
 
 

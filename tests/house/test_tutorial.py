@@ -1,0 +1,95 @@
+"""The tutorial: thirteen short chapters whose commands run, one after the other, as they stand there."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import subprocess
+from typing import TYPE_CHECKING, NamedTuple
+
+import pandas as pd
+import pytest
+
+from feel321.study.cli import main
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CHAPTERS, LINES = 13, 15
+FEW = ["saz321", "soc321", "mag321", "dft321", "dft321_windowed"]
+COMMAND = re.compile(r"^(?:.*<<'EOF'\n(?:.*\n)*?EOF|.+)$", re.MULTILINE)
+"""A line of a block, or a line with the text that it is given."""
+
+
+class Chapter(NamedTuple):
+    """A chapter: its title, its lines that are not empty, its blocks as language and text."""
+
+    title: str
+    lines: list[str]
+    blocks: list[tuple[str, str]]
+
+
+@pytest.fixture(scope="module")
+def chapters(root: Path) -> list[Chapter]:
+    text = (root / "docs" / "tutorial.md").read_text(encoding="utf-8")
+    parts = re.split(r"^## (\d+\. .*)$", text, flags=re.MULTILINE)[1:]
+    return [
+        Chapter(
+            title,
+            [line for line in body.splitlines() if line.strip()],
+            re.findall(r"^```(\w+)\n(.*?)^```", body, re.MULTILINE | re.DOTALL),
+        )
+        for title, body in zip(parts[::2], parts[1::2], strict=True)
+    ]
+
+
+def test_there_are_thirteen_short_chapters(chapters: list[Chapter]) -> None:
+    numbers = [int(chapter.title.partition(".")[0]) for chapter in chapters]
+    assert numbers == list(range(1, CHAPTERS + 1))
+    assert [one.title for one in chapters if len(one.lines) > LINES] == []
+    assert all(chapter.blocks for chapter in chapters)
+
+
+def shorten(path: Path) -> None:
+    """Make a study small: half a second of its scenes, the reducers that claims name, few draws."""
+    text = path.read_text(encoding="utf-8")
+    if "landin2010" in text:
+        text = re.sub(r"^reducers = \[\n.*?\]", f"reducers = {FEW}", text, flags=re.M | re.S)
+    text = re.sub(r"^(scene = .*)$", r"\1\nduration_s = 0.5", text, flags=re.MULTILINE)
+    path.write_text(f"{text}\n[analysis]\ndraws = 100\n", encoding="utf-8")
+
+
+def run_block(text: str, folder: Path, *, small: bool) -> None:
+    """Run a block of commands: feel321's in this process, all others in a shell."""
+    for command in COMMAND.findall(text):
+        if not command.startswith("feel321 "):
+            subprocess.run(command, shell=True, check=True, cwd=folder)  # noqa: S602 - what a reader would paste
+            continue
+        words = shlex.split(command)
+        assert main(words[1:]) == 0, command
+        if small and words[1] == "new":
+            shorten(folder / words[2] / "study.toml")
+
+
+@pytest.mark.parametrize("small", [True, pytest.param(False, marks=pytest.mark.soak)])
+def test_every_command_runs_and_the_report_answers_the_paper(
+    chapters: list[Chapter], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, small: bool
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for chapter in chapters:
+        for language, text in chapter.blocks:
+            if language == "python":
+                exec(compile(text, chapter.title, "exec"), {})  # noqa: S102 - a reader may paste it
+            else:
+                run_block(text, tmp_path, small=small)
+    manifest = pd.read_csv("vinyl/stimuli/manifest.csv")
+    assert "my_vinyl" in set(manifest["recording"])
+    claims = pd.read_csv("vinyl/report/tables/paper_claims.csv")
+    assert len(claims) >= 1
+    assert claims["verdict"].isin(["agrees", "differs", "open", "not_estimable"]).all()
+    planted = claims[claims["measure"] == "slope"]
+    assert set(planted["verdict"]) == {"agrees"}
+    results = json.loads((tmp_path / "vinyl/report/results.json").read_bytes())
+    assert results["simulated"] is True
+    assert results["verdict"]
