@@ -147,19 +147,17 @@ def read_table(
     rows, more_notes = roster.join_labels(rows, judged.given)
     rows, on_rigs = roster.join_rigs(rows, judged.given)
     notes += [*lacking, *more_notes, *on_rigs]
-    names = dict.fromkeys([*planned, *explored, *compared])
-    columns = [
-        "source",
-        *ECHOED,
-        ROLE,
-        *names,
-        *(name for name in schema.LABELS if name in stimuli),
-    ]
-    sheet = stimuli[columns]
+    sheet = _list_stimuli(stimuli, [*planned, *explored, *compared])
     if (rows["scale"] == schema.PAIRED).any():
         more = metrics_of.read_attributes(listed.given)
         sheet = sheet.join(more[[name for name in more if name not in sheet]])
     return Table(rows, planned, tuple(notes), explored, compared, known, sheet)
+
+
+def _list_stimuli(stimuli: DataFrame, metrics: Sequence[str]) -> DataFrame:
+    """Select what is kept of every stimulus."""
+    labels = [name for name in schema.LABELS if name in stimuli]
+    return stimuli[["source", *ECHOED, ROLE, *dict.fromkeys(metrics), *labels]]
 
 
 def _note_rows(rows: DataFrame, stimuli: DataFrame, planned: Sequence[str]) -> Iterator[str]:
