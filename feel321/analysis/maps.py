@@ -90,19 +90,26 @@ def map_groups(rows: DataFrame, *, draws: int, rng: np.random.Generator) -> list
     for kind, name, part in split_groups(rows):
         try:
             own_names, own = gather_dissimilarities(part)
-            if own_names != names:
-                continue
-            ellipses = None if kind == BOTH else bootstrap_space(own, draws=draws, rng=rng)
-            space = ellipses.space if ellipses else fit_space(own, rng=rng)
+            space, ellipses = _place(own, whole, draws=0 if kind == BOTH else draws, rng=rng)
         except ValueError:
             continue
-        turned, angle = turn_map(space, whole)
-        if ellipses:
-            ellipses = replace(
-                ellipses, space=turned, angle=(angle[0] + angle[1] * ellipses.angle) % 180
-            )
-        found.append(GroupMap(kind, name, names, own, turned, ellipses, **_count(part)))
+        if own_names == names:
+            found.append(GroupMap(kind, name, names, own, space, ellipses, **_count(part)))
     return found
+
+
+def _place(
+    matrices: Values, whole: Space, *, draws: int, rng: np.random.Generator
+) -> tuple[Space, Ellipses | None]:
+    """Map a group and turn its map, with its ellipses if there are draws, onto the map of all."""
+    ellipses = bootstrap_space(matrices, draws=draws, rng=rng) if draws else None
+    space = ellipses.space if ellipses else fit_space(matrices, rng=rng)
+    if len(space.positions) != len(whole.positions):
+        raise ValueError("the group lacks a stimulus")
+    turned, (start, sign) = turn_map(space, whole)
+    if ellipses:
+        ellipses = replace(ellipses, space=turned, angle=(start + sign * ellipses.angle) % 180)
+    return turned, ellipses
 
 
 def _count(rows: DataFrame) -> dict[str, Any]:
@@ -193,11 +200,7 @@ def gather_points(
     if stimuli is None:
         raise ValueError("Nothing is known of the stimuli.")
     rows = rows[rows["scale"] == PAIRED]
-    is_whole = (stimuli["role"] == "reference") & ~stimuli["reducer"].isin(REDUCER_NAMES)
-    numbers = stimuli.select_dtypes("number").assign(**{DIRECTIONS: np.where(is_whole, 3.0, 1.0)})
-    own = numbers[stimuli["level"].isin(rows["level"].unique())]
-    keys = [stimuli.loc[own.index, name] for name in (RECORDING, "reducer")]
-    means, places, values = own.groupby(keys).mean(), [], []
+    means, places, values = _average_attributes(rows, stimuli), [], []
     for recording, part in rows.groupby(RECORDING, observed=True):
         try:
             names, matrices = gather_dissimilarities(part)
@@ -209,9 +212,16 @@ def gather_points(
             values.append(means.loc[recording].reindex(names).to_numpy(np.float64))
     if not places:
         raise ValueError("No recording has ratings of every pair.")
-    stacked = np.stack(values)
-    found = {name: stacked[..., place] for place, name in enumerate(map(str, numbers))}
+    found = {str(name): np.stack(values)[..., place] for place, name in enumerate(means)}
     return Points(np.stack(places), {k: v for k, v in found.items() if _varies(v)}, whole.names)
+
+
+def _average_attributes(rows: DataFrame, stimuli: DataFrame) -> DataFrame:
+    """Average every number that is known of the stimuli of the rated levels, by recording and reducer."""
+    is_whole = (stimuli["role"] == "reference") & ~stimuli["reducer"].isin(REDUCER_NAMES)
+    numbers = stimuli.select_dtypes("number").assign(**{DIRECTIONS: np.where(is_whole, 3.0, 1.0)})
+    own = numbers[stimuli["level"].isin(rows["level"].unique())]
+    return own.groupby([stimuli.loc[own.index, name] for name in (RECORDING, "reducer")]).mean()
 
 
 def _varies(values: Values) -> bool:

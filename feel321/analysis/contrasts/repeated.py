@@ -6,7 +6,7 @@ about these recordings, and a participant with an empty cell is left out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,8 +50,8 @@ class RepeatedTest:
     epsilon: float
     p_sphericity: float
     p: float
-    n_participants: int
-    n_left_out: int
+    n_participants: int = 0
+    n_left_out: int = 0
 
 
 def compare_repeated(
@@ -63,35 +63,42 @@ def compare_repeated(
 
     References: Greenhouse & Geisser (1959), doi 10.1007/BF02289823.
     """
-    from scipy.stats import f as fisher
-    from scipy.stats import friedmanchisquare
     from statsmodels.stats.anova import AnovaRM
 
     cells, left_out = _find_complete(rows, within)
-    people = len(cells)
     long = cells.melt(ignore_index=False, value_name="rating").reset_index()
     table = AnovaRM(long, "rating", "participant", within=list(within)).fit().anova_table
     found = []
     for effect, row in table.iterrows():
-        f, df_1, df_2 = (float(row[name]) for name in ("F Value", "Num DF", "Den DF"))
         names = str(effect).split(":")
         means = cells if len(within) == 1 else cells.T.groupby(level=names).mean().T
         epsilon = find_epsilon(means.to_numpy()) if len(names) == 1 else float("nan")
-        plain = float(fisher.sf(f, df_1, df_2))
-        corrected = float(fisher.sf(f, epsilon * df_1, epsilon * df_2))
-        p = corrected if np.isfinite(epsilon) else plain
-        what = " x ".join(names)
-        found.append(
-            RepeatedTest("anova", what, f, df_1, df_2, epsilon, plain, p, people, left_out)
-        )
+        f, *dfs = (float(row[name]) for name in ("F Value", "Num DF", "Den DF"))
+        found.append(_correct(" x ".join(names), f, dfs, epsilon=epsilon))
     first = cells if len(within) == 1 else cells.T.groupby(level=within[0]).mean().T
-    if first.shape[1] >= FRIEDMAN_LEVELS:
-        chi, p = (float(one) for one in friedmanchisquare(*first.to_numpy().T))
-        none, df = float("nan"), float(first.shape[1] - 1)
-        found.append(
-            RepeatedTest("friedman", within[0], chi, df, none, none, none, p, people, left_out)
-        )
-    return found
+    found += _rank(first.to_numpy(), within[0])
+    return [replace(one, n_participants=len(cells), n_left_out=left_out) for one in found]
+
+
+def _correct(effect: str, f: float, dfs: Sequence[float], *, epsilon: float) -> RepeatedTest:
+    """Make the test of an effect, its degrees of freedom times epsilon where that is known."""
+    from scipy.stats import f as fisher
+
+    df_1, df_2 = dfs
+    share = epsilon if np.isfinite(epsilon) else 1.0
+    plain, corrected = (float(fisher.sf(f, one * df_1, one * df_2)) for one in (1.0, share))
+    return RepeatedTest("anova", effect, f, df_1, df_2, epsilon, plain, corrected)
+
+
+def _rank(cells: Values, effect: str) -> list[RepeatedTest]:
+    """Make Friedman's test of (participants, levels)."""
+    from scipy.stats import friedmanchisquare
+
+    if cells.shape[1] < FRIEDMAN_LEVELS:
+        return []
+    chi, p = (float(one) for one in friedmanchisquare(*cells.T))
+    none, df = float("nan"), float(cells.shape[1] - 1)
+    return [RepeatedTest("friedman", effect, chi, df, none, none, none, p)]
 
 
 def find_epsilon(cells: Values) -> float:
@@ -148,4 +155,4 @@ def compare_terms(fit: MixedFit, terms: Sequence[str]) -> RepeatedTest:
     )
     df_2 = found[0].df if len(found) == 1 else df_2
     none, p = float("nan"), float(fisher.sf(f, df_1, df_2))
-    return RepeatedTest("mixed", "reducer", f, df_1, float(df_2), none, none, p, 0, 0)
+    return RepeatedTest("mixed", "reducer", f, df_1, float(df_2), none, none, p)

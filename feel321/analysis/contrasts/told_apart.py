@@ -16,8 +16,11 @@ from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.table.items import TEST
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import PAIRED
+from feel321.names import REDUCER_NAMES
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pandas import DataFrame
 
     from feel321.analysis.arrays import Values
@@ -58,16 +61,7 @@ def compare_with_original(rows: DataFrame) -> DataFrame:
     """Compare every reducer's dissimilarities from the original with identical pairs; a row per reducer, all last."""
     from pandas import DataFrame
 
-    paired = rows[rows["scale"] == PAIRED]
-    same = paired[
-        (paired["role"] == "reference") & (paired["reducer"] == paired["reference_reducer"])
-    ]
-    apart = paired[(paired["role"] == TEST) & (paired["reference_reducer"] != "")]
-    if same.empty or apart.empty:
-        lack = "identical pairs" if same.empty else "pairs with the original"
-        raise ValueError(
-            f"dissimilarities must hold pairs with the original and identical ones, got no {lack}"
-        )
+    apart, same = _split(rows[rows["scale"] == PAIRED])
     names = order_reducers(apart["reducer"])
     found = {name: tell_apart(apart[apart["reducer"] == name], same) for name in names}
     holm = adjust_holm([one.p for one in found.values()])
@@ -81,10 +75,22 @@ def compare_with_original(rows: DataFrame) -> DataFrame:
     return DataFrame(listed)
 
 
+def _split(paired: DataFrame) -> tuple[DataFrame, DataFrame]:
+    """Split dissimilarities into those from a three-axis original and those of identical pairs."""
+    is_same = paired["reducer"] == paired["reference_reducer"]
+    same = paired[(paired["role"] == "reference") & is_same]
+    whole = (paired["reference_reducer"] != "") & ~paired["reference_reducer"].isin(REDUCER_NAMES)
+    apart = paired[(paired["role"] == TEST) & whole]
+    if same.empty or apart.empty:
+        lack = "identical pairs" if same.empty else "pairs with the original"
+        raise ValueError(
+            f"dissimilarities must hold pairs with the original and identical ones, got no {lack}"
+        )
+    return apart, same
+
+
 def tell_apart(apart: DataFrame, same: DataFrame) -> ToldApart:
     """Compare ratings of different pairs with those of identical ones, participant by participant."""
-    from scipy.stats import t as student
-
     people = sorted(set(apart["participant"]) & set(same["participant"]))
     if len(people) < LEAST:
         raise ValueError(
@@ -94,20 +100,25 @@ def tell_apart(apart: DataFrame, same: DataFrame) -> ToldApart:
         tuple(part.loc[part["participant"] == who, "rating"].to_numpy(np.float64) for part in (apart, same))
         for who in people
     ]  # fmt: skip
-    gaps = np.array([far.mean() - near.mean() for far, near in ratings])
-    areas = np.array([find_area(far, near) for far, near in ratings])
-    df, error = len(people) - 1, float(gaps.std(ddof=1)) / math.sqrt(len(people))
-    reach = float(student.ppf(0.975, df))
-    mean = float(gaps.mean())
-    statistic = mean / error if error else math.copysign(math.inf, mean) if mean else math.nan
-    area, spread = float(areas.mean()), reach * float(areas.std(ddof=1)) / math.sqrt(len(people))
-    ends = (area, max(0.0, area - spread), min(1.0, area + spread))
+    mean, error, reach, p = _test([far.mean() - near.mean() for far, near in ratings])
+    area, spread, _, _ = _test([find_area(far, near) for far, near in ratings])
+    ends = (area, max(0.0, area - reach * spread), min(1.0, area + reach * spread))
     one, two, three = (area_d_prime(end) for end in ends)
-    p, half = float(2 * student.sf(abs(statistic), df)), reach * error
+    statistic = mean / error if error else math.copysign(math.inf, mean) if mean else math.nan
     return ToldApart(
-        mean, mean - half, mean + half, statistic, float(df), p, *ends, one, two, three,
+        mean, mean - reach * error, mean + reach * error, statistic, float(len(people) - 1), p, *ends, one, two, three,
         len(people), len(apart), len(same),
     )  # fmt: skip
+
+
+def _test(values: Sequence[float]) -> tuple[float, float, float, float]:
+    """Average over participants: mean, standard error, how many of these a 95 % interval takes, and p of a mean of 0."""
+    from scipy.stats import t as student
+
+    n, mean = len(values), float(np.mean(values))
+    error = float(np.std(values, ddof=1)) / math.sqrt(n)
+    p = float(2 * student.sf(abs(mean) / error, n - 1)) if error else float(mean == 0)
+    return mean, error, float(student.ppf(0.975, n - 1)), p
 
 
 def find_area(far: Values, near: Values) -> float:

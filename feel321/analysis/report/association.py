@@ -134,7 +134,8 @@ MAPPINGS = TableForm(
 UNADJUSTED = "95 % intervals are not adjusted for their number."
 UNANSWERED = (
     "These ratings do not show whether the metrics predict what people feel: on no scale were single test stimuli "
-    "rated. What was rated is in the profile; the reasons are under What was left out or assumed."
+    "rated by themselves or against their recording. What was rated is in the profile; the reasons are under What was "
+    "left out or assumed."
 )
 
 

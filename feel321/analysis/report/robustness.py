@@ -176,7 +176,9 @@ def _run_universes(table: Table, part: RatingsPart, choices: Choices) -> Univers
     rows = recast_pairs(table.rows)
     own = rows[(rows["scale"] == part.scale) & (rows["level"] == part.level)]
     estimate_slope = _remember_slopes(own, find_table_steps(table))
-    screening = screen_raters(own, rng=choices.make_rng(KEY_ROBUSTNESS, *part.place))
+    screening = screen_raters(
+        own, own=choices.rules, rng=choices.make_rng(KEY_ROBUSTNESS, *part.place)
+    )
     return {
         (part.lead, metric): (
             part,
