@@ -84,9 +84,8 @@ def split_groups(rows: DataFrame) -> Iterator[tuple[str, str, DataFrame]]:
 def map_groups(rows: DataFrame, *, draws: int, rng: np.random.Generator) -> list[GroupMap]:
     """Map all recordings, and each group of them whose pairs were all rated; the map of all comes first."""
     rows = rows[(rows["scale"] == PAIRED) & (rows["reference_reducer"] != "")]
-    names, matrices = gather_dissimilarities(rows)
-    whole = fit_space(matrices, rng=rng)
-    found = [GroupMap(ALL, ALL, names, matrices, whole, **_count(rows))]
+    found = [map_all(rows, rng=rng)]
+    names, whole = found[0].names, found[0].space
     for kind, name, part in split_groups(rows):
         try:
             own_names, own = gather_dissimilarities(part)
@@ -96,6 +95,12 @@ def map_groups(rows: DataFrame, *, draws: int, rng: np.random.Generator) -> list
         if own_names == names:
             found.append(GroupMap(kind, name, names, own, space, ellipses, **_count(part)))
     return found
+
+
+def map_all(rows: DataFrame, *, rng: np.random.Generator) -> GroupMap:
+    """Map all recordings together."""
+    names, matrices = gather_dissimilarities(rows)
+    return GroupMap(ALL, ALL, names, matrices, fit_space(matrices, rng=rng), **_count(rows))
 
 
 def _place(
@@ -188,6 +193,10 @@ class Points:
         """How many points there are."""
         return int(self.places.shape[0] * self.places.shape[1])
 
+    def select(self, name: str) -> Points:
+        """Keep one attribute."""
+        return replace(self, attributes={name: self.attributes[name]})
+
 
 DIRECTIONS = "directions"
 """Attribute that every stimulus has: the number of directions in which it vibrates, 3 for the original and else 1."""
@@ -236,6 +245,7 @@ def regress_points(points: Points, *, draws: int, rng: np.random.Generator) -> l
 
     p: share of permutations of the stimuli (one for all maps, because a reducer is the same in each) that explain as
     much: all of them, or `draws` where there are more. p_least: the smallest that this attribute could have had.
+    chance, chance_low, chance_high: mean, 5 % and 95 % quantiles of R² of the permutations.
     """
     rows = []
     for name, values in points.attributes.items():
@@ -246,9 +256,14 @@ def regress_points(points: Points, *, draws: int, rng: np.random.Generator) -> l
         tried = np.array([_explain(kept[:, order].ravel(), design)[0] for order in orders])
         alike = np.array([np.allclose(kept[:, order], kept) for order in orders])
         one, two = slope / (float(np.hypot(*slope)) or 1.0)
+        chance = {
+            f"chance{end}": float(np.quantile(tried, q))
+            for end, q in (("_low", 0.05), ("_high", 0.95))
+        }
         rows.append({
             "property": name, "r2": r2, "p": float((tried >= r2 - ROUNDING).mean()), "p_least": float(alike.mean()),
             "axis_1": one, "axis_2": two, "n": kept.size, "permutations": len(orders),
+            "chance": float(tried.mean()), **chance,
         })  # fmt: skip
     return rows
 

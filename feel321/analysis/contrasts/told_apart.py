@@ -112,7 +112,7 @@ def tell_apart(apart: DataFrame, same: DataFrame) -> ToldApart:
 
 
 def _test(values: Sequence[float]) -> tuple[float, float, float, float]:
-    """Average over participants: mean, standard error, how many of these a 95 % interval takes, and p of a mean of 0."""
+    """Average over participants: mean, standard error, their number in a 95 % interval, p of a mean of 0."""
     from scipy.stats import t as student
 
     n, mean = len(values), float(np.mean(values))
