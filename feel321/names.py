@@ -72,6 +72,8 @@ MEASURES: Mapping[str, str] = Registry(
         "metric_of_reducer": "landin:measure_metric",
         "rating_of_reducer": "landin:measure_rating",
         "slope": "landin:measure_slope",
+        "one_axis_against_three": "lee:measure_told_apart",
+        "map_attribute": "lee:measure_attribute",
     },
 )
 """What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of a module of

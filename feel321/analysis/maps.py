@@ -84,25 +84,37 @@ def split_groups(rows: DataFrame) -> Iterator[tuple[str, str, DataFrame]]:
 def map_groups(rows: DataFrame, *, draws: int, rng: np.random.Generator) -> list[GroupMap]:
     """Map all recordings, and each group of them whose pairs were all rated; the map of all comes first."""
     rows = rows[(rows["scale"] == PAIRED) & (rows["reference_reducer"] != "")]
-    names, matrices = gather_dissimilarities(rows)
-    whole = fit_space(matrices, rng=rng)
-    found = [GroupMap(ALL, ALL, names, matrices, whole, **_count(rows))]
+    found = [map_all(rows, rng=rng)]
+    names, whole = found[0].names, found[0].space
     for kind, name, part in split_groups(rows):
         try:
             own_names, own = gather_dissimilarities(part)
-            if own_names != names:
-                continue
-            ellipses = None if kind == BOTH else bootstrap_space(own, draws=draws, rng=rng)
-            space = ellipses.space if ellipses else fit_space(own, rng=rng)
+            space, ellipses = _place(own, whole, draws=0 if kind == BOTH else draws, rng=rng)
         except ValueError:
             continue
-        turned, angle = turn_map(space, whole)
-        if ellipses:
-            ellipses = replace(
-                ellipses, space=turned, angle=(angle[0] + angle[1] * ellipses.angle) % 180
-            )
-        found.append(GroupMap(kind, name, names, own, turned, ellipses, **_count(part)))
+        if own_names == names:
+            found.append(GroupMap(kind, name, names, own, space, ellipses, **_count(part)))
     return found
+
+
+def map_all(rows: DataFrame, *, rng: np.random.Generator) -> GroupMap:
+    """Map all recordings together."""
+    names, matrices = gather_dissimilarities(rows)
+    return GroupMap(ALL, ALL, names, matrices, fit_space(matrices, rng=rng), **_count(rows))
+
+
+def _place(
+    matrices: Values, whole: Space, *, draws: int, rng: np.random.Generator
+) -> tuple[Space, Ellipses | None]:
+    """Map a group and turn its map, with its ellipses if there are draws, onto the map of all."""
+    ellipses = bootstrap_space(matrices, draws=draws, rng=rng) if draws else None
+    space = ellipses.space if ellipses else fit_space(matrices, rng=rng)
+    if len(space.positions) != len(whole.positions):
+        raise ValueError("the group lacks a stimulus")
+    turned, (start, sign) = turn_map(space, whole)
+    if ellipses:
+        ellipses = replace(ellipses, space=turned, angle=(start + sign * ellipses.angle) % 180)
+    return turned, ellipses
 
 
 def _count(rows: DataFrame) -> dict[str, Any]:
@@ -181,6 +193,10 @@ class Points:
         """How many points there are."""
         return int(self.places.shape[0] * self.places.shape[1])
 
+    def select(self, name: str) -> Points:
+        """Keep one attribute."""
+        return replace(self, attributes={name: self.attributes[name]})
+
 
 DIRECTIONS = "directions"
 """Attribute that every stimulus has: the number of directions in which it vibrates, 3 for the original and else 1."""
@@ -193,11 +209,7 @@ def gather_points(
     if stimuli is None:
         raise ValueError("Nothing is known of the stimuli.")
     rows = rows[rows["scale"] == PAIRED]
-    is_whole = (stimuli["role"] == "reference") & ~stimuli["reducer"].isin(REDUCER_NAMES)
-    numbers = stimuli.select_dtypes("number").assign(**{DIRECTIONS: np.where(is_whole, 3.0, 1.0)})
-    own = numbers[stimuli["level"].isin(rows["level"].unique())]
-    keys = [stimuli.loc[own.index, name] for name in (RECORDING, "reducer")]
-    means, places, values = own.groupby(keys).mean(), [], []
+    means, places, values = _average_attributes(rows, stimuli), [], []
     for recording, part in rows.groupby(RECORDING, observed=True):
         try:
             names, matrices = gather_dissimilarities(part)
@@ -209,9 +221,16 @@ def gather_points(
             values.append(means.loc[recording].reindex(names).to_numpy(np.float64))
     if not places:
         raise ValueError("No recording has ratings of every pair.")
-    stacked = np.stack(values)
-    found = {name: stacked[..., place] for place, name in enumerate(map(str, numbers))}
+    found = {str(name): np.stack(values)[..., place] for place, name in enumerate(means)}
     return Points(np.stack(places), {k: v for k, v in found.items() if _varies(v)}, whole.names)
+
+
+def _average_attributes(rows: DataFrame, stimuli: DataFrame) -> DataFrame:
+    """Average every number that is known of the stimuli of the rated levels, by recording and reducer."""
+    is_whole = (stimuli["role"] == "reference") & ~stimuli["reducer"].isin(REDUCER_NAMES)
+    numbers = stimuli.select_dtypes("number").assign(**{DIRECTIONS: np.where(is_whole, 3.0, 1.0)})
+    own = numbers[stimuli["level"].isin(rows["level"].unique())]
+    return own.groupby([stimuli.loc[own.index, name] for name in (RECORDING, "reducer")]).mean()
 
 
 def _varies(values: Values) -> bool:
@@ -226,6 +245,7 @@ def regress_points(points: Points, *, draws: int, rng: np.random.Generator) -> l
 
     p: share of permutations of the stimuli (one for all maps, because a reducer is the same in each) that explain as
     much: all of them, or `draws` where there are more. p_least: the smallest that this attribute could have had.
+    chance, chance_low, chance_high: mean, 5 % and 95 % quantiles of R² of the permutations.
     """
     rows = []
     for name, values in points.attributes.items():
@@ -236,9 +256,14 @@ def regress_points(points: Points, *, draws: int, rng: np.random.Generator) -> l
         tried = np.array([_explain(kept[:, order].ravel(), design)[0] for order in orders])
         alike = np.array([np.allclose(kept[:, order], kept) for order in orders])
         one, two = slope / (float(np.hypot(*slope)) or 1.0)
+        chance = {
+            f"chance{end}": float(np.quantile(tried, q))
+            for end, q in (("_low", 0.05), ("_high", 0.95))
+        }
         rows.append({
             "property": name, "r2": r2, "p": float((tried >= r2 - ROUNDING).mean()), "p_least": float(alike.mean()),
             "axis_1": one, "axis_2": two, "n": kept.size, "permutations": len(orders),
+            "chance": float(tried.mean()), **chance,
         })  # fmt: skip
     return rows
 

@@ -15,7 +15,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
-from feel321.analysis.table.items import split_tests
+from feel321.analysis.table.items import recast_pairs, split_tests
+from feel321.analysis.table.schema import PAIRED
 from feel321.names import MEASURES
 
 if TYPE_CHECKING:
@@ -147,7 +148,15 @@ def _measure_without(table: Table, claim: PaperClaim, choices: Choices) -> Claim
 
 
 def narrow(table: Table, claim: PaperClaim) -> Table:
-    """Select the ratings that a claim is about: scale and level of its options, or the first scale, as it is."""
+    """Select the ratings that a claim is about: scale and level of its options, or the first scale, as it is.
+
+    Dissimilarities are those between all stimuli where the options name them, and else similarities to the original.
+    """
+    if claim.options.get("scale") == PAIRED:
+        levels = sorted(table.rows.loc[table.rows["scale"] == PAIRED, "level"].unique())
+        usual = USUAL_LEVEL if USUAL_LEVEL in levels else next(iter(levels), None)
+        return table.select(PAIRED, level=str(claim.options.get("level", usual)))
+    table = replace(table, rows=recast_pairs(table.rows))
     arms = [(part.scale, part.level) for part in split_tests(table)]
     if not arms:  # only pairs or choices were judged; a measure finds them in the whole table
         return table
@@ -168,7 +177,8 @@ def leave_out(table: Table, reducers: Iterable[str]) -> Table:
     """Leave out what was made with some reducers."""
     names = list(reducers)
     rows, stimuli = table.rows, table.stimuli
-    kept = rows[~rows["reducer"].isin(names)].reset_index(drop=True)
+    out = rows["reducer"].isin(names) | rows["reference_reducer"].isin(names)
+    kept = rows[~out].reset_index(drop=True)
     if stimuli is not None:
         stimuli = stimuli[~stimuli["reducer"].isin(names)]
     return replace(table, rows=kept, stimuli=stimuli)

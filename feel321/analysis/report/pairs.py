@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from feel321.analysis.contrasts.discrimination import discriminate_pairs
+from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
 from feel321.analysis.figures.scatter import draw_discrimination, draw_space
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.report.parts import SIGNIFICANCE
@@ -34,7 +35,7 @@ from feel321.analysis.space import (
 )
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, APART, PAIRED
-from feel321.analysis.words import COUNT, Line, count_number, format_name, format_number
+from feel321.analysis.words import COUNT, Line, count_number, format_name, format_number, join_words
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
     from feel321.analysis.table.reading import Table
 
 Row = dict[str, Any]
+
+LEVEL = Column("Level", "level", TEXT)
 
 # ABX trials: how well what a reducer made is distinguished from its reference.
 
@@ -109,13 +112,69 @@ def compute_discrimination(table: Table, choices: Choices) -> Section:  # noqa: 
     )  # fmt: skip
 
 
+# One axis against three: dissimilarities from the original beside those of identical pairs.
+
+STUDENT_T = "95 % t interval over participants"
+TOLD = TableForm(
+    "One axis against three: dissimilarity of each reducer's stimuli from the original, less that of identical pairs, "
+    "in points; and d' from how often a participant rates a pair with the original above an identical one. 95 % t "
+    "intervals over participants: other people, these recordings. A dash for d': infinite.",
+    (
+        Column("Reducer", "reducer", NAME), LEVEL,
+        Column(
+            "Difference", "difference", "rating", method="dissimilarity from the original less that of identical pairs",
+            interval=STUDENT_T,
+        ),
+        Column("t", "t", "df", "t", "paired t test over participants"), Column("df", "df", "df", "df", "paired t test"),
+        Column("p (Holm)", "p_holm", "p", "p_holm", "two-sided paired t test, Holm's adjustment over reducers"),
+        Column(
+            "Area", "area", end="area", method="area under the ROC curve, mean over participants", interval=STUDENT_T,
+            ends="area_",
+        ),
+        Column("d'", "d_prime", end="d", method="d' of that area", interval=STUDENT_T, ends="d_prime_"),
+        Column("Participants", "n_participants", COUNT, "n_participants"),
+        Column("Pairs", "n_judgements", COUNT, "n_judgements"),
+        Column("Identical", "n_identical", COUNT, "n_identical"),
+    ),
+    path="told_apart.{level}.{reducer}", n="n_judgements",
+)  # fmt: skip
+
+
+def compute_told_apart(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
+    """Compare dissimilarities from the original with those of identical pairs."""
+    key, title = "told_apart", "One axis against three"
+    rows = table.rows[table.rows["scale"] == PAIRED]
+    notes, answers = [], []
+    found: list[dict[Any, Any]] = []
+    several = len(rows["level"].unique()) > 1
+    for level, part in rows.groupby("level", observed=True):
+        try:
+            own = compare_with_original(part).assign(level=level).to_dict("records")
+        except ValueError as error:
+            notes.append(f"{PAIRED}, {level}: one axis is not compared with three. {error}")
+            continue
+        found += own
+        single = [row for row in own if row["reducer"] != EVERY]
+        apart = [row for row in single if row["p_holm"] < SIGNIFICANCE and row["difference"] > 0]
+        where = f" (level {format_name(str(level))})" if several else ""
+        rest = [str(row["reducer"]) for row in single if row not in apart]
+        told = f" Not shown for {join_words(rest)}, nor that these feel the same." if rest else ""
+        answers.append(
+            f"One axis was told from three{where} for {len(apart)} of {len(single)} reducers: their dissimilarity from "
+            f"the original is above that of identical pairs (p (Holm) < {SIGNIFICANCE}).{told}"
+        )
+    return Section(
+        key, title, answers=answers, verdict=tuple(map(Line, answers)), grids=(TOLD.build(found),), notes=notes,
+        tables={key: found}, how=read_methods(key),
+    )  # fmt: skip
+
+
 # Dissimilarities: the perceptual map, and what its axes are associated with.
 
 KEY = "space"
 DRAWS = 200
 """Maps drawn anew; each takes a fit."""
 
-LEVEL = Column("Level", "level", TEXT)
 STRESS = TableForm(
     "Stress of maps of one dimension and more ({}): how badly they fit; 0.05 is good.",
     (

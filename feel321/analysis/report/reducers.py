@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from contextlib import suppress
+from dataclasses import asdict, replace
 from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,6 +22,7 @@ from feel321.analysis.contrasts.compare import (
     participant_means,
     profile_reducers,
 )
+from feel321.analysis.contrasts.repeated import compare_repeated, compare_terms
 from feel321.analysis.figures.estimates import draw_equivalence, draw_profile
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.mixed.model import contrast, fit_mixed
@@ -57,12 +59,13 @@ from feel321.analysis.report.section import (
 )
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.metrics import order_reducers
-from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
+from feel321.analysis.table.schema import ANSWERED, INTERACTION, PAIR, ROLES
 from feel321.analysis.words import COUNT, Number
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.mixed.model import MixedFit
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.metrics import Step
     from feel321.analysis.table.reading import Table
@@ -288,9 +291,42 @@ class _Pair(NamedTuple):
     test: Equivalence | None
 
 
+CLASSIC = TableForm(
+    "Do reducers differ at all? The mixed model leads: it takes recordings, like people, as drawn from others, keeps "
+    "participants with missing judgements, and needs no equal variances of differences. Beside it, repeated-measures "
+    "ANOVA (Greenhouse and Geisser's correction) and Friedman's test, for comparison with published studies: of these "
+    "recordings only, and of participants who rated every cell.",
+    (
+        RATINGS, Column("Test", "test", TEXT), Column("Effect", "effect", NAME),
+        Column("Statistic", "statistic", end="statistic", method="{test}: F, or Friedman's chi-squared"),
+        Column("df", "df_1", "df", "df_1", "degrees of freedom of the effect"),
+        Column("df of error", "df_2", "df", "df_2", "degrees of freedom of the error"),
+        Column("Epsilon", "epsilon", end="epsilon", method="Greenhouse and Geisser's epsilon"),
+        Column("p", "p", "p", "p", "{test}, p with epsilon where there is one"),
+        Column("Participants", "n_participants", COUNT, "n_participants"),
+    ),
+    path="classic.{scale}.{level}.{test}.{effect}", n="n_participants",
+)  # fmt: skip
+
+
+def _test_whole(part: RatingsPart, fitted: tuple[MixedFit, Mapping[str, str]]) -> list[Row]:
+    """Test whether reducers differ, by the mixed model and by the classic tests, as far as these can be made."""
+    fit, terms = fitted
+    people = len(part.rows["participant"].unique())
+    found = [replace(compare_terms(fit, list(terms.values())), n_participants=people)]
+    labels = part.rows.get(INTERACTION)
+    crossed = labels is not None and len(labels.unique()) > 1 and (labels != "").all()
+    with suppress(ValueError):
+        found += compare_repeated(
+            part.rows, within=(REDUCER, INTERACTION) if crossed else (REDUCER,)
+        )
+    return [part.keys | asdict(one) for one in found]
+
+
 def compute_contrasts(table: Table, choices: Choices) -> Section:
     """Compare every two reducers on every scale and level."""
     answers, notes, grids, rows = [], [], [], []
+    classic: list[Row] = []
     numbers: list[Number] = []
     pictures: list[Picture] = []
     # A person's reducers are so many effects.
@@ -298,7 +334,7 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
         notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
         margin = _find_margin(part, choices)
         try:
-            pairs = _compare_reducers(part.rows, margin)
+            pairs, fitted = _compare_reducers(part.rows, margin)
         except ValueError as error:
             notes.append(f"{part.lead}: reducers are not compared. {error}")
             continue
@@ -310,13 +346,14 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
         answers.append(_describe_contrasts(pairs, part))
         rows += own
         pictures += _picture_equivalence(pairs, part)
+        classic += _test_whole(part, fitted)
     return Section(
         "contrasts",
         "Reducers against each other",
         answers=answers,
-        grids=grids,
+        grids=[*grids, CLASSIC.build(classic)],
         unseen=numbers,
-        tables={"contrasts": rows},
+        tables={"contrasts": rows, "classic_tests": classic},
         pictures=pictures,
         notes=notes,
         how=read_methods("contrasts"),
@@ -342,7 +379,9 @@ def _find_margin(part: RatingsPart, choices: Choices) -> _Margin:
     return _Margin(float("nan"), f"{why}, so there is no margin: set `margin` (points).", n)
 
 
-def _compare_reducers(rows: DataFrame, margin: _Margin) -> list[_Pair]:
+def _compare_reducers(
+    rows: DataFrame, margin: _Margin
+) -> tuple[list[_Pair], tuple[MixedFit, Mapping[str, str]]]:
     names = order_reducers(rows[REDUCER])
     if len(names) == 1:
         raise ValueError(f"Only one was rated, '{names[0]}'.")
@@ -352,10 +391,11 @@ def _compare_reducers(rows: DataFrame, margin: _Margin) -> list[_Pair]:
         for one, two in combinations(names, 2)
     ]
     adjusted = adjust_holm([row["p"] for row in found])
-    return [
+    pairs = [
         _test(row | {"p_holm": holm, "n": n}, margin)
         for row, holm in zip(found, adjusted, strict=True)
     ]
+    return pairs, (fit, terms)
 
 
 def _test(row: Row, margin: _Margin) -> _Pair:

@@ -247,6 +247,7 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     reducers.compute_contrasts,
     chosen.compute_choices,
     pairs.compute_discrimination,
+    pairs.compute_told_apart,
     pairs.compute_space,
     maps.compute_maps,
     robustness.compute_refined,
