@@ -1,7 +1,7 @@
 """Steps of a study that need the analysis: the report, and the recordings for chart, stress and advise."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from itertools import chain, count
@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 
 from feel321.analysis.report.write import Results, write_report
-from feel321.analysis.table.metrics import list_rivals, make_info
+from feel321.analysis.screening.rules import find_rules
+from feel321.analysis.table.metrics import ROTATIONS, list_rivals, make_info
 from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition
@@ -27,6 +28,7 @@ from feel321.study.answers import write_answers
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import describe_matches, write_matches
+from feel321.study.paper import make_paper
 from feel321.study.provenance import find_changes
 from feel321.study.ratings import write_ratings
 from feel321.study.rivals import measure_rivals
@@ -57,16 +59,14 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     chosen = settings.analysis if settings else AnalysisTable()
     further = Further(pd.DataFrame(), ())
     if settings and ratings is None:
-        further = _derive_ratings(study, settings)
+        further = _derive_ratings(study, settings, metrics or chosen.metrics)
     if settings and metrics and set(metrics) != set(chosen.metrics):
-        note = (
-            f"Metrics {', '.join(metrics)} were asked for with this analysis; {study.settings.name} declares "
-            f"{', '.join(chosen.metrics)}."
-        )
+        asked, declared = ", ".join(metrics), ", ".join(chosen.metrics)
+        note = f"Metrics {asked} were asked for with this analysis; {study.settings.name} declares {declared}."
         further = replace(further, notes=(*further.notes, note))
     if rivals:
-        own = settings if manifest is None else None
-        further = add_rivals(study, own, manifest or study.manifest, further=further)
+        listed = manifest or study.manifest
+        further = add_rivals(study, None if manifest else settings, listed, further=further)
     return write_report(
         ratings or study.ratings,
         manifest or study.manifest,
@@ -75,11 +75,22 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         margin=chosen.margin,
         metrics=metrics or chosen.metrics,
         sources=list_origins(settings) if settings else {},
-        further=further,
+        further=replace(further, labels=list_labels(settings)) if settings else further,
         info=list_info(settings) if settings else {},
+        rules=find_rules(chosen.screening, study.path),
+        paper=make_paper(settings) if settings else None,
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
+
+
+def list_labels(settings: Settings) -> pd.DataFrame:
+    """List what each recording is of, where that is said: columns interaction and sample, by recording."""
+    said = {
+        one.title: {"interaction": one.interaction, "sample": one.sample}
+        for one in settings.recordings
+    }
+    return pd.DataFrame.from_dict(said, orient="index").dropna(axis=1, how="all")
 
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:
@@ -123,7 +134,7 @@ def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Record
     return recordings, recipe, reason
 
 
-def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
+def _derive_ratings(study: StudyFolder, settings: Settings, metrics: Sequence[str]) -> Further:
     everybody = list_progress(study)
     write_roster(study, everybody)
     stimuli = read_stimuli(study.stimuli)
@@ -131,7 +142,7 @@ def _derive_ratings(study: StudyFolder, settings: Settings) -> Further:
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
     write_answers(study)
-    further = measure_rotations(study, settings, stimuli)
+    further = measure_rotations(study, settings, stimuli, metrics=metrics)
     matched = describe_matches(write_matches(study, stimuli))
     notes = (*further.notes, *matched, *note_estimates(everybody), *_note_methods(study))
     return replace(further, notes=notes)
@@ -143,7 +154,7 @@ def _note_methods(study: StudyFolder) -> Iterator[str]:
         yield f"Reducers and metrics of the lab's own, with the SHA-256 of their code: {', '.join(own)}."
 
 
-# How the metrics of a study's stimuli depend on the way the sensor was mounted, for the report to explore.
+# How the metrics of a study's stimuli depend on the way the sensor was mounted: explored, or declared as predictors.
 # The manifest has the metrics of each recording as it is. Another orientation of the sensor would have given another
 # signal and other metrics, though people would have felt the same tool: mean and spread over orientations (Park &
 # Kuchenbecker 2019, doi:10.1109/WHC.2019.8816148) belong to the recording and the reducer alone.
@@ -154,33 +165,80 @@ MOST, LEAST = 64, 16
 AFFORDABLE = 400_000_000
 """Samples, of all orientations, reducers and axes, that are reduced: about five seconds on two cores."""
 
+DECLARED = 4
+"""Times as many orientations, and as much work, for statistics that the analysis declares as predictors: an
+association is weakened by what a predictor is uncertain."""
+
 DIGITS = 9
 """Decimals: below, a spread that should be zero is rounding error."""
 
 
-def measure_rotations(study: StudyFolder, settings: Settings, stimuli: StimulusSet) -> Further:
-    """Compute mean and spread of the metrics over sensor orientations for every test stimulus."""
+def measure_rotations(
+    study: StudyFolder,
+    settings: Settings,
+    stimuli: StimulusSet,
+    *,
+    metrics: Sequence[str] | None = None,
+) -> Further:
+    """Compute mean and spread of the metrics over sensor orientations for every test stimulus.
+
+    metrics: those that the analysis is about; left out, as the study declares them.
+    """
     recordings, recipe, reason = _read_unchanged(study, settings)
     if reason:
         note = f"Rotation statistics of the metrics are left out: {reason}."
         return Further(pd.DataFrame(), (note,))
-    return compute_rotations(recordings, stimuli, recipe=recipe, seed=settings.study.seed)
+    wanted = settings.analysis.metrics if metrics is None else metrics
+    effort = DECLARED if set(wanted) & set(ROTATIONS) else 1
+    copies, seed = _list_copies(settings), settings.study.seed
+    return compute_rotations(
+        recordings, stimuli, recipe=recipe, seed=seed, effort=effort, copies=copies
+    )
+
+
+def _list_copies(settings: Settings) -> dict[str, str]:
+    """List the recordings with the first entry that differs from each in nothing but how the sensor was mounted."""
+    first: dict[str, str] = {}
+    own = {"name", "sample", "picture", "rotation"}
+    return {
+        entry.title: first.setdefault(repr(entry.model_dump(exclude=own)), entry.title)
+        for entry in settings.recordings
+    }
+
+
+def measure_declared(study: StudyFolder, settings: Settings) -> Further | None:
+    """Compute the rotation statistics of a study whose analysis declares any."""
+    if not set(settings.analysis.metrics) & set(ROTATIONS):
+        return None
+    return measure_rotations(study, settings, read_stimuli(study.stimuli))
 
 
 def compute_rotations(
-    recordings: Sequence[Recording], stimuli: StimulusSet, *, recipe: Recipe, seed: int
+    recordings: Sequence[Recording],
+    stimuli: StimulusSet,
+    *,
+    recipe: Recipe,
+    seed: int,
+    effort: int = 1,
+    copies: Mapping[str, str] | None = None,
 ) -> Further:
-    """Condition recordings, rotate them, reduce them, and describe their metrics; a command would take too long."""
-    commands = {one.name for one in recipe.methods if one.origin == "command"}
+    """Condition recordings, rotate them, reduce them, and describe their metrics; a command would take too long.
+
+    effort: how many times the usual orientations; copies: recording -> the one that it is a turned copy of, or itself.
+    Copies share their statistics: over all orientations these are the same, and only chance would tell them apart.
+    """
+    copies = copies or {}
+    recordings = [one for one in recordings if copies.get(one.name, one.name) == one.name]
+    commands = {one.name for one in recipe.methods if not one.is_python}
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
     if not reducers:
         return Further(
-            pd.DataFrame(), ("Rotation statistics: all reducers are commands; left out.",)
+            pd.DataFrame(), ("Rotation statistics: all reducers are commands or files; left out.",)
         )
     own = [find_reducer(recipe, name) for name in reducers]
     size = sum(recording.acceleration.size for recording in recordings) * len(reducers)
-    n_turns = min(MOST, max(LEAST, AFFORDABLE // size))
+    n_turns = min(effort * MOST, max(effort * LEAST, effort * AFFORDABLE // size))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
     def describe(recording: Recording) -> np.ndarray:
@@ -193,18 +251,24 @@ def compute_rotations(
     with ThreadPoolExecutor(1 if recipe.methods else os.cpu_count()) as pool:
         names = [recording.name for recording in recordings]
         found = dict(zip(names, pool.map(describe, recordings), strict=True))
+    places = [(copies.get(one.recording, one.recording), one.reducer) for one in tests]
     table = pd.DataFrame(
-        [found[stimulus.recording][reducers.index(stimulus.reducer)] for stimulus in tests],
+        [found[recording][reducers.index(reducer)] for recording, reducer in places],
         index=pd.Index([stimulus.stimulus_id for stimulus in tests], name="stimulus_id"),
         columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
     )
-    note = (
-        f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {n_turns} random "
-        f"orientations of the sensor (seed {seed}, the same ones for all), reduced and matched with itself; level, "
-        "resampling and fades, which stimuli go through afterwards, have no part in it."
-        + (f" Without {', '.join(sorted(commands))}: commands." if commands else "")
+    turned = f"{n_turns} random orientations of the sensor (seed {seed}, the same ones for all)"
+    shared = len(set(copies.values())) < len(copies)
+    return Further(table, (_describe_turns(turned, sorted(commands), shared=shared),))
+
+
+def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> str:
+    return (
+        f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {turned}, reduced and "
+        "matched with itself; level, resampling and fades, which stimuli go through afterwards, have no part in it."
+        + (" Turned copies of a recording share theirs." if shared else "")
+        + (f" Without {', '.join(commands)}: commands or files." if commands else "")
     )
-    return Further(table, (note,))
 
 
 # What chart, stress and advise work on: a study's recordings, the bundled scenes, recordings from elsewhere.

@@ -121,11 +121,12 @@ def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
 def describe_built(
     settings: Settings, recordings: Sequence[Recording], stimuli: StimulusSet
 ) -> list[str]:
-    """Describe after a build by which gains stimuli are played, and how many of them cannot be felt."""
+    """Describe the gains of a built set, beside a real surface too, and how many of its stimuli cannot be felt."""
     recipe = make_recipe(settings, stimuli.folder.parent)
     foreseen = foresee_stimuli(recordings, stimuli.folder, recipe=recipe)
     unfelt = filter(None, [find_unfelt(settings, stimuli)])
-    return [*describe_gains(foreseen, recipe), *unfelt, *stimuli.warnings]
+    beside = _compare_with_surface(settings, foreseen)
+    return [*describe_gains(foreseen, recipe), *beside, *unfelt, *stimuli.warnings]
 
 
 def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
@@ -206,7 +207,8 @@ def _compare_with_surface(settings: Settings, foreseen: Sequence[Foreseen]) -> I
     if beside and set(gains) != {1.0}:
         yield (
             f"tasks {', '.join(beside)}: the real surface is felt, but stimuli are played at {_write_range(gains)} "
-            'times the strength that was recorded; set gain = 1.0 and levels = ["as_is"] under [stimuli]'
+            "times the strength that was recorded, so ratings would mix strength with likeness; set gain = 1.0 and "
+            'levels = ["as_is"] under [stimuli]'
         )
 
 

@@ -190,7 +190,7 @@ class Contents:
             What every function of `feel321.analysis` takes.
         """
         from feel321.analysis.table.reading import read_table
-        from feel321.study.analyze import list_info
+        from feel321.study.analyze import list_info, measure_declared
         from feel321.study.settings.read import list_origins
 
         self.ratings()
@@ -201,6 +201,7 @@ class Contents:
             sources=list_origins(settings),
             metrics=settings.analysis.metrics,
             info=list_info(settings),
+            further=measure_declared(self.folder, settings),
         )
 
     def _find(self, participant: str) -> Path:
@@ -247,7 +248,7 @@ class Study(Contents):
         path : str or path
             The folder; refused if it holds a study.
         like : str, optional
-            A published study to run again: `landin2010`, `lee2022` or `park2019`.
+            A ready study, such as `landin2010`, one that was published, or `generated`, a design.
         progress : bool or callable
             Whether long steps show a progress bar.
 

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from feel321.analysis.table.metrics import ROTATIONS
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
@@ -22,6 +23,7 @@ from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, is_in_use
 from feel321.study.methods import list_methods
 from feel321.study.minutes import measure_design
+from feel321.study.paper import compare_with_paper
 from feel321.study.provenance import find_changes
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
@@ -86,7 +88,7 @@ def check_study(
     except ValueError as error:
         return Problems(tuple(str(error).splitlines()))
     recordings, unread = try_recordings(settings, study.path)
-    rig, rigged = _check_rig(study, settings, now=now)
+    rig, rigged = _check_conditions(study, settings, recordings, now=now)
     problems = [
         *unread,
         *_check_pictures(study, settings),
@@ -131,16 +133,20 @@ def _try_recipe(
 
 
 def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check the form of the lab's own reducers and metrics, as far as that is quick."""
+    """Check the form of the lab's own reducers, metrics and screening rules, as far as that is quick."""
+    from feel321.analysis.screening.rules import find_rules, make_rule
     from feel321.stimuli.conformance import check_method
 
     try:
         methods = list_methods(settings, study.path)
+        for rule in find_rules(settings.analysis.screening, study.path):
+            make_rule(rule)
     except (TypeError, ValueError) as error:
         return [f"{study.settings.name}: {error}"]
     return [
         f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
         for one in methods
+        if one.origin != "made"
         for found in check_method(one, quick=True)
         if not found.passed
     ]
@@ -244,15 +250,15 @@ def _check_plan(study: StudyFolder, settings: Settings) -> Iterator[str]:
 
 
 def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
-    """Check that the metrics that the analysis declares are numeric columns of the manifest."""
+    """Check that the metrics that the analysis declares are numeric columns of the manifest, or computed by it."""
     with study.manifest.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     numeric = [name for name in rows[0] if any(_is_number(row[name]) for row in rows)]
     for name in settings.analysis.metrics:
-        if name not in numeric:
+        if name not in numeric and name not in ROTATIONS:
             yield (
-                f"{study.settings.name}: analysis.metrics must be numeric columns of {study.manifest}, got {name!r}; "
-                f"there are: {', '.join(numeric)}"
+                f"{study.settings.name}: analysis.metrics must be numeric columns of {study.manifest}, or rotation "
+                f"statistics, got {name!r}; there are: {', '.join([*numeric, *ROTATIONS])}"
             )
 
 
@@ -307,6 +313,14 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
             together={name for table in settings.tasks.values() for name in table.scales},
         )
     ]
+
+
+def _check_conditions(
+    study: StudyFolder, settings: Settings, recordings: Sequence[Recording], *, now: Clock
+) -> tuple[Rig | None, Problems]:
+    """Check the rig, and compare the study with that of the paper which it replicates, if it does."""
+    rig, rigged = _check_rig(study, settings, now=now)
+    return rig, compare_with_paper(settings, recordings, rig, found=rigged)
 
 
 def _check_rig(

@@ -10,8 +10,8 @@ import pytest
 
 from feel321.analysis.report import association, primary, robustness, standard
 from feel321.analysis.report import write as report
-from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.write import describe_inputs
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import describe_further
 from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.names import MATCHES
@@ -95,6 +95,43 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
     assert not section.answers
     assert not section.verdict
     assert set(section.tables["further_associations"]["metric"]) == {MEAN, INVARIANT}
+
+
+def test_declared_ones_are_in_the_model_and_each_points_its_way(small: object) -> None:
+    means, spreads = draw_column(small), draw_column(small, seed=6) / 4
+    plant(small, means * 40 - spreads * 80, points=1)
+    further = Further(pd.DataFrame({MEAN: means, SD: spreads}))
+    table = read_table(small.ratings, small.manifest, metrics=[MEAN, SD], further=further)
+    assert table.metrics == (MEAN, SD)
+    assert {MEAN, SD}.isdisjoint(table.further)
+    assert [table.info[name].higher for name in table.metrics] == ["better", "worse"]
+    section = primary.compute(table, Choices(draws=2))
+    found = {row["metric"]: row for row in section.tables["slopes"].to_dict("records")}
+    assert found[MEAN]["low"] < 40 < found[MEAN]["high"]
+    assert found[SD]["low"] < -80 < found[SD]["high"]
+    assert all(
+        row["p_holm"] > row["p"] or row["p"] == row["p_holm"] < 1e-3 for row in found.values()
+    )
+    claims = {claim.metric: claim for claim in section.claims}
+    assert (claims[SD].verdict, claims[SD].direction, claims[SD].higher) == (
+        "predicts",
+        "lower",
+        "worse",
+    )
+    assert "the opposite direction" not in " ".join(section.answers)
+
+
+def test_a_declared_one_that_stimuli_lack_is_refused_with_the_reason(small: object) -> None:
+    values = draw_column(small)
+    short = Further(pd.DataFrame({MEAN: values.iloc[:-4]}), ("Without my321: a command.",))
+    with pytest.raises(
+        ValueError, match=r"got 'spectral_match_rotation_mean', which .* a command\.$"
+    ):
+        read_table(small.ratings, small.manifest, metrics=[MEAN], further=short)
+    with pytest.raises(
+        ValueError, match=r"got no column .* \(feel321 analyze computes it in a study"
+    ):
+        read_table(small.ratings, small.manifest, metrics=[MEAN])
 
 
 def test_further_metrics_have_no_part_in_the_primary_analysis(small: object) -> None:

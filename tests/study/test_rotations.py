@@ -13,10 +13,10 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import analyze
-from feel321.study.analyze import compute_rotations, measure_rotations
+from feel321.study.analyze import compute_rotations, measure_declared, measure_rotations
 from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import read_settings
-from feel321.study.workflow import build_study
+from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -91,6 +91,47 @@ def test_what_no_orientation_changes_has_no_spread_at_all(lab: StudyFolder) -> N
     told = "was turned into 64 random orientations of the sensor (seed 6, the same ones for all)"
     assert told in found.notes[0]
     assert measure(lab).metrics.equals(found.metrics)
+
+
+def test_turned_copies_share_what_belongs_to_their_recording(tmp_path: Path) -> None:
+    entry = '[[recordings]]\nscene = "bumps"\nduration_s = 0.3\n'
+    text = f'{entry}{entry}rotation = 2\n{entry}rotation = 3\nseed = 1\n[stimuli]\nreducers = ["saz321"]\n'
+    (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+    study = StudyFolder(tmp_path)
+    build_study(study)
+    stimuli, found = read_stimuli(study.stimuli), measure(study)
+    own = {
+        one.recording: found.metrics.loc[one.stimulus_id]
+        for one in stimuli.stimuli
+        if one.role == "test"
+    }
+    assert own["bumps"].equals(own["bumps-r2"])
+    assert not own["bumps"].equals(own["bumps-r3"])
+    assert found.notes[0].endswith("Turned copies of a recording share theirs.")
+    turned, still = (
+        next(one for one in stimuli.stimuli if one.recording == name and one.role == "test")
+        for name in ("bumps-r2", "bumps")
+    )
+    assert turned.temporal_match != still.temporal_match
+
+
+def test_declared_statistics_get_more_orientations_and_pass_the_check(
+    lab: StudyFolder, tmp_path: Path
+) -> None:
+    name = "temporal_match_rotation_sd"
+    (tmp_path / "stimuli").symlink_to(lab.stimuli)
+    study = StudyFolder(tmp_path)
+    declare = '[analysis]\nmetrics = ["{}", "temporal_match"]\n'
+    study.settings.write_text(STUDY + declare.format(name), encoding="utf-8")
+    assert check_study(study).problems == ()
+    found = measure(study)
+    assert "into 256 random orientations" in found.notes[0]
+    assert measure_declared(study, read_settings(study.settings)).metrics.equals(found.metrics)
+    assert measure_declared(lab, read_settings(lab.settings)) is None
+    study.settings.write_text(STUDY + declare.format("temporal_match_rotated"), encoding="utf-8")
+    (line,) = check_study(study).problems
+    assert "or rotation statistics, got 'temporal_match_rotated'; there are: " in line
+    assert name in line
 
 
 def test_nothing_is_written_and_the_manifest_stays(lab: StudyFolder) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from math import nan
 from types import SimpleNamespace
@@ -25,7 +26,13 @@ from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.lab import Visit, run_participant
 from feel321.study.settings.read import read_settings
-from feel321.study.strength import describe_gains, find_rig_limits, find_strength, find_unfelt
+from feel321.study.strength import (
+    describe_built,
+    describe_gains,
+    find_rig_limits,
+    find_strength,
+    find_unfelt,
+)
 from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
@@ -152,6 +159,9 @@ def test_beside_a_real_surface_the_gain_is_one_or_named(study: StudyFolder) -> N
     (line,) = check_study(study).warnings
     assert line.startswith("tasks realism: the real surface is felt, but stimuli are played at 0.")
     assert line.endswith('set gain = 1.0 and levels = ["as_is"] under [stimuli]')
+    recordings, stimuli = build_study(study)
+    assert line in describe_built(read_settings(study.settings), recordings, stimuli)
+    shutil.rmtree(study.stimuli)
     checked = check_study(set_up(study, "gain = 1.0"))
     assert checked.warnings == ()
     assert len(checked.problems) == 2

@@ -22,8 +22,10 @@ from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.report import (
     association,
     delivered,
+    maps,
     pairs,
     primary,
+    rate,
     raters,
     reducers,
     rivals,
@@ -31,13 +33,15 @@ from feel321.analysis.report import (
     standard,
 )
 from feel321.analysis.report import choices as chosen
+from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
-from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.section import Picture, Section, number_pictures, render_template
-from feel321.analysis.screening.rules import RULES
+from feel321.analysis.resampling import Choices
+from feel321.analysis.screening.rules import RULES, find_rules
 from feel321.analysis.table.items import find_sources, format_recordings
 from feel321.analysis.table.reading import Further, Table, find_tables, read_table
 from feel321.analysis.table.roster import ROSTER_FILE
+from feel321.analysis.table.schema import RECAST
 from feel321.doors import as_seed, follow
 from feel321.records import Result
 from feel321.types import MetricInfo, PathLike, Progress, Rng
@@ -45,6 +49,8 @@ from feel321.types import MetricInfo, PathLike, Progress, Rng
 if TYPE_CHECKING:
     from markupsafe import Markup
     from pandas import DataFrame
+
+    from feel321.analysis.replication.claims import Paper
 
 SCHEMA_VERSION = 1
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
@@ -204,8 +210,10 @@ def describe_inputs(
         told["further_metrics"] = ", ".join(map(str, further.metrics))
         told["further_metrics_sha256"] = _digest_rows(further.metrics.sort_index(), index=True)
     told["metrics"] = ", ".join(table.metrics)
-    for name, value in asdict(choices).items():
-        told[name] = "from repeated ratings" if value is None else str(value)
+    margin = "from repeated ratings" if choices.margin is None else str(choices.margin)
+    told |= {"draws": str(choices.draws), "margin": margin, "seed": str(choices.seed)}
+    for rule in choices.rules:
+        told |= {f"rule_{rule.name}": rule.place, f"rule_{rule.name}_sha256": rule.sha256}
     return told
 
 
@@ -226,6 +234,7 @@ def list_versions() -> dict[str, str]:
 
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
+    rate.compute,
     primary.compute,
     rivals.compute,
     association.compute_association,
@@ -235,6 +244,7 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     chosen.compute_choices,
     pairs.compute_discrimination,
     pairs.compute_space,
+    maps.compute_maps,
     robustness.compute_refined,
     association.compute_further,
     delivered.compute,
@@ -257,6 +267,8 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
     info: Mapping[str, MetricInfo] | None = None,
+    rules: Sequence[object] = (),
+    paper: Paper | None = None,
     rng: Rng = 0,
     seed: int | None = None,
     progress: Progress | None = False,
@@ -288,6 +300,10 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         Metrics to explore that neither file holds, such as rotation statistics.
     info : Mapping of str to MetricInfo, optional
         What metrics declare: which way each points, its bounds, label and unit (`read_table`).
+    rules : sequence of str, callable or Method
+        The lab's own screening rules, beside feel321's (`screen_raters`).
+    paper : Paper, optional
+        The paper that is replicated: its claims are answered first.
     rng : int or Generator
         Seed of all randomness; the same files, choices and seed give the same bytes.
     seed : int, optional
@@ -314,7 +330,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> print(results.summary())  # doctest: +SKIP
     """
     seed = as_seed(rng) if seed is None else seed
-    choices = Choices(draws=draws, margin=margin, seed=seed)
+    choices = Choices(draws=draws, margin=margin, seed=seed, rules=find_rules(rules))
     with (
         ResultsFolder(folder, background=True) as target,
         follow(progress or False, "report") as move,
@@ -322,8 +338,10 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
         table, given = _open(ratings_path, manifest_path, **choice)
         inputs = describe_inputs(given, table=table, further=further, choices=choices)
+        if paper is not None:
+            inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
         with words.declaring(table.info):
-            results = _write(table, choices, target, move=move, inputs=inputs)
+            results = _write(table, choices, target, move=move, given=(inputs, paper))
     return replace(results, path=target.path)
 
 
@@ -333,14 +351,17 @@ def _write(
     target: ResultsFolder,
     *,
     move: Callable[[int, int], None],
-    inputs: Mapping[str, str],
+    given: tuple[Mapping[str, str], Paper | None],
 ) -> Results:
-    """Compute all sections, and draw the figures of each meanwhile."""
+    """Compute all sections, and draw the figures of each meanwhile; given: inputs, and the paper that is replicated."""
+    inputs, paper = given
     sections = []
     for section in _compute(table, choices, move):
         sections.append(section)
         target.draw(section.pictures)
     sections = _reconcile(sections)
+    if paper is not None:
+        sections = [paper_section.compute(table, choices, paper, sections=sections), *sections]
     results = gather_results(table, sections, inputs=inputs)
     target.write(
         results.to_dict(),
@@ -430,7 +451,7 @@ def gather_results(
 ) -> Results:
     """Gather what ``results.json`` holds."""
     rows = table.rows
-    names = [*rows["scale"].unique(), *rows["level"].unique()]
+    names = [*rows["scale"].unique(), RECAST, *rows["level"].unique()]
     names += [*table.metrics, *table.further, *table.rivals]
     own = [words.format_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
     pictures = _gather(sections, "pictures")

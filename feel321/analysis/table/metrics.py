@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -45,6 +45,20 @@ KINDS: Mapping[str, tuple[str, str]] = {
 """Suffix of a metric's name -> meaning, and the metrics that have it, all if none is named: per stimulus in the
 manifest, or per judgement in the ratings, where a stimulus has the mean over its judgements. `spectral_match_invariant`
 is the former name of `spectral_match_energy_weighted`; tables that use it are read as before."""
+
+
+def _describe_rotations() -> Iterator[tuple[str, MetricInfo]]:
+    """Describe mean and spread of each match metric over orientations; of a spread, lower is better."""
+    for name in MATCHES:
+        one = METRIC_INFO[name]
+        label = f"mean {one.label} over orientations"
+        yield f"{name}_rotation_mean", replace(one, label=label)
+        label = f"spread of the {one.label} over orientations"
+        yield f"{name}_rotation_sd", MetricInfo(label, "worse", low=0.0)
+
+
+ROTATIONS: Mapping[str, MetricInfo] = dict(_describe_rotations())
+"""Rotation statistics (Park & Kuchenbecker 2019), computed by `analyze`; a study may declare them."""
 
 
 def describe_further() -> dict[str, schema.ColumnInfo]:
@@ -95,7 +109,7 @@ def list_numeric(cells: DataFrame) -> list[str]:
 def list_rivals(manifest: Path | DataFrame) -> list[str]:
     """List the columns of a manifest that may be compared as metrics: numeric, and no fact about the file or gain."""
     facts = {name for name, column in schema.MANIFEST.items() if not column.used}
-    facts |= {schema.AMPLITUDE, schema.GAIN, schema.SENSATION}
+    facts |= {*schema.FACTS}
     cells = schema.read_cells(manifest)
     kinds = tuple(f"_{kind}" for kind in KINDS)
     return [
@@ -105,12 +119,23 @@ def list_rivals(manifest: Path | DataFrame) -> list[str]:
     ]
 
 
+def read_attributes(manifest: Path | DataFrame) -> DataFrame:
+    """Read every numeric column of a manifest that may say what stimuli are like, by stimulus_id."""
+    import pandas as pd
+
+    facts = {name for name, column in schema.MANIFEST.items() if not column.used} | {schema.GAIN}
+    cells = schema.read_cells(manifest)
+    names = [name for name in list_numeric(cells) if name not in facts]
+    numbers = {name: pd.to_numeric(cells[name], errors="coerce").to_numpy() for name in names}
+    return pd.DataFrame(numbers, index=pd.Index(cells["stimulus_id"]))
+
+
 def gather_info(
     names: Collection[str], declared: Mapping[str, MetricInfo] | None, manifest: Path | DataFrame
 ) -> tuple[dict[str, MetricInfo], frozenset[str]]:
     """Find what each metric declares; also name those whose bounds a study or a manifest states."""
     stated = {**_read_declared(manifest), **(declared or {})}
-    known = {**METRIC_INFO, **stated}
+    known = {**METRIC_INFO, **ROTATIONS, **stated}
     found = {name: known.get(name, MetricInfo(name)) for name in names}
     return found, frozenset(name for name in names if name in stated)
 

@@ -11,8 +11,8 @@ each such factor. Its columns become columns of the judgements; no test compares
 Any numeric column of the manifest is a metric (`feel321.analysis.table.metrics`). Further metrics are the rotation
 statistics of the metrics, the metrics of signals as they were delivered, and counterparts that no orientation of the
 sensor changes. A stimulus has them
-from the manifest, from the ratings (the mean over its judgements), or from the caller. They are explored: no primary
-analysis and no correction for several tests holds them.
+from the manifest, from the ratings (the mean over its judgements), or from the caller. They are explored, so no primary
+analysis and no correction for several tests holds them, unless the analysis declares them as its metrics.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ ECHOED = ("recording", "reducer", "level")
 """Columns that both files may hold and must then agree on."""
 
 OPTIONAL = (
-    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
+    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.BIT_RATE, schema.ERROR, schema.SOURCE,
+    *schema.LABELS,
 )  # fmt: skip
 """Columns that judgements keep where there are any."""
 
@@ -71,11 +72,13 @@ class Further:
     """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed.
 
     rivals: metrics, columns of these or of the manifest, that are to be compared with those of the primary analysis.
+    labels: interaction and sample of each recording, by its name, where the manifest does not say them.
     """
 
     metrics: DataFrame
     notes: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
+    labels: DataFrame | None = None
 
 
 def read_table(
@@ -97,13 +100,13 @@ def read_table(
     manifest : path or DataFrame, optional
         ``manifest.csv``: stimulus_id, recording, reducer and at least one metric are enough. Left out for a study.
     metrics : sequence of str, optional
-        Numeric columns of the manifest that the primary analysis is about; ``spectral_match_bounded`` and
-        ``temporal_match`` if left out, and where the former is missing, ``spectral_match``. Other metrics are explored.
+        Numeric columns of the manifest, or of `further`, that the primary analysis is about; if left out,
+        ``spectral_match_bounded`` (``spectral_match`` where missing) and ``temporal_match``. Others are explored.
     sources : Mapping of str to str, optional
         Recording -> what it was made from, where several are one, turned, cut or edited, and the manifest has no column
         ``source`` that says so.
     further : Further, optional
-        Metrics to explore that neither file holds.
+        Metrics that neither file holds: those named in `metrics` are planned, the others are explored.
     info : Mapping of str to MetricInfo, optional
         What metrics declare: which way each points, its bounds, label and unit. ``manifest.json`` beside the manifest
         may say it too; nothing said: higher is better, no bounds. A value beyond a declared bound is refused.
@@ -128,9 +131,9 @@ def read_table(
         ratings, manifest = find_tables(ratings)
     judged, listed = _open(ratings, "ratings"), _open(manifest, "manifest")
     rivals = further.rivals if further else ()
-    stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources or {}, rivals=rivals)
+    stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources, further=further)
     known, beyond = _read_info(stimuli, info, listed, names=(*planned, *rivals))
-    stimuli = stimuli.set_index(STIMULUS)
+    stimuli = _label(stimuli, further.labels if further else None).set_index(STIMULUS)
     rows, more_notes = _read_ratings(*judged)
     _check_stimuli(rows, stimuli, names=(judged.what, listed.what))
     stimuli, joined = _join_further(stimuli, rows, further, names=(judged.what, listed.what))
@@ -139,29 +142,53 @@ def read_table(
     rows[ROLE] = _find_roles(rows, stimuli)
     rows["matched"] = _find_references(rows, stimuli).isin(["", SURFACED, UNLISTED])
     rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
-    notes += [
-        *beyond,
-        *joined,
-        *more_notes,
-        *remarks.note_gaps(rows, stimuli),
-        *_note_references(rows, stimuli),
-        *remarks.note_sources(rows),
-        *remarks.note_lookalikes(rows),
-        *remarks.note_lacking(rows, planned),
-    ]
-    rows, explored, compared, lacking = _select_columns(rows, planned, rivals)
+    notes += [*beyond, *joined, *more_notes, *_note_rows(rows, stimuli, planned)]
+    rows, explored, compared, lacking = _select_columns(rows, planned, rivals, given=further)
     rows, more_notes = roster.join_labels(rows, judged.given)
     rows, on_rigs = roster.join_rigs(rows, judged.given)
     notes += [*lacking, *more_notes, *on_rigs]
-    columns = ["source", *ECHOED, ROLE, *dict.fromkeys([*planned, *explored, *compared])]
-    return Table(rows, planned, tuple(notes), explored, compared, known, stimuli[columns])
+    listing = _list_stimuli(stimuli, rows, listed, metrics=[*planned, *explored, *compared])
+    return Table(rows, planned, tuple(notes), explored, compared, known, listing)
+
+
+def _list_stimuli(
+    stimuli: DataFrame, rows: DataFrame, listed: _Source, *, metrics: Sequence[str]
+) -> DataFrame:
+    """List the stimuli with their metrics; where pairs were compared, with every number that the manifest has."""
+    labels = [name for name in schema.LABELS if name in stimuli]
+    sheet = stimuli[["source", *ECHOED, ROLE, *dict.fromkeys(metrics), *labels]]
+    if (rows["scale"] == schema.PAIRED).any():
+        more = metrics_of.read_attributes(listed.given)
+        sheet = sheet.join(more[[name for name in more if name not in sheet]])
+    return sheet
+
+
+def _note_rows(rows: DataFrame, stimuli: DataFrame, planned: Sequence[str]) -> Iterator[str]:
+    """Say what ratings lack, and what about them is odd."""
+    yield from remarks.note_gaps(rows, stimuli)
+    yield from _note_references(rows, stimuli)
+    yield from remarks.note_sources(rows)
+    yield from remarks.note_lookalikes(rows)
+    yield from remarks.note_lacking(rows, planned)
+
+
+def _label(manifest: DataFrame, labels: DataFrame | None) -> DataFrame:
+    """Give every stimulus the interaction and sample of its recording, where the manifest has none."""
+    given = (
+        {} if labels is None else {name: labels[name] for name in schema.LABELS if name in labels}
+    )
+    for name, said in given.items():
+        if name not in manifest:
+            manifest[name] = manifest["recording"].map(said).fillna("").astype(str)
+    return manifest
 
 
 def _select_columns(
-    rows: DataFrame, planned: Sequence[str], rivals: Sequence[str]
+    rows: DataFrame, planned: Sequence[str], rivals: Sequence[str], *, given: Further | None
 ) -> tuple[DataFrame, tuple[str, ...], tuple[str, ...], list[str]]:
     """Select the columns of a table; also the metrics that are explored and compared, and notes."""
     tests = rows[rows[ROLE] == TEST]
+    _refuse_lacking(tests, planned, given)
     known = [name for name in metrics_of.describe_explored(planned) if name in tests]
     explored = tuple(name for name in known if tests[name].notna().all())
     compared, lacking = _leave_incomplete(tests, [*planned, *rivals] if rivals else ())
@@ -312,14 +339,16 @@ def _read_manifest(
     source: _Source,
     metrics: Sequence[str] | None,
     *,
-    sources: Mapping[str, str],
-    rivals: Sequence[str],
+    sources: Mapping[str, str] | None,
+    further: Further | None,
 ) -> tuple[DataFrame, tuple[str, ...], list[str]]:
     """Read the manifest's columns that an analysis needs; also the planned metrics, and notes."""
     metrics, what = None if metrics is None else as_names(metrics, "metrics"), source.what
+    rivals = further.rivals if further else ()
+    more = list(map(str, further.metrics)) if further else []
     columns = metrics_of.describe_manifest([*(metrics or schema.PLANNED), *rivals])
     sheet, notes = schema.read_sheet(*source, columns)
-    planned, more_notes = _choose_metrics(sheet, metrics, source)
+    planned, more_notes = _choose_metrics(sheet, metrics, source, more=more)
     notes += more_notes
     for name, value in (("level", "as_is"), (ROLE, TEST)):
         if name not in sheet:
@@ -336,10 +365,10 @@ def _read_manifest(
     )
     schema.refuse_doubled(sheet, STIMULUS, what)
     _read_metrics(sheet, planned, what, rivals=rivals)
-    for name in (schema.AMPLITUDE, schema.GAIN, schema.SENSATION):
+    for name in schema.FACTS:
         if name not in {*planned, *rivals}:
             schema.read_column(sheet, name, what, kind=columns[name].kind)
-    sheet["source"] = _read_sources(sheet, sources, what)
+    sheet["source"] = _read_sources(sheet, sources or {}, what)
     notes += remarks.note_stimuli(sheet)
     return sheet, planned, notes
 
@@ -372,11 +401,11 @@ def _read_metrics(
 
 
 def _choose_metrics(
-    sheet: DataFrame, metrics: Sequence[str] | None, source: _Source
+    sheet: DataFrame, metrics: Sequence[str] | None, source: _Source, *, more: Sequence[str]
 ) -> tuple[tuple[str, ...], list[str]]:
     """Find the columns that the primary analysis is about; only the default pair may be incomplete."""
     if metrics is not None and tuple(metrics) != schema.PLANNED:
-        _refuse_missing(sheet, metrics, source)
+        _refuse_missing(sheet, metrics, source, more=more)
         return tuple(metrics), []
     found = [name if name in sheet else schema.STAND_INS.get(name, name) for name in schema.PLANNED]
     if not any(name in sheet for name in found):
@@ -392,17 +421,21 @@ def _choose_metrics(
     return tuple(name for name in found if name in sheet), notes
 
 
-def _refuse_missing(sheet: DataFrame, metrics: Sequence[str], source: _Source) -> None:
+def _refuse_missing(
+    sheet: DataFrame, metrics: Sequence[str], source: _Source, *, more: Sequence[str]
+) -> None:
     if not metrics or len(set(metrics)) < len(metrics):
         raise ValueError(
             f"metrics must be one name or more, each once, got {', '.join(metrics) or 'none'}"
         )
     for name in metrics:
-        if name in sheet and name in metrics_of.list_numeric(sheet):
+        if name in more or (name in sheet and name in metrics_of.list_numeric(sheet)):
             continue
         instead, why = schema.STAND_INS.get(name), ""
         if instead in sheet:
             why = f" (built before it existed: build the set again, or use {instead})"
+        elif name in metrics_of.ROTATIONS:
+            why = " (feel321 analyze computes it in a study, from the recordings that its set was built from)"
         lacks = "no numbers in column" if name in sheet else "no column"
         raise ValueError(
             f"{source.what}: got {lacks} {schema.shorten(name)} as a metric{why}; {_list_numeric(source.given)}"
@@ -528,6 +561,20 @@ def _join_further(
         manifest = manifest.join(more)
     mean = f"in {names[0]} it is given per judgement; a stimulus has the mean over its judgements that hold it"
     return manifest, [*(given.notes if given else ()), *(f"'{name}': {mean}." for name in judged)]
+
+
+def _refuse_lacking(tests: DataFrame, planned: Sequence[str], given: Further | None) -> None:
+    """Refuse a planned metric that some rated test stimulus lacks, with what is known of the reason."""
+    if given is None:
+        return
+    for name in (name for name in planned if name in given.metrics):
+        lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
+        if len(lacking):
+            why = " ".join(given.notes)
+            raise ValueError(
+                f"metrics: got {name!r}, which {len(lacking)} rated test stimuli lack, first "
+                f"{schema.shorten(str(lacking[0]))}; name another metric, or leave them out. {why}".rstrip()
+            )
 
 
 def _check_given(given: Further) -> None:

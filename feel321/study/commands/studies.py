@@ -19,7 +19,10 @@ DEMO_PARTICIPANTS = 16
 @click.command(epilog="Example: feel321 new my-study --study park2019")
 @click.argument("folder", metavar="DIR", type=shared.FILE)
 @click.option(
-    "--study", "bundled", type=click.Choice(list_bundled()), help="A published study to run again."
+    "--study",
+    "bundled",
+    type=click.Choice(list_bundled()),
+    help="A ready study: a published one, or a design.",
 )
 @click.option(
     "--with",
@@ -324,7 +327,8 @@ def audit(
         own = {"findings": findings, "seal": found.seal, "remarks": found.remarks}
         shared.print_json(own)
     else:
-        good = f"{path}: {len(study.folder.journals)} journals, all as they were written"
+        n = len(study.folder.journals)
+        good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, all as they were written"
         click.echo("\n".join([*(findings or [good]), *found.remarks]))
         click.echo(f"seal: {found.seal}; keep it elsewhere")
     context.exit(1 if findings else 0)

@@ -101,7 +101,8 @@ def try_recordings(settings: Settings, folder: Path) -> tuple[list[Recording], l
 def _open_recording(
     entry: SceneTable | FileTable, folder: Path, formats: Mapping[str, str]
 ) -> Recording:
-    own = entry.model_dump(exclude={"name", "sample", "picture", "rotation", "scene", "file"})
+    about = {"name", "interaction", "sample", "picture", "rotation", "scene", "file"}
+    own = entry.model_dump(exclude=about)
     if isinstance(entry, SceneTable):
         recording = make_scene(entry.scene, **own)
     elif method := find_format(folder / entry.file, folder=folder, declared=formats):
@@ -450,10 +451,10 @@ def _list_groups(
     factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
     for levels in product(*factors.values()):
         groups = dict(zip(factors, levels, strict=True))
-        yield select_group(_list_items(settings), tasks, groups)
+        yield select_group(list_items(settings), tasks, groups)
 
 
-def _list_items(settings: Settings) -> list[Item]:
+def list_items(settings: Settings) -> list[Item]:
     """List the stimuli that will be built from the first recording; those of the others are alike."""
     from feel321.stimuli.sets.anchors import ANCHORS
 

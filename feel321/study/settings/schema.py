@@ -36,6 +36,7 @@ from feel321.study.exploration.motion import POINTER
 from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.asking import Questions, Scales
+from feel321.study.settings.paper import PaperTable
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
 _BLOCK, _MATCHING = ThresholdBlock("bayesian", (), USUAL), MatchingBlock("")
@@ -274,6 +275,7 @@ class SourceTable(kinds.TomlTable):
 
     name: str = ""
     sample: kinds.Words | None = None
+    interaction: kinds.Words | None = None
     picture: kinds.Words | None = None
     rotation: kinds.Count | None = None
 
@@ -381,6 +383,8 @@ class MethodTable(kinds.TomlTable):
 class ReducerTable(MethodTable):
     """`[reducers.NAME]`: a lab's own reducer."""
 
+    file: kinds.Words | None = None
+    bit_rate_kbps: kinds.Positive | None = None
     operations: str | float | None = None
     state: str | float | None = None
     latency: str | float | None = None
@@ -472,6 +476,7 @@ class AnalysisTable(kinds.TomlTable):
     """`[analysis]`: how ratings are related to metrics; chosen before they are seen."""
 
     metrics: Annotated[tuple[kinds.Words, ...], kinds.Some] = PLANNED
+    screening: tuple[kinds.Words, ...] = ()
     draws: Annotated[int, Field(ge=100)] = 2000
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
 
@@ -492,3 +497,4 @@ class Settings(kinds.TomlTable):
     between: Between = Field(default_factory=dict)
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()
+    paper: PaperTable | None = None
