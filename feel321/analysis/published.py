@@ -154,8 +154,8 @@ def correlate_published(  # noqa: PLR0913 - which stimuli, and how
     >>> manifest = pd.DataFrame({"stimulus_id": list("abcd"), "recording": "oak", "reducer": list("abcd"),
     ...     "temporal_match": [0.1, 0.3, 0.4, 0.7]})
     >>> found = analysis.correlate_published(means, manifest, metrics=["temporal_match"])
-    >>> round(found.correlations.value[0], 3), found.n_items
-    (0.968, 4)
+    >>> bool(0.96 < found.correlations.value[0] < 0.97), found.n_items
+    (True, 4)
     """
     check_name(method, METHODS, "method")
     check_draws(draws)
@@ -417,7 +417,7 @@ class _Given(NamedTuple):
 
     def draw(self, draws: int, rng: Rng) -> Values:
         """Draw recordings anew: Fisher's z of every metric, (n_metrics, draws)."""
-        names = sorted(set(self.recordings.tolist()))  # type: ignore[union-attr]  # asked for where they are known
+        names = sorted(set(() if self.recordings is None else self.recordings.tolist()))
         members = [np.flatnonzero(self.recordings == name) for name in names]
         found = np.full((len(self.values), draws), np.nan)
         for place, counts in enumerate(draw_counts(len(names), draws, rng=as_rng(rng))):
@@ -482,7 +482,7 @@ def _note_unused(items: DataFrame, listed: DataFrame) -> list[str]:
 
 def _note_limits(given: _Given, share: float) -> Iterable[str]:
     yield _NO_CEILING
-    if share == share:  # noqa: PLR0124 - not NaN
+    if not np.isnan(share):
         bound = max(0.0, 1 - share) ** 0.5
         yield (
             f"Standard errors account for at most about {100 * share:.2g} % of the variance between means if the same "
