@@ -18,6 +18,7 @@ from feel321.analysis.mixed.model import Estimate, MixedFit
 from feel321.analysis.p1401 import P1401, P1401Difference
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
+from feel321.analysis.published import Published
 from feel321.analysis.refined.refine import Refined
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.write import Results
@@ -74,6 +75,7 @@ __all__ = [
     "Primaries",
     "Primary",
     "Problems",
+    "Published",
     "Ranking",
     "RaterModel",
     "ReducerDifference",

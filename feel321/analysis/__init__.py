@@ -33,6 +33,7 @@ from feel321.analysis.plots import (
 )
 from feel321.analysis.primary.model import fit_attributes, fit_primary
 from feel321.analysis.primary.multiverse import run_multiverse
+from feel321.analysis.published import correlate_published, map_published
 from feel321.analysis.refined.refine import refine_metric
 from feel321.analysis.report.write import write_report
 from feel321.analysis.screening.consistency import rater_model
@@ -46,12 +47,13 @@ from feel321.doors import forward_old_names as _forward_old_names
 
 __all__ = [
     "RULES", "Table", "advise", "align_spaces", "benchmark", "bradley_terry", "chart", "compare_dependent",
-    "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate", "discriminate", "embed_triplets",
-    "equivalence", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",
-    "krippendorff_alpha", "noise_ceiling", "non_inferiority", "p1401", "plan_choices", "plot_profile",
-    "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram", "plot_spectrum", "predict_votes",
-    "profile_reducers", "rank_metrics", "rater_model", "read_table", "refine_metric", "repeated_measures_correlation",
-    "run_multiverse", "screen_raters", "stress", "tabulate_correlations", "write_report",
+    "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate", "correlate_published",
+    "discriminate", "embed_triplets", "equivalence", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary",
+    "fit_space", "intraclass", "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority", "p1401",
+    "plan_choices", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
+    "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model", "read_table", "refine_metric",
+    "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress", "tabulate_correlations",
+    "write_report",
 ]  # fmt: skip
 
 _RECORDS = (

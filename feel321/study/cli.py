@@ -15,7 +15,7 @@ DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 VERBS = {
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
-    "methods": ("advise", "chart", "stress"),
+    "methods": ("advise", "chart", "published", "stress"),
     "signals": ("match", "port", "reduce"),
     "studies": (
         "analyze",

@@ -221,12 +221,9 @@ def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool
     planted = regress_planted(study.settings, study.stimuli())
     file = str(study.folder.ratings)
     if as_json:
-        facts = {"participants": participants, "ratings": rows, "file": file}
-        shared.print_json({
-            **facts,
-            "planted": planted.slopes,
-            "planted_reducers": planted.reducers,
-        })
+        facts: dict[str, object] = {"participants": participants, "ratings": rows, "file": file}
+        facts |= {"planted_reducers": planted.reducers} if planted.reducers else {}
+        shared.print_json(facts | {"planted": planted.slopes})
         return
     terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.slopes.items()]
     terms += [f"{points:+.1f} for {reducer}" for reducer, points in planted.reducers.items()]
