@@ -527,16 +527,23 @@ def _find_exceptions(cells: Cells, slopes: dict[str, Series[float]]) -> DataFram
     columns = ["excess", "t", "df", "p", "exceptional"]
     if len(slopes) < FEWEST_REDUCERS:
         return pd.DataFrame(columns=columns, index=pd.Index([], name=REDUCER))
-    items, within, ratings = _average_items(cells)
-    own = _centre(_list_dummies(items, [SCENE]), ratings[:, None])[:, 0]
     found = {}
     for name, slope in slopes.items():
-        weights = slope.reindex(list(cells.metrics)).fillna(0).to_numpy()
-        means = pd.Series(own - within @ weights).groupby(items[REDUCER].to_numpy()).mean()
-        rest, df = means.drop(name), len(means) - 2
-        excess = float(means[name] - rest.mean())
-        spread = float(rest.std()) * math.sqrt(1 + 1 / len(rest))
+        excess, spread, df = measure_excess(cells, name, slope)
         value = excess / spread if spread > 0 else math.nan
-        p = min(1.0, len(means) * 2 * float(student.sf(abs(value), df))) if spread > 0 else math.nan
+        p = min(1.0, 2 * (df + 2) * float(student.sf(abs(value), df))) if spread > 0 else math.nan
         found[name] = (excess, value, df, p, p < LEVEL and LEAST_EXCESS <= abs(excess) <= HIGHEST)
     return pd.DataFrame.from_dict(found, orient="index", columns=columns).rename_axis(REDUCER)
+
+
+def measure_excess(cells: Cells, name: str, slopes: Series[float]) -> tuple[float, float, int]:
+    """Measure how much higher a reducer is rated than slopes predict, relative to the others; also SE and df."""
+    import pandas as pd
+
+    items, within, ratings = _average_items(cells)
+    own = _centre(_list_dummies(items, [SCENE]), ratings[:, None])[:, 0]
+    weights = slopes.reindex(list(cells.metrics)).fillna(0).to_numpy()
+    means = pd.Series(own - within @ weights).groupby(items[REDUCER].to_numpy()).mean()
+    rest = means.drop(name)
+    spread = float(rest.std()) * math.sqrt(1 + 1 / len(rest))
+    return float(means[name] - rest.mean()), spread, len(means) - 2
