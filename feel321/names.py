@@ -65,3 +65,22 @@ METRIC_INFO: Mapping[str, MetricInfo] = Registry(
 
 MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
 """The match metrics: what `build` writes into every manifest."""
+
+MEASURES: Mapping[str, str] = Registry(
+    "measure",
+    {
+        "metric_of_reducer": "landin:measure_metric",
+        "rating_of_reducer": "landin:measure_rating",
+        "slope": "landin:measure_slope",
+        "correlation": "park:measure_correlation",
+        "rating_excess": "park:measure_rating_excess",
+    },
+)
+"""What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of a module of
+`feel321.analysis.replication`, imported when it is used."""
+
+EXPECTATIONS = ("positive", "negative", "near", "highest", "lowest")
+"""What a paper's claim says of its number: on which side of zero, near the paper's, or above or below all others."""
+
+PROVENANCE = ("full text", "abstract", "ours", "unknown")
+"""Where a statement about a paper was seen."""

@@ -19,6 +19,7 @@ from feel321.analysis.p1401 import P1401, P1401Difference
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.refined.refine import Refined
+from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.write import Results
 from feel321.analysis.screening.consistency import RaterModel
 from feel321.analysis.screening.screen import Screening
@@ -66,6 +67,8 @@ __all__ = [
     "NonInferiority",
     "P1401Difference",
     "Page",
+    "Paper",
+    "PaperClaim",
     "Part",
     "Place",
     "Primaries",

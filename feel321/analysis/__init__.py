@@ -62,7 +62,7 @@ _RECORDS = (
 )  # fmt: skip
 
 _OLD = {
-    "Choices": "report.parts:Choices",
+    "Choices": "resampling:Choices",
     "Context": "tradeoff.advise.scene:Context|the arguments of advise",
     "Number": "words:Number",
     "Precision": "primary.sensitivity:SlopePrecision",

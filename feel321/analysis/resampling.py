@@ -7,12 +7,15 @@ because stimuli of one recording resemble each other.
 
 from __future__ import annotations
 
+import zlib
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.arrays import CONFIDENCE, FLAT, PERFECT, Values
+from feel321.analysis.words import name_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -20,6 +23,34 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.analysis.table.items import Items
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """Choices that were made before the ratings were seen.
+
+    draws: bootstrap draws per interval and random pairings per permutation test. margin: difference in points that
+    does not matter; None: half the standard deviation of raters' repeated ratings. seed: random seed.
+    """
+
+    draws: int = 2000
+    margin: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be."""
+        if self.draws < 2:  # noqa: PLR2004 - a spread needs two
+            raise ValueError(
+                f"draws must be 2 or more, got {self.draws}; use 2000 for results to be published"
+            )
+        if self.margin is not None and not 0 < self.margin < np.inf:
+            raise ValueError(
+                f"margin must be above 0, in points of the scale, or None; got {self.margin}"
+            )
+
+    def make_rng(self, *names: str) -> np.random.Generator:
+        """Make the generator of one result, its own: another metric or section does not change its interval."""
+        return np.random.default_rng([self.seed, zlib.crc32(name_path(*names).encode())])
 
 
 def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:

@@ -27,6 +27,7 @@ from feel321.study.answers import write_answers
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import describe_matches, write_matches
+from feel321.study.paper import make_paper
 from feel321.study.provenance import find_changes
 from feel321.study.ratings import write_ratings
 from feel321.study.rivals import measure_rivals
@@ -55,9 +56,8 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         require_study(study.path)
     settings = read_settings(study.settings) if study.settings.is_file() else None
     chosen = settings.analysis if settings else AnalysisTable()
-    further = Further(pd.DataFrame(), ())
-    if settings and ratings is None:
-        further = _derive_ratings(study, settings, metrics or chosen.metrics)
+    own, wanted = settings if ratings is None else None, metrics or chosen.metrics
+    further = _derive_ratings(study, own, wanted) if own else Further(pd.DataFrame(), ())
     if settings and metrics and set(metrics) != set(chosen.metrics):
         note = (
             f"Metrics {', '.join(metrics)} were asked for with this analysis; {study.settings.name} declares "
@@ -65,18 +65,19 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         )
         further = replace(further, notes=(*further.notes, note))
     if rivals:
-        own = settings if manifest is None else None
-        further = add_rivals(study, own, manifest or study.manifest, further=further)
+        listed = manifest or study.manifest
+        further = add_rivals(study, None if manifest else settings, listed, further=further)
     return write_report(
         ratings or study.ratings,
         manifest or study.manifest,
         out or study.report,
         draws=draws or chosen.draws,
         margin=chosen.margin,
-        metrics=metrics or chosen.metrics,
+        metrics=wanted,
         sources=list_origins(settings) if settings else {},
         further=further,
         info=list_info(settings) if settings else {},
+        paper=make_paper(settings) if settings else None,
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )

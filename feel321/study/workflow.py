@@ -23,6 +23,7 @@ from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, is_in_use
 from feel321.study.methods import list_methods
 from feel321.study.minutes import measure_design
+from feel321.study.paper import compare_with_paper
 from feel321.study.provenance import find_changes
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
@@ -87,7 +88,7 @@ def check_study(
     except ValueError as error:
         return Problems(tuple(str(error).splitlines()))
     recordings, unread = try_recordings(settings, study.path)
-    rig, rigged = _check_rig(study, settings, now=now)
+    rig, rigged = _check_conditions(study, settings, recordings, now=now)
     problems = [
         *unread,
         *_check_pictures(study, settings),
@@ -308,6 +309,14 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
             together={name for table in settings.tasks.values() for name in table.scales},
         )
     ]
+
+
+def _check_conditions(
+    study: StudyFolder, settings: Settings, recordings: Sequence[Recording], *, now: Clock
+) -> tuple[Rig | None, Problems]:
+    """Check the rig, and compare the study with that of the paper which it replicates, if it does."""
+    rig, rigged = _check_rig(study, settings, now=now)
+    return rig, compare_with_paper(settings, recordings, rig, found=rigged)
 
 
 def _check_rig(

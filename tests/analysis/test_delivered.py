@@ -10,7 +10,8 @@ import pytest
 
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.report import delivered, robustness
-from feel321.analysis.report.parts import Choices, split_parts
+from feel321.analysis.report.parts import split_parts
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:

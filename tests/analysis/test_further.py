@@ -10,8 +10,8 @@ import pytest
 
 from feel321.analysis.report import association, primary, robustness, standard
 from feel321.analysis.report import write as report
-from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.write import describe_inputs
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import describe_further
 from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.names import MATCHES

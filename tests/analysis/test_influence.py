@@ -19,7 +19,7 @@ from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, find_candidates, measure_influence
 from feel321.analysis.report import primary
 from feel321.analysis.report.association import reconcile
-from feel321.analysis.report.parts import Choices
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 from feel321.analysis.words import Claim
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS

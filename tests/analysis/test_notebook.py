@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from feel321 import analysis, results, stimuli
 from feel321.analysis.association.correlate import correlate
-from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.reducers import compute_contrasts
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table import schema
 from feel321.protocols import PROTOCOLS
 from feel321.protocols.trial import SURFACE

@@ -8,9 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.primary.model import fit_slopes
+from feel321.analysis.primary.plan import REDUCER, make_cells
+from feel321.analysis.primary.sensitivity import measure_excess
+from feel321.analysis.replication.claims import Paper, PaperAnswer, PaperClaim, answer_claims
 from feel321.analysis.replication.park import compare_spread, explain_spread
+from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report import primary
-from feel321.analysis.report.parts import Choices
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.reading import Further, read_table
 
@@ -90,3 +95,81 @@ def test_the_report_holds_the_plants_and_explains_the_spread() -> None:
     (line,) = [line for line in section.verdict if line.lead == "spread over orientations"]
     assert "no merit by itself" in line.text
     assert "opposite direction" not in " ".join(section.answers)
+
+
+# The measures of the paper's claims.
+
+CLAIMS = (
+    PaperClaim("mean", "the mean is felt", "abstract", "correlation", exceptions=("mag321",),
+               options={"metric": MEAN, "method": "within"}),
+    PaperClaim("spread", "the spread is felt", "abstract", "correlation", "negative", exceptions=("mag321",),
+               options={"metric": SD, "method": "within"}),
+    PaperClaim("excess", "vector magnitude feels good", "abstract", "rating_excess", options={"reducer": "mag321"}),
+)  # fmt: skip
+
+
+def answer(table: Table) -> dict[str, PaperAnswer]:
+    paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", CLAIMS)
+    return {one.claim.name: one for one in answer_claims(table, paper, Choices(draws=200, seed=1))}
+
+
+def test_claims_are_answered_with_and_without_the_exception() -> None:
+    found = answer(make_table(bonus=45))
+    mean, spread, excess = (found[name] for name in ("mean", "spread", "excess"))
+    assert mean.found.value < 0 < mean.without.low
+    assert "without mag321 0." in mean.sentence
+    assert spread.without.high < 0
+    assert excess.verdict == "agrees"
+    assert excess.found.low < 45 < excess.found.high
+    assert excess.without is None
+
+
+def test_a_spread_that_goes_the_wrong_way_says_why() -> None:
+    told = {name: one.sentence for name, one in answer(make_table()).items()}
+    assert "no merit by itself" in told["spread"]
+    assert "no merit by itself" not in told["mean"]
+
+
+def test_no_excess_is_found_where_none_was_planted() -> None:
+    for seed in range(6):
+        table = make_table(seed=seed)
+        cells = make_cells(table.rows, table.metrics)
+        others = fit_slopes(cells.leave_out(REDUCER, "mag321"))
+        excess = measure_excess(cells, "mag321", others)
+        assert abs(excess.value) < 2 * excess.se
+        items = table.rows.drop_duplicates("stimulus_id")
+        means = items.groupby("reducer", observed=True)[[MEAN, SD]].mean()
+        gap = means.loc["mag321"] - means.drop("mag321").mean()
+        alone = others.solved.estimate({f"{name}_w": gap[name] for name in (MEAN, SD)})
+        assert excess.se > alone.se
+    section = primary.compute(table, Choices(draws=2))
+    assert not section.tables["exceptions"]["exceptional"].any()
+
+
+def test_the_first_sentence_names_a_planted_surprise() -> None:
+    table, choices = make_table(bonus=45), Choices(draws=50)
+    paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", CLAIMS)
+    section = paper_section.compute(
+        table, choices, paper, sections=[primary.compute(table, choices)]
+    )
+    first = section.verdict[0].text
+    assert "mag321 was rated 4" in first.lower()
+    assert "points higher than the metrics predict from the other reducers" in first
+    assert "the paper names it as an exception too" in first
+
+
+@pytest.mark.parametrize(
+    ("measure", "options", "reason"),
+    [
+        ("correlation", {}, "options must name a metric"),
+        ("correlation", {"metric": "loudness"}, "loudness"),
+        ("rating_excess", {"reducer": "dft322"}, "reducer must be one of"),
+    ],
+)
+def test_what_cannot_be_examined_says_why(
+    measure: str, options: dict[str, str], reason: str
+) -> None:
+    claim = PaperClaim("one", "a claim", "abstract", measure, options=options)
+    (found,) = answer_claims(make_table(), Paper("a", "b", "abstract", (claim,)), Choices(draws=2))
+    assert found.verdict == "not_estimable"
+    assert reason in found.sentence

@@ -10,7 +10,7 @@ import pytest
 
 from feel321.analysis.association.rivals import _score, find_influences, rank_metrics
 from feel321.analysis.report import rivals
-from feel321.analysis.report.parts import Choices
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.metrics import list_rivals
 from feel321.analysis.table.reading import Further, read_table

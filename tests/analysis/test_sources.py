@@ -13,7 +13,7 @@ from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.report import reducers as contrasts
 from feel321.analysis.report import reducers as levels
-from feel321.analysis.report.parts import Choices
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import find_sources, format_recordings, make_items
 from feel321.analysis.table.reading import read_table
 

@@ -7,15 +7,26 @@ rise together, and alone the spread goes with ratings the wrong way.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis import words
+from feel321.analysis.association.correlate import correlate
+from feel321.analysis.primary.model import fit_slopes
+from feel321.analysis.primary.plan import REDUCER, make_cells
+from feel321.analysis.primary.sensitivity import FEWEST_REDUCERS, measure_excess
+from feel321.analysis.replication.claims import ClaimValue, require_option
 from feel321.analysis.table.metrics import ROTATIONS
+from feel321.doors import check_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from feel321.analysis.replication.claims import PaperClaim
+    from feel321.analysis.resampling import Choices
+    from feel321.analysis.table.items import Table
 
 MEAN, SD = "_rotation_mean", "_rotation_sd"
 
@@ -74,3 +85,38 @@ def explain_spread(rows: DataFrame, metric: str) -> str:
         "the spread may go with ratings the wrong way; its slope in a model with the mean is about reducers that match "
         "equally well."
     )
+
+
+def measure_correlation(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:
+    """Correlate mean ratings with a metric over stimuli; options: metric, and method (`correlate`)."""
+    metric = require_option(claim, "metric")
+    method = str(claim.options.get("method", "pearson"))
+    rng = choices.make_rng("paper", claim.name)
+    found = correlate(table, metric, method=method, draws=choices.draws, rng=rng)
+    if not math.isfinite(found.value):
+        raise ValueError(" ".join(found.notes) or "the correlation is not defined")
+    wrong = metric in ROTATIONS and metric.endswith(SD) and found.value > 0
+    return ClaimValue(
+        found.value, found.low, found.high, n=found.n_items,
+        method=f"{words.format_method(method)} of mean ratings with {words.format_name(metric)}",
+        interval=words.TWO_WAY, note=words.capitalise(explain_spread(table.rows, metric)) if wrong else "",
+    )  # fmt: skip
+
+
+def measure_rating_excess(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
+    """Estimate how much higher a reducer is rated than the metrics predict from all others; option: reducer."""
+    from scipy.stats import t as student
+
+    reducer = require_option(claim, "reducer")
+    cells = make_cells(table.rows, table.metrics)
+    rated = list(map(str, cells.items[REDUCER].unique()))
+    check_name(reducer, rated, "reducer")
+    if len(rated) < FEWEST_REDUCERS:
+        raise ValueError(f"{len(rated)} reducers were rated, {FEWEST_REDUCERS} are needed")
+    excess, se, df = measure_excess(cells, reducer, fit_slopes(cells.leave_out(REDUCER, reducer)))
+    half = float(student.ppf(0.975, df)) * se
+    return ClaimValue(
+        excess, excess - half, excess + half, "rating", "points", len(rated),
+        f"rating of {reducer} beyond what slopes on the metrics, fitted without it, predict",
+        "95 % t interval over reducers, with the uncertainty of the slopes",
+    )  # fmt: skip

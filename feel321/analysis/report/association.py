@@ -25,7 +25,7 @@ from feel321.analysis.figures.scatter import CUT, count_clipped, draw_mapping, d
 from feel321.analysis.figures.style import Look, assign_looks
 from feel321.analysis.p1401 import p1401
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
-from feel321.analysis.report.parts import Choices, RatingsPart, split_parts
+from feel321.analysis.report.parts import RatingsPart, split_parts
 from feel321.analysis.report.section import (
     INTERVAL,
     MEAN,
@@ -41,6 +41,7 @@ from feel321.analysis.report.section import (
     read_methods,
     stack,
 )
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart

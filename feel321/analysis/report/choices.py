@@ -17,12 +17,14 @@ from feel321.analysis.choices.votes import gather_votes
 from feel321.analysis.contrasts.bradley_terry import BradleyTerry, bradley_terry
 from feel321.analysis.figures.shares import draw_shares
 from feel321.analysis.report import section as page
-from feel321.analysis.report.parts import SIGNIFICANCE, Choices
+from feel321.analysis.report.parts import SIGNIFICANCE
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table
 from feel321.analysis.table.schema import CHOSEN, HIGHEST
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from feel321.analysis.resampling import Choices
 
 Row = dict[Any, Any]
 

@@ -27,7 +27,7 @@ from feel321.names import MATCHES
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-    from feel321.analysis.report.parts import Choices
+    from feel321.analysis.resampling import Choices
     from feel321.analysis.table.reading import Table
 
 Row = dict[str, Any]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from feel321.analysis.contrasts.discrimination import discriminate_pairs
 from feel321.analysis.figures.scatter import draw_discrimination, draw_space
 from feel321.analysis.primary.model import adjust_holm
-from feel321.analysis.report.parts import SIGNIFICANCE, Choices
+from feel321.analysis.report.parts import SIGNIFICANCE
 from feel321.analysis.report.section import (
     NAME,
     TEXT,
@@ -39,6 +39,7 @@ from feel321.analysis.words import COUNT, Line, count_number, format_name, forma
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.resampling import Choices
     from feel321.analysis.table.reading import Table
 
 Row = dict[str, Any]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -13,43 +12,16 @@ from feel321.analysis.primary.model import CENTRED, FEW, fit_slopes
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.metrics import TENTH, Step, find_steps
 from feel321.analysis.table.schema import APART
-from feel321.analysis.words import format_name, format_number, format_ratings, name_path
+from feel321.analysis.words import format_name, format_number, format_ratings
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
     from feel321.analysis.primary.plan import Cells
+    from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 
 ITEM, SIGNIFICANCE = "item", 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class Choices:
-    """Choices that were made before the ratings were seen.
-
-    draws: bootstrap draws per interval and random pairings per permutation test. margin: difference in points that
-    does not matter; None: half the standard deviation of raters' repeated ratings. seed: random seed.
-    """
-
-    draws: int = 2000
-    margin: float | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be."""
-        if self.draws < 2:  # noqa: PLR2004 - a spread needs two
-            raise ValueError(
-                f"draws must be 2 or more, got {self.draws}; use 2000 for results to be published"
-            )
-        if self.margin is not None and not 0 < self.margin < np.inf:
-            raise ValueError(
-                f"margin must be above 0, in points of the scale, or None; got {self.margin}"
-            )
-
-    def make_rng(self, *names: str) -> np.random.Generator:
-        """Make the generator of one result, its own: another metric or section does not change its interval."""
-        return np.random.default_rng([self.seed, zlib.crc32(name_path(*names).encode())])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

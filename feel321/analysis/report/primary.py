@@ -40,6 +40,7 @@ from feel321.analysis.report.section import (
     stack,
     word_steps,
 )
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import Step
 from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import STAND_INS
@@ -135,7 +136,7 @@ EXCEPTIONS = TableForm(
 )  # fmt: skip
 
 
-def compute(table: Table, choices: parts.Choices) -> Section:
+def compute(table: Table, choices: Choices) -> Section:
     """Fit the primary model of every scale and level."""
     fits, notes, lines, claims = _fit_parts(table, choices)
     slopes = tabulate_slopes({lead: model for lead, (_, model) in fits.items()}) if fits else ()
@@ -186,9 +187,7 @@ def _stack(fits: Fits, choose: Any) -> Any:  # noqa: ANN401 - a table of a model
     return stack(({"ratings": lead}, choose(model)) for lead, (_, model) in fits.items())
 
 
-def _fit_parts(
-    table: Table, choices: parts.Choices
-) -> tuple[Fits, list[str], list[Line], list[Claim]]:
+def _fit_parts(table: Table, choices: Choices) -> tuple[Fits, list[str], list[Line], list[Claim]]:
     """Fit every part that can be fitted; say why another part, or a metric of one, cannot."""
     fits, notes, lines, claims = {}, [], [], []
     for part in parts.thin_parts(table, choices):
@@ -236,7 +235,7 @@ def _list_findings(table: Table, fits: Fits, slopes: Any) -> list[Finding]:  # n
 
 
 def _build_tables(
-    table: Table, fits: Fits, findings: list[Finding], *, choices: parts.Choices
+    table: Table, fits: Fits, findings: list[Finding], *, choices: Choices
 ) -> tuple[PageTable, ...]:
     rows, steps = [one.row for one in findings], parts.find_table_steps(table)
     models = [
@@ -335,7 +334,7 @@ PAPER = TableForm(
 )  # fmt: skip
 
 
-def _build_paper(table: Table, fits: Fits, choices: parts.Choices) -> Iterator[PageTable]:
+def _build_paper(table: Table, fits: Fits, choices: Choices) -> Iterator[PageTable]:
     """Build the table of the paper's metric, where the primary analysis uses the bounded one and both are there."""
     if BOUNDED not in table.metrics or RAW not in table.further:
         return
@@ -348,7 +347,7 @@ def _build_paper(table: Table, fits: Fits, choices: parts.Choices) -> Iterator[P
     yield PAPER.build(rows)
 
 
-def _compare_paper(part: parts.RatingsPart, metrics: list[str], choices: parts.Choices) -> Row:
+def _compare_paper(part: parts.RatingsPart, metrics: list[str], choices: Choices) -> Row:
     rng = choices.make_rng("paper", *part.place)
     ranks = correlate(part.rows, RAW, method="within_spearman", draws=choices.draws, rng=rng)
     cells = make_cells(part.rows, metrics)

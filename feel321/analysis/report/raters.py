@@ -34,6 +34,7 @@ from feel321.analysis.table.schema import APART, PAIR
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.resampling import Choices
     from feel321.analysis.table.reading import Table
 
 KEY, TITLE = "raters", "Raters"
@@ -129,7 +130,7 @@ REPEATED = TableForm(
 )  # fmt: skip
 
 
-def compute(table: Table, choices: parts.Choices) -> Section:
+def compute(table: Table, choices: Choices) -> Section:
     """Screen raters, measure their agreement, and repeat the primary analysis without those flagged."""
     rows = table.rows
     single = rows[~rows["scale"].isin(APART) & (rows["role"] != PAIR)]
@@ -278,7 +279,7 @@ def _list_repeats(table: Table) -> Iterator[dict[str, Any]]:
             yield part.keys | {"sd": sd, "n": n}
 
 
-def _vary(table: Table, screening: Screening, choices: parts.Choices) -> Iterator[dict[str, Any]]:
+def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[dict[str, Any]]:
     """Fit each part without those whom each group leaves out; the same people are fitted once."""
     for part in parts.thin_parts(table, choices):
         fitted: dict[tuple[Hashable, ...], list[dict[Any, Any]]] = {}

@@ -29,7 +29,6 @@ from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report.parts import (
     ITEM,
     SIGNIFICANCE,
-    Choices,
     RatingsPart,
     count_units,
     describe_reach,
@@ -64,6 +63,7 @@ from feel321.analysis.words import COUNT, Number
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.resampling import Choices
     from feel321.analysis.table.metrics import Step
     from feel321.analysis.table.reading import Table
 

@@ -16,7 +16,7 @@ from feel321.analysis.association.rivals import (
     rank_metrics,
 )
 from feel321.analysis.figures.estimates import draw_ranking
-from feel321.analysis.report.parts import Choices, RatingsPart, split_parts
+from feel321.analysis.report.parts import RatingsPart, split_parts
 from feel321.analysis.report.section import (
     METRIC,
     NAME,
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
+    from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 
 KEY, TITLE = "rivals", "Which metric predicts best?"

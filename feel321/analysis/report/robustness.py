@@ -20,7 +20,6 @@ from feel321.analysis.refined.candidates import EQUAL
 from feel321.analysis.refined.refine import Refined, refine_metric
 from feel321.analysis.report.parts import (
     ITEM,
-    Choices,
     RatingsPart,
     add_step,
     find_table_steps,
@@ -50,6 +49,7 @@ from feel321.analysis.words import COUNT, TWO_WAY, Line
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.resampling import Choices
     from feel321.analysis.table.metrics import Step
     from feel321.analysis.table.reading import Table
 

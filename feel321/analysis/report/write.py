@@ -31,9 +31,10 @@ from feel321.analysis.report import (
     standard,
 )
 from feel321.analysis.report import choices as chosen
+from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
-from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.section import Picture, Section, number_pictures, render_template
+from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.items import find_sources, format_recordings
 from feel321.analysis.table.reading import Further, Table, find_tables, read_table
@@ -45,6 +46,8 @@ from feel321.types import MetricInfo, PathLike, Progress, Rng
 if TYPE_CHECKING:
     from markupsafe import Markup
     from pandas import DataFrame
+
+    from feel321.analysis.replication.claims import Paper
 
 SCHEMA_VERSION = 1
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
@@ -257,6 +260,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
     info: Mapping[str, MetricInfo] | None = None,
+    paper: Paper | None = None,
     rng: Rng = 0,
     seed: int | None = None,
     progress: Progress | None = False,
@@ -288,6 +292,8 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         Metrics to explore that neither file holds, such as rotation statistics.
     info : Mapping of str to MetricInfo, optional
         What metrics declare: which way each points, its bounds, label and unit (`read_table`).
+    paper : Paper, optional
+        The paper that is replicated: its claims are answered first.
     rng : int or Generator
         Seed of all randomness; the same files, choices and seed give the same bytes.
     seed : int, optional
@@ -322,8 +328,10 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
         table, given = _open(ratings_path, manifest_path, **choice)
         inputs = describe_inputs(given, table=table, further=further, choices=choices)
+        if paper is not None:
+            inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
         with words.declaring(table.info):
-            results = _write(table, choices, target, move=move, inputs=inputs)
+            results = _write(table, choices, target, move=move, given=(inputs, paper))
     return replace(results, path=target.path)
 
 
@@ -333,14 +341,17 @@ def _write(
     target: ResultsFolder,
     *,
     move: Callable[[int, int], None],
-    inputs: Mapping[str, str],
+    given: tuple[Mapping[str, str], Paper | None],
 ) -> Results:
-    """Compute all sections, and draw the figures of each meanwhile."""
+    """Compute all sections, and draw the figures of each meanwhile; given: inputs, and the paper that is replicated."""
+    inputs, paper = given
     sections = []
     for section in _compute(table, choices, move):
         sections.append(section)
         target.draw(section.pictures)
     sections = _reconcile(sections)
+    if paper is not None:
+        sections = [paper_section.compute(table, choices, paper, sections=sections), *sections]
     results = gather_results(table, sections, inputs=inputs)
     target.write(
         results.to_dict(),

@@ -450,10 +450,10 @@ def _list_groups(
     factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
     for levels in product(*factors.values()):
         groups = dict(zip(factors, levels, strict=True))
-        yield select_group(_list_items(settings), tasks, groups)
+        yield select_group(list_items(settings), tasks, groups)
 
 
-def _list_items(settings: Settings) -> list[Item]:
+def list_items(settings: Settings) -> list[Item]:
     """List the stimuli that will be built from the first recording; those of the others are alike."""
     from feel321.stimuli.sets.anchors import ANCHORS
 

@@ -34,6 +34,7 @@ from feel321.study.exploration.motion import POINTER
 from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.asking import Questions, Scales
+from feel321.study.settings.paper import PaperTable
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
 _BLOCK, _MATCHING = ThresholdBlock("bayesian", (), USUAL), MatchingBlock("")
@@ -472,3 +473,4 @@ class Settings(kinds.TomlTable):
     between: Between = Field(default_factory=dict)
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()
+    paper: PaperTable | None = None

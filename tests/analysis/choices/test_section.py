@@ -12,7 +12,7 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis.report.choices import compute_choices
-from feel321.analysis.report.parts import Choices
+from feel321.analysis.resampling import Choices
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.refined.refine import Refined, refine_metric
-from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.robustness import LEVEL, compute_refined
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 from feel321.analysis.words import format_interval
 

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.raters import compute
+from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.consistency import find_apart, rater_model
 from feel321.analysis.table.reading import read_table
 

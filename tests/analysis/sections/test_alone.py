@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.report import raters, robustness
-from feel321.analysis.report.parts import Choices
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:

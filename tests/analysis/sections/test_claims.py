@@ -11,8 +11,8 @@ import pytest
 
 from feel321.analysis.primary.sensitivity import Influence
 from feel321.analysis.report import primary
-from feel321.analysis.report.parts import Choices
 from feel321.analysis.report.section import TableForm, estimate
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 from feel321.analysis.words import format_estimate
 

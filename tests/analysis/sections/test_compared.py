@@ -11,7 +11,7 @@ import pytest
 from feel321.analysis.contrasts.compare import equivalence, non_inferiority
 from feel321.analysis.primary.sensitivity import adjust_holm
 from feel321.analysis.report import reducers
-from feel321.analysis.report.parts import Choices
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 
 if TYPE_CHECKING:

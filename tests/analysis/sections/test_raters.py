@@ -9,7 +9,8 @@ import pytest
 
 from feel321.analysis.primary.multiverse import run_multiverse
 from feel321.analysis.report import raters, robustness
-from feel321.analysis.report.parts import Choices, split_parts
+from feel321.analysis.report.parts import split_parts
+from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.table.reading import read_table
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.analysis.report import pairs, robustness
-from feel321.analysis.report.parts import Choices
+from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import ANSWERED
 

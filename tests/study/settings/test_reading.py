@@ -69,7 +69,8 @@ def list_keys(table: type[TomlTable], place: str = "") -> Iterator[str]:
 
 def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
     for name, value in content.items():
-        entry = value[0] if name == "recordings" else value
+        several = name in {"recordings", "claims", "published"} and isinstance(value, list)
+        entry = value[0] if several else value
         if name == "questions":
             entry = {key: one for table in value for key, one in table.items()}
         if name == "tasks":
@@ -78,7 +79,7 @@ def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
             entry = value["roughness"]
         if not place and name in {"reducers", "metrics"}:
             (entry,) = value.values()  # one of the lab's own
-        if isinstance(entry, dict) and name not in {"between", "formats"}:
+        if isinstance(entry, dict) and name not in {"between", "formats", "options", "numbers"}:
             yield from list_written(entry, f"{place}{name}.")
         else:
             yield place + name
