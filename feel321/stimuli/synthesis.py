@@ -47,7 +47,7 @@ def make_scene(
     Parameters
     ----------
     name : str
-        One of `SCENES`.
+        One of `SCENES`; or several joined by ``+``, one after the other in equal shares of the duration.
     rng : int or numpy.random.Generator
         Seed or source of the scene's random parts; with the same seed, scenes of different names differ.
     rate_hz : float
@@ -67,18 +67,41 @@ def make_scene(
     >>> from feel321 import stimuli
     >>> stimuli.make_scene("bumps", duration_s=1)
     Recording('bumps', 10000 samples at 10000 Hz, 1 s)
+
+    Figure 2 of the paper: over small surface features, across textured vinyl, taps on a hard piece of plastic.
+
+    >>> stimuli.make_scene("bumps+texture_drag+hard_taps", duration_s=8)
+    Recording('bumps-texture_drag-hard_taps', 80000 samples at 10000 Hz, 8 s)
     """
-    make = SCENES[check_name(name, SCENES, "scene")]
-    if check_rate(rate_hz) < 4000 or not 0.1 <= duration_s <= 3600:  # noqa: PLR2004 - limits named in the message
+    parts = split_scene(name)
+    if check_rate(rate_hz) < 4000 or not 0.1 * len(parts) <= duration_s <= 3600:  # noqa: PLR2004 - limits named in the message
         raise ValueError(
-            "a scene must have 4000 Hz or more and last 0.1 s to 3600 s, "
+            "a scene must have 4000 Hz or more and last 0.1 s to 3600 s (each of several 0.1 s), "
             f"got {rate_hz} Hz and {duration_s} s"
         )
-    time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     if not isinstance(rng, np.random.Generator):
         as_rng(rng if seed is None else seed)
         rng = np.random.default_rng([rng if seed is None else seed, *name.encode()])
-    return Recording(make(time_s, rng), rate_hz, name)
+    shares = np.array_split(np.arange(round(duration_s * rate_hz)) / rate_hz, len(parts))
+    made = [SCENES[part](own - own[0], rng) for part, own in zip(parts, shares, strict=True)]
+    for place, sample in enumerate(made if len(parts) > 1 else ()):
+        made[place] = sample * _fade_ends(sample.shape[1], round(JOINT_S * rate_hz))
+    return Recording(np.concatenate(made, axis=1), rate_hz, "-".join(parts))
+
+
+JOINT_S = 0.01
+"""Rise and fall of each of several scenes that follow one another."""
+
+
+def split_scene(name: str) -> tuple[str, ...]:
+    """Split a name into those of the scenes that follow one another."""
+    return tuple(check_name(part, SCENES, "scene") for part in str(name).split("+"))
+
+
+def _fade_ends(n: int, joint: int) -> Samples:
+    """Fade in and out by raised cosines."""
+    rise = np.minimum(1.0, np.arange(n) / min(joint, n // 2))
+    return np.asarray(0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * rise[::-1])))
 
 
 def bumps(time_s: Samples, rng: np.random.Generator) -> Samples:

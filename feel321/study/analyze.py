@@ -19,7 +19,7 @@ from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
-from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimuli
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, find_methods, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
@@ -77,7 +77,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         sources=list_origins(settings) if settings else {},
         further=further,
         info=list_info(settings) if settings else {},
-        paper=make_paper(settings) if settings else None,
+        paper=make_paper(settings, further.mountings) if settings else None,
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
@@ -108,7 +108,12 @@ def add_rivals(
         note = f"Metrics that the manifest lacks are not compared: {reason}." if reason else ""
     metrics = further.metrics.join(measured, how="outer") if len(measured) else further.metrics
     notes = (*further.notes, note) if note else further.notes
-    return Further(metrics, notes, rivals=tuple(dict.fromkeys([*names, *map(str, measured)])))
+    return replace(
+        further,
+        metrics=metrics,
+        notes=notes,
+        rivals=tuple(dict.fromkeys([*names, *map(str, measured)])),
+    )
 
 
 def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Recording], Recipe, str]:
@@ -218,7 +223,6 @@ def compute_rotations(
     Copies share their statistics: over all orientations these are the same, and only chance would tell them apart.
     """
     copies = copies or {}
-    recordings = [one for one in recordings if copies.get(one.name, one.name) == one.name]
     commands = {one.name for one in recipe.methods if one.origin == "command"}
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
@@ -227,29 +231,23 @@ def compute_rotations(
             pd.DataFrame(), ("Rotation statistics: all reducers are commands; left out.",)
         )
     own = [find_reducer(recipe, name) for name in reducers]
-    size = sum(recording.acceleration.size for recording in recordings) * len(reducers)
+    first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
+    size = sum(recording.acceleration.size for recording in first.values()) * len(reducers)
     n_turns = min(effort * MOST, max(effort * LEAST, effort * AFFORDABLE // size))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
-    def describe(recording: Recording) -> np.ndarray:
+    def match(recording: Recording) -> np.ndarray:
         ready = condition(recording, recipe.conditioning)
-        matches = match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
-        both = np.stack([matches.mean(axis=-1), matches.std(axis=-1, ddof=1)], axis=-1)
-        return both.reshape(len(reducers), -1).round(DIGITS)
+        return match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
 
     # Threads: nearly all of the work is done by libraries that release the interpreter. A lab's own code gets one.
     with ThreadPoolExecutor(1 if recipe.methods else os.cpu_count()) as pool:
-        names = [recording.name for recording in recordings]
-        found = dict(zip(names, pool.map(describe, recordings), strict=True))
-    places = [(copies.get(one.recording, one.recording), one.reducer) for one in tests]
-    table = pd.DataFrame(
-        [found[recording][reducers.index(reducer)] for recording, reducer in places],
-        index=pd.Index([stimulus.stimulus_id for stimulus in tests], name="stimulus_id"),
-        columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
-    )
+        of_first = dict(zip(first, pool.map(match, first.values()), strict=True))
+    matches = {one.name: of_first[copies.get(one.name, one.name)] for one in recordings}
     turned = f"{n_turns} random orientations of the sensor (seed {seed}, the same ones for all)"
-    shared = len(set(copies.values())) < len(copies)
-    return Further(table, (_describe_turns(turned, sorted(commands), shared=shared),))
+    note = _describe_turns(turned, sorted(commands), shared=len(first) < len(recordings))
+    table = _tabulate_rotations(tests, matches, reducers)
+    return Further(table, (note,), mountings=_tabulate_mountings(matches, reducers))
 
 
 def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> str:
@@ -259,6 +257,34 @@ def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> st
         + (" Turned copies of a recording share theirs." if shared else "")
         + (f" Without {', '.join(commands)}: commands." if commands else "")
     )
+
+
+def _tabulate_rotations(
+    tests: Sequence[Stimulus], matches: Mapping[str, np.ndarray], reducers: Sequence[str]
+) -> pd.DataFrame:
+    """Tabulate mean and spread of every match over orientations, by test stimulus."""
+    found = {
+        name: np.stack([one.mean(axis=-1), one.std(axis=-1, ddof=1)], axis=-1).round(DIGITS)
+        for name, one in matches.items()
+    }
+    return pd.DataFrame(
+        [found[one.recording][reducers.index(one.reducer)].ravel() for one in tests],
+        index=pd.Index([one.stimulus_id for one in tests], name="stimulus_id"),
+        columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
+    )
+
+
+def _tabulate_mountings(matches: Mapping[str, np.ndarray], reducers: Sequence[str]) -> pd.DataFrame:
+    """Tabulate mean and quantiles of every metric over orientations; matches: (reducers, metrics, turns) each."""
+    shares = {"q05": 0.05, "q50": 0.5, "q95": 0.95}
+    rows = []
+    for recording, found in matches.items():
+        for reducer, of_reducer in zip(reducers, found, strict=True):
+            for metric, values in zip(MATCHES, of_reducer, strict=True):
+                ends = {key: float(np.quantile(values, share)) for key, share in shares.items()}
+                names = {"recording": recording, "reducer": reducer, "metric": metric}
+                rows.append(names | {"mounting_mean": float(values.mean()), **ends})
+    return pd.DataFrame(rows)
 
 
 # What chart, stress and advise work on: a study's recordings, the bundled scenes, recordings from elsewhere.

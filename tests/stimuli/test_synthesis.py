@@ -88,3 +88,17 @@ def test_the_pattern_of_the_papers_table_1(name: str, seed: int) -> None:
 def test_bad_scenes_are_refused(name: str, changes: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_scene(name, **changes)
+
+
+def test_scenes_joined_by_a_plus_follow_one_another_in_equal_shares() -> None:
+    joined = make_scene("bumps+texture_drag+hard_taps", duration_s=8.0, seed=3)
+    assert joined.acceleration.shape == (3, 80_000)
+    assert joined.name == "bumps-texture_drag-hard_taps"
+    loud = [np.sqrt((part**2).mean()) for part in np.array_split(joined.acceleration, 3, axis=1)]
+    assert loud[1] > max(loud[0], loud[2])  # contacts in rest on both sides of the drag
+    ends = np.flatnonzero((joined.acceleration == 0).all(axis=0))
+    assert ends.tolist() == [0, 26_666, 26_667, 53_333, 53_334, 79_999]
+    with pytest.raises(ValueError, match="did you mean 'hard_taps'"):
+        make_scene("bumps+hard_tap")
+    with pytest.raises(ValueError, match=r"each of several 0\.1 s"):
+        make_scene("bumps+hard_taps", duration_s=0.15)

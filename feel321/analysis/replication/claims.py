@@ -129,7 +129,7 @@ def answer_claims(table: Table, paper: Paper, choices: Choices) -> Iterator[Pape
             found = measure(own, claim, choices)
         except ValueError as error:
             why = str(error).rstrip(".")
-            yield PaperAnswer(claim, NOT_ESTIMABLE, f"not estimable here: {why}.")
+            yield PaperAnswer(claim, NOT_ESTIMABLE, f"{why}.")
             continue
         without = _measure_without(own, claim, choices)
         verdict = judge(claim, found)
@@ -242,4 +242,4 @@ def _describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) ->
     name, ends = min(beside.items(), key=lambda item: sign * item[1][0])
     value, interval = words.format_estimate(*ends, kind=kind)
     told = f" ({interval})" if interval != words.ABSENT else ""
-    return f"minus that of {words.format_name(name)}: {value}{told}"
+    return f"minus that of {words.format_name(name)}, the nearest: {value}{told}"

@@ -13,6 +13,8 @@ from feel321.analysis.words import SATTERTHWAITE
 from feel321.doors import check_name
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from pandas import DataFrame, Series
 
     from feel321.analysis.replication.claims import PaperClaim
@@ -35,20 +37,20 @@ def tabulate_metric(table: Table, metric: str) -> DataFrame:
 
 
 def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
-    """Average a metric of a reducer over recordings; options: metric, reducer, and recording for one alone."""
+    """Average a metric of a reducer over recordings; options: metric, reducer, recording (one alone), among."""
     metric, reducer = require_option(claim, "metric"), require_option(claim, "reducer")
     found = tabulate_metric(table, metric)
     if recording := claim.options.get("recording"):
         check_name(recording, sorted(found.index), "recording")
         found = found.loc[[recording]]
-    elif (
-        table.stimuli is not None and "source" in table.stimuli
-    ):  # copies of one recording count once
+    elif table.stimuli is not None and "source" in table.stimuli:
+        # Turned copies of one recording count once.
         sources = table.stimuli.drop_duplicates("recording").set_index("recording")["source"]
         found = found.groupby(sources.astype(str)).mean()
     check_name(reducer, sorted(map(str, found)), "reducer")
     own = found[reducer]
-    beside = {str(name): _average(own - found[name]) for name in found if name != reducer}
+    others = choose_others(claim, found, reducer)
+    beside = {name: _average(own - found[name]) for name in others}
     return ClaimValue(
         *_average(own), n=len(own), beside=beside, interval=OVER_RECORDINGS if len(own) > 1 else "",
         method=f"{metric} of {reducer}, mean over recordings",
@@ -68,7 +70,7 @@ def _average(values: Series[float]) -> Ends:
 
 
 def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
-    """Estimate the mean rating of a reducer, and its difference from all others; option: reducer."""
+    """Estimate the mean rating of a reducer, and its difference from all others; options: reducer, among."""
     reducer = require_option(claim, "reducer")
     rows = table.rows[table.rows["role"] == "test"].assign(item=lambda part: part["stimulus_id"])
     rated = sorted(rows["reducer"].unique())
@@ -78,10 +80,9 @@ def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
     fit, terms, n = fit_reducers(rows, rated)
     mean = contrast(fit, {terms[reducer]: 1})
     beside = {}
-    for name in rated:
-        if name != reducer:
-            gap = contrast(fit, {terms[reducer]: 1, terms[name]: -1})
-            beside[name] = (gap.estimate, gap.low, gap.high)
+    for name in choose_others(claim, rated, reducer):
+        gap = contrast(fit, {terms[reducer]: 1, terms[name]: -1})
+        beside[name] = (gap.estimate, gap.low, gap.high)
     return ClaimValue(
         mean.estimate, mean.low, mean.high, "rating", "points", n, "mixed model with reducers, mean rating",
         SATTERTHWAITE, beside,
@@ -100,3 +101,9 @@ def measure_slope(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVal
         slope["tenth"], slope["tenth_low"], slope["tenth_high"], "slope", "points per +0.1", fit.n_items,
         f"mixed model, {metric} within recordings", SATTERTHWAITE,
     )  # fmt: skip
+
+
+def choose_others(claim: PaperClaim, names: Iterable[object], own: str) -> list[str]:
+    """Choose what a reducer is compared with: those of the option `among`, or all others."""
+    among = claim.options.get("among")
+    return [str(name) for name in names if name != own and (among is None or name in among)]

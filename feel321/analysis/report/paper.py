@@ -9,11 +9,16 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis import words
 from feel321.analysis.replication import claims as paper_claims
 from feel321.analysis.replication.claims import NOT_ESTIMABLE, PaperAnswer
-from feel321.analysis.report.section import NAME, Column, Section, TableForm, read_methods
+from feel321.analysis.replication.landin import tabulate_metric
+from feel321.analysis.report.section import NAME, TEXT, Column, Section, TableForm, read_methods
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.words import Line, make_interval, make_number
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from feel321.analysis.replication.claims import Paper
+    from feel321.analysis.report.section import PageTable
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.analysis.words import Number
@@ -42,20 +47,20 @@ def compute(
 ) -> Section:
     """Answer the questions of a paper; sections: those that follow it, which found what no metric accounts for."""
     answers = list(paper_claims.answer_claims(table, paper, choices))
-    lines = [
-        *_describe_surprises(paper, sections),
-        *([_count_verdicts(answers)] if answers else []),
-        *(
-            f"{VERDICTS[one.verdict]}: {one.claim.claim} ({one.claim.source}) - {one.sentence}"
-            for one in answers
-        ),
-    ]
+    verdict = [Line(text, TITLE) for text in _describe_surprises(paper, sections)]
+    verdict += [Line(_count_verdicts(answers, paper), TITLE)] if answers else []
+    verdict += [Line(_describe(one), TITLE, VERDICTS[one.verdict]) for one in answers]
     rows = [_make_row(one) for one in answers]
-    verdict = [Line(words.capitalise(text), f"{TITLE}: {paper.citation}") for text in lines]
+    metrics = tabulate_metrics(table, paper)
     return Section(
-        KEY, TITLE, answers=tuple(map(str, verdict)), verdict=verdict, grids=[CLAIMS.build(rows)],
-        unseen=tuple(_list_numbers(answers)), tables={"paper_claims": rows}, how=read_methods(KEY),
+        KEY, TITLE, answers=tuple(map(str, verdict)), verdict=verdict,
+        grids=[CLAIMS.build(rows), *_build_metrics(metrics)], unseen=tuple(_list_numbers(answers)),
+        tables={"paper_claims": rows, "paper_metrics": metrics}, how=read_methods(KEY),
     )  # fmt: skip
+
+
+def _describe(one: PaperAnswer) -> str:
+    return f"{one.claim.claim} ({one.claim.source}). {words.capitalise(one.sentence)}"
 
 
 def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[str]:
@@ -76,16 +81,17 @@ def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[s
             else "the paper names no such exception"
         )
         yield (
-            f"{reducer} was rated {span} points {' or '.join(sorted(ways))} than the metrics predict from the other "
-            f"reducers ({where}); {also}."
+            f"the reducer {reducer} was rated {span} points {' or '.join(sorted(ways))} than the metrics predict from "
+            f"the other reducers ({where}); {also}."
         )
 
 
-def _count_verdicts(answers: Sequence[PaperAnswer]) -> str:
+def _count_verdicts(answers: Sequence[PaperAnswer], paper: Paper) -> str:
     """Count the claims with each verdict."""
     counts = {word: sum(one.verdict == key for one in answers) for key, word in VERDICTS.items()}
-    told = words.join_words([f"{word} {count}" for word, count in counts.items() if count])
-    return f"claims of the paper: {len(answers)}; {told}."
+    told = "; ".join(f"{word}: {count}" for word, count in counts.items() if count)
+    claims = f"{len(answers)} claim{'s' * (len(answers) != 1)}"
+    return f"{claims} of {paper.citation} ({paper.seen}) examined here. {words.capitalise(told)}."
 
 
 def _make_row(one: PaperAnswer) -> dict[str, Any]:
@@ -127,3 +133,82 @@ def _list_numbers(answers: Sequence[PaperAnswer]) -> Iterator[Number]:
                 path = words.name_path("claim", one.claim.name) + end
                 number = make_number(path, found.value, found.method, n=found.n)
                 yield make_interval(number, found.low, found.high, uncertainty=found.interval)
+
+
+# The paper's table: metrics of every recording and transform, with the paper's numbers and other mountings beside.
+
+MATCH_METRICS = ("spectral_match", "temporal_match")
+ROW_KEYS = ["recording", "reducer", "metric"]
+MOUNTINGS = TableForm(
+    "The same with other mountings of the sensor: each recording turned into random orientations, reduced and matched. "
+    "Mean, and the quantiles between which 90 % of the orientations lie.",
+    (
+        Column("Recording", "recording", NAME), Column("Transform", "reducer", NAME), Column("Metric", "metric", TEXT),
+        Column("As mounted", "value"), Column("Mean", "mounting_mean", end="mean", method="mean over orientations"),
+        Column("5 %", "q05", end="q05", method="5 % quantile over orientations"),
+        Column("Median", "q50", end="q50", method="median over orientations"),
+        Column("95 %", "q95", end="q95", method="95 % quantile over orientations"),
+    ),
+    path="mountings.{recording}.{reducer}.{metric}",
+)  # fmt: skip
+
+
+def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
+    """Tabulate the match metrics of every recording and reducer, with the paper's numbers and mountings beside."""
+    import pandas as pd
+
+    if paper.published is None or table.stimuli is None:
+        return pd.DataFrame()
+    known = [name for name in MATCH_METRICS if name in table.stimuli]
+    parts = [
+        tabulate_metric(table, name)
+        .reset_index()
+        .melt("recording", var_name="reducer", value_name="value")
+        .dropna(subset="value")
+        .assign(metric=name)
+        for name in known
+    ]
+    if not parts:
+        return pd.DataFrame()
+    found = pd.concat(parts, ignore_index=True)
+    for beside in (paper.published, paper.mountings):
+        if beside is not None:
+            found = found.merge(beside, how="left", on=ROW_KEYS)
+    texts = found.select_dtypes(exclude="number").columns
+    found[texts] = found[texts].fillna("")
+    return found
+
+
+def _build_metrics(found: DataFrame) -> Iterator[PageTable]:
+    """Build the table of recordings by transforms, the paper's numbers below each row, and that of mountings."""
+    if found.empty:
+        return
+    reducers = order_reducers(found["reducer"])
+    form = TableForm(
+        "Spectral match (eq. 1) and temporal match (eq. 2) of every transform, for each recording as its sensor was "
+        "mounted; below, the paper's numbers for what the recording stands for.",
+        (
+            Column("Recording", "recording", NAME), Column("Metric", "metric", TEXT), Column("Of", "_of", NAME),
+            *(Column(name, name, end=words.name_path(name), method="{_method}") for name in reducers),
+        ),
+        path="transforms.{recording}.{metric}.{_source}", detail=False,
+    )  # fmt: skip
+    rows: list[dict[Any, Any]] = []
+    for (recording, metric), part in found.groupby(["recording", "metric"], sort=False):
+        names = {"recording": recording, "metric": metric, "n": 1}
+        own = part.set_index("reducer").reindex(reducers)
+        here = {
+            "_of": "this study",
+            "_source": "here",
+            "_method": f"{metric} of this study's recording",
+        }
+        rows.append(names | here | own["value"].to_dict())
+        if own["paper"].notna().any():
+            first = own.dropna(subset="paper").iloc[0]
+            told = f"{first['shown']} ({first['table']}, {first['source']})"
+            theirs = {"_of": told, "_source": "paper", "_method": f"the paper's number, {told}"}
+            rows.append(names | theirs | own["paper"].to_dict())
+    yield form.build(rows)
+    if "mounting_mean" in found:
+        turned = found.dropna(subset="mounting_mean").assign(n=1)
+        yield MOUNTINGS.build(turned.to_dict("records"))

@@ -71,11 +71,13 @@ class Further:
     """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed.
 
     rivals: metrics, columns of these or of the manifest, that are to be compared with those of the primary analysis.
+    mountings: recording, reducer and metric with mean and quantiles over orientations of the sensor, if computed.
     """
 
     metrics: DataFrame
     notes: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
+    mountings: DataFrame | None = None
 
 
 def read_table(

@@ -286,16 +286,22 @@ class SourceTable(kinds.TomlTable):
         raise NotImplementedError
 
 
+def _check_scene(scene: str) -> str:
+    for part in scene.split("+"):
+        kinds.check_one_of(part, SCENES)
+    return scene
+
+
 class SceneTable(SourceTable):
     """`[[recordings]]` with `scene`: a bundled synthetic scene."""
 
-    scene: Annotated[str, kinds.one_of(SCENES)]
+    scene: Annotated[str, AfterValidator(_check_scene)]
     seed: kinds.Count = 0
     rate_hz: kinds.Positive = 10000.0
     duration_s: kinds.Positive = 4.0
 
     def _find_source(self) -> str:
-        return self.scene
+        return self.scene.replace("+", "-")
 
 
 class FileTable(SourceTable):

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # What one participant judges: recordings x comparisons.
 JUDGEMENTS = {
-    "landin2010": 4 * (9 + 1 + 2),
+    "landin2010": 5 * (9 + 1 + 2),
     "park2019": 12 * (6 + 1),
     "lee2022": 8 * (6 * 5 // 2 + 1),
 }
@@ -32,9 +32,8 @@ JUDGEMENTS = {
 def bundled(request: pytest.FixtureRequest, tmp_path: Path) -> StudyFolder:
     """A published study with short recordings."""
     study = create_study(tmp_path / request.param, bundled=request.param)
-    text = re.sub(
-        r"^(scene = .*)$", r"\1\nduration_s = 0.4", read_bundled(request.param), flags=re.MULTILINE
-    )
+    whole = re.sub(r"^duration_s = .*\n", "", read_bundled(request.param), flags=re.MULTILINE)
+    text = re.sub(r"^(scene = .*)$", r"\1\nduration_s = 0.4", whole, flags=re.MULTILINE)
     study.settings.write_text(text, encoding="utf-8")
     return study
 
