@@ -29,7 +29,13 @@ SPREADS = dict(zip(REDUCERS, (0.20, 0.30, 0.18, 0.01, 0.25, 0.08), strict=True))
 SLOPES = {MEAN: 50.0, SD: -40.0}
 
 
-def make_table(*, bonus: float = 0.0, spreads: dict[str, float] = SPREADS, seed: int = 1) -> Table:
+def make_table(
+    *,
+    bonus: float = 0.0,
+    spreads: dict[str, float] = SPREADS,
+    seed: int = 1,
+    gain: float | None = None,
+) -> Table:
     """Ratings of twelve people who follow mean and spread, and mag321 a bonus besides."""
     rng = np.random.default_rng(seed)
     scenes = [f"s{number}" for number in range(8)]
@@ -50,10 +56,13 @@ def make_table(*, bonus: float = 0.0, spreads: dict[str, float] = SPREADS, seed:
         for level in [rng.normal(0, 5)]
         for trial, (name, mean) in enumerate(zip(manifest["stimulus_id"], felt, strict=True))
     ]  # fmt: skip
+    ratings = pd.DataFrame(rows)
+    if gain is not None:
+        manifest["gain"], ratings["reference_id"] = gain, "surface"
     statistics = manifest.set_index("stimulus_id")[[MEAN, SD]]
     further = Further(statistics, ("Rotation statistics.",))
     return read_table(
-        pd.DataFrame(rows), manifest.drop(columns=[MEAN, SD]), metrics=[MEAN, SD], further=further
+        ratings, manifest.drop(columns=[MEAN, SD]), metrics=[MEAN, SD], further=further
     )
 
 
@@ -95,6 +104,12 @@ def test_the_report_holds_the_plants_and_explains_the_spread() -> None:
     (line,) = [line for line in section.verdict if line.lead == "spread over orientations"]
     assert "no merit by itself" in line.text
     assert "opposite direction" not in " ".join(section.answers)
+
+
+def test_a_gain_beside_the_real_surface_is_noted() -> None:
+    (note,) = [note for note in make_table(gain=1.16).notes if "beside the real surface" in note]
+    assert "played at 1.16 to 1.16 times the strength that was recorded" in note
+    assert not [note for note in make_table(gain=1.0).notes if "beside the real surface" in note]
 
 
 # The measures of the paper's claims.

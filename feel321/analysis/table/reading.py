@@ -513,6 +513,13 @@ def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
         fate = ": none enters an association or a slope"
         fate = "" if reference in {SURFACED, UNLISTED} else fate
         yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
+        gains = part[schema.GAIN].dropna() if schema.GAIN in part else part["rating"].iloc[:0]
+        if reference == SURFACED and (gains != 1).any():
+            least, most = gains.min(), gains.max()
+            yield (
+                f"Scale '{scale}': beside the real surface, stimuli were played at {least:.3g} to {most:.3g} times the "
+                "strength that was recorded, so ratings mix strength with likeness."
+            )
 
 
 # Further metrics.
