@@ -5,7 +5,8 @@ A method is given as
 - an entry point's name (groups of `GROUPS`), from an installed package;
 - a dotted name, `mylab.haptics:my321`;
 - a file of the study, `methods/my321.py:my321`;
-- a table of `study.toml`, `[reducers.my321]`, with `use = "..."`, one of the above, or `command = "..."`, any program;
+- a table of `study.toml`, `[reducers.my321]`, with `use = "..."`, one of the above, `command = "..."`, any program, or
+  `file = "made/{recording}.wav"`, what was made of each recording elsewhere;
 - a function, in Python.
 
 The name behind the colon, or that of the table or entry point, is what stands in manifests, file names and tables; one
@@ -57,7 +58,10 @@ LONGEST_REASON = 200
 _TURN = threading.RLock()
 """Held while a lab's code runs: standard output belongs to the process, and few functions expect two callers."""
 
-Origin = Literal["file", "module", "function", "command"]
+Origin = Literal["file", "module", "function", "command", "made"]
+
+RECORDING = "{recording}"
+"""Stands for a recording's name in that of a file made of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,18 +84,23 @@ class Method:
         """Name it as messages do."""
         return f"{self.kind} {self.name}"
 
+    @property
+    def is_python(self) -> bool:
+        """Whether it is imported and called."""
+        return self.origin not in {"command", "made"}
+
     def load(self) -> Any:  # noqa: ANN401 - whatever the lab wrote
         """Import it, once per process; a class is called without arguments for its object."""
         if self.origin == "function":
             return self.function
-        if self.origin == "command":
-            raise TypeError(f"{self}: a command is run, not imported")
+        if not self.is_python:
+            raise TypeError(f"{self}: {self.place} is no Python, and not imported")
         return _load(self, self.folder)
 
     def find_fact(self, name: str, otherwise: Any = None) -> Any:  # noqa: ANN401 - a fact of any type
         """Find what the table, or else an attribute of the object, declares."""
         declared = dict(self.facts)
-        if name in declared or self.origin == "command":
+        if name in declared or not self.is_python:
             return declared.get(name, otherwise)
         return getattr(self.load(), name, otherwise)
 
@@ -162,12 +171,17 @@ def _check_name(method: Method, taken: Collection[str]) -> Method:
 
 def _find_declared(kind: str, name: str, table: Mapping[str, Any], *, folder: Path) -> Method:
     own = {key: value for key, value in table.items() if value is not None}
-    use, command = own.pop("use", None), own.pop("command", None)
-    if (use is None) == (command is None):
+    use, command, made = (own.pop(key, None) for key in ("use", "command", "file"))
+    if sum(one is not None for one in (use, command, made)) != 1:
+        third = ' or file = "made/{recording}.wav"' if kind == "reducer" else ""
         raise ValueError(
-            f'{kind} {name!r}: its table must say either use = "..." or command = "..."; use takes {FORMS}'
+            f'{kind} {name!r}: its table must say either use = "..." or command = "..."{third}; use takes {FORMS}'
         )
     facts = tuple(sorted(own.items()))
+    if made is not None:
+        return Method(
+            kind, name, made, _digest_made(kind, name, made, folder=folder), "made", facts, folder
+        )
     if command is not None:
         sha256 = _digest_command(kind, name, command, folder=folder)
         return Method(kind, name, command, sha256, "command", facts, folder)
@@ -307,6 +321,19 @@ def _digest_command(kind: str, name: str, command: str, *, folder: Path) -> str:
     words = {part for word in split_command(kind, name, command) for part in (word, *word.split())}
     found = {word: folder / word for word in words if _is_inside(folder / word, folder)}
     return _digest_files(found, command)
+
+
+def _digest_made(kind: str, name: str, file: str, *, folder: Path) -> str:
+    """Digest the files that were made of recordings: all that are there."""
+    if file.count(RECORDING) != 1 or Path(file).is_absolute() or ".." in Path(file).parts:
+        raise ValueError(
+            f"{kind} {name}: file must be in the study's folder and name each recording's by {RECORDING} once, such as "
+            f"made/{RECORDING}.wav; got {file!r}"
+        )
+    found = {
+        one.relative_to(folder).as_posix(): one for one in folder.glob(file.replace(RECORDING, "*"))
+    }
+    return _digest_files({where: one for where, one in found.items() if one.is_file()}, file)
 
 
 def _is_inside(path: Path, folder: Path) -> bool:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.analysis.table.items import Items
+    from feel321.extensions import Method
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +31,14 @@ class Choices:
     """Choices that were made before the ratings were seen.
 
     draws: bootstrap draws per interval and random pairings per permutation test. margin: difference in points that
-    does not matter; None: half the standard deviation of raters' repeated ratings. seed: random seed.
+    does not matter; None: half the standard deviation of raters' repeated ratings. seed: random seed. rules: the lab's
+    own screening rules.
     """
 
     draws: int = 2000
     margin: float | None = None
     seed: int = 0
+    rules: tuple[Method, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""

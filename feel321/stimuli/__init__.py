@@ -6,7 +6,7 @@ Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `reduce
 from feel321.doors import forward_old_names as _forward_old_names
 from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import Conditioning, condition
-from feel321.stimuli.conform import check_dft321
+from feel321.stimuli.conform import Conformity, check_dft321
 from feel321.stimuli.conform_stream import check_stream
 from feel321.stimuli.formats.read import read_recording, read_recordings
 from feel321.stimuli.match import (
@@ -41,6 +41,7 @@ __all__ = [
     "SCENES",
     "THRESHOLDS",
     "Conditioning",
+    "Conformity",
     "Recipe",
     "Recording",
     "Reduced",

@@ -186,8 +186,8 @@ def _check_dft321(reducer: OwnReducer) -> str:
         return "not claimed"
     if form not in FORMS:
         raise ValueError(f"dft321 must be one of {', '.join(FORMS)}, got {form!r}")
-    check_dft321(reducer, form=form)
-    return f"reproduces every golden vector ({form})"
+    found = check_dft321(reducer, form=form)
+    return f"{found.verdict}: {found.vectors} golden vectors ({form})"
 
 
 def _time(reducer: OwnReducer) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from feel321.doors import describe
-from feel321.extensions import Method, call, find_method, split_command
+from feel321.extensions import RECORDING, Method, call, find_method, split_command
 from feel321.stimuli.recording import check_acceleration, coerce_real
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.types import MetricInfo, Samples
@@ -33,9 +33,13 @@ SLACK = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class OwnReducer:
-    """A lab's reducer, with the calling form of `REDUCERS`."""
+    """A lab's reducer, with the calling form of `REDUCERS`.
+
+    recording: whose reduction is read, where it is made elsewhere.
+    """
 
     method: Method
+    recording: str = ""
 
     @property
     def __name__(self) -> str:
@@ -55,6 +59,8 @@ class OwnReducer:
         where = f"given {describe_input(samples, rate_hz)}"
         if self.method.origin == "command":
             output: object = run_reducer(self.method, samples, rate_hz)
+        elif self.method.origin == "made":
+            output = read_made(self.method, self.recording, rate_hz)
         else:
             copy = samples.copy()
             output = call(self.method, self.method.load(), copy, float(rate_hz), doing=where)
@@ -63,7 +69,7 @@ class OwnReducer:
 
     def open_stream(self, rate_hz: float) -> OwnStream | None:
         """Open its streaming form, `stream(rate_hz)`, where it has one."""
-        make = self.method.find_fact("stream") if self.method.origin != "command" else None
+        make = self.method.find_fact("stream") if self.method.is_python else None
         if make is None:
             return None
         return OwnStream(
@@ -244,6 +250,24 @@ def run_reducer(method: Method, samples: Samples, rate_hz: float) -> Samples:
     if rate != round(rate_hz):
         raise ValueError(f"{method}: must keep the rate of {round(rate_hz)} Hz, wrote {rate} Hz")
     return output
+
+
+def read_made(method: Method, recording: str, rate_hz: float) -> Samples:
+    """Read what was made of a recording elsewhere, m/s² in a WAV file."""
+    if not recording:
+        raise ValueError(
+            f"{method}: was made elsewhere, for the study's recordings only; leave it out here"
+        )
+    file = method.place.replace(RECORDING, recording)
+    try:
+        samples, rate = read_wav((method.folder or Path()) / file)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{method}: {file} cannot be read as a WAV file ({error})") from None
+    if rate != round(rate_hz):
+        raise ValueError(
+            f"{method}: {file} must have its recording's rate of {round(rate_hz)} Hz, got {rate} Hz; resample it"
+        )
+    return samples
 
 
 def run_metric(

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from feel321.analysis.report.write import Results, write_report
+from feel321.analysis.screening.rules import find_rules
 from feel321.analysis.table.metrics import ROTATIONS, list_rivals, make_info
 from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.names import MATCHES
@@ -59,10 +60,8 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     own, wanted = settings if ratings is None else None, metrics or chosen.metrics
     further = _derive_ratings(study, own, wanted) if own else Further(pd.DataFrame(), ())
     if settings and metrics and set(metrics) != set(chosen.metrics):
-        note = (
-            f"Metrics {', '.join(metrics)} were asked for with this analysis; {study.settings.name} declares "
-            f"{', '.join(chosen.metrics)}."
-        )
+        asked, declared = ", ".join(metrics), ", ".join(chosen.metrics)
+        note = f"Metrics {asked} were asked for with this analysis; {study.settings.name} declares {declared}."
         further = replace(further, notes=(*further.notes, note))
     if rivals:
         listed = manifest or study.manifest
@@ -75,12 +74,22 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         margin=chosen.margin,
         metrics=wanted,
         sources=list_origins(settings) if settings else {},
-        further=further,
+        further=replace(further, labels=list_labels(settings)) if settings else further,
         info=list_info(settings) if settings else {},
+        rules=find_rules(chosen.screening, study.path),
         paper=make_paper(settings, further.mountings) if settings else None,
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
+
+
+def list_labels(settings: Settings) -> pd.DataFrame:
+    """List what each recording is of, where that is said: columns interaction and sample, by recording."""
+    said = {
+        one.title: {"interaction": one.interaction, "sample": one.sample}
+        for one in settings.recordings
+    }
+    return pd.DataFrame.from_dict(said, orient="index").dropna(axis=1, how="all")
 
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:
@@ -194,7 +203,7 @@ def measure_rotations(
 def _list_copies(settings: Settings) -> dict[str, str]:
     """List the recordings with the first entry that differs from each in nothing but how the sensor was mounted."""
     first: dict[str, str] = {}
-    own = {"name", "sample", "picture", "rotation"}
+    own = {"name", "sample", "interaction", "picture", "rotation"}
     return {
         entry.title: first.setdefault(repr(entry.model_dump(exclude=own)), entry.title)
         for entry in settings.recordings
@@ -223,12 +232,12 @@ def compute_rotations(
     Copies share their statistics: over all orientations these are the same, and only chance would tell them apart.
     """
     copies = copies or {}
-    commands = {one.name for one in recipe.methods if one.origin == "command"}
+    commands = {one.name for one in recipe.methods if not one.is_python}
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
     if not reducers:
         return Further(
-            pd.DataFrame(), ("Rotation statistics: all reducers are commands; left out.",)
+            pd.DataFrame(), ("Rotation statistics: all reducers are commands or files; left out.",)
         )
     own = [find_reducer(recipe, name) for name in reducers]
     first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
@@ -255,7 +264,7 @@ def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> st
         f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {turned}, reduced and "
         "matched with itself; level, resampling and fades, which stimuli go through afterwards, have no part in it."
         + (" Turned copies of a recording share theirs." if shared else "")
-        + (f" Without {', '.join(commands)}: commands." if commands else "")
+        + (f" Without {', '.join(commands)}: commands or files." if commands else "")
     )
 
 

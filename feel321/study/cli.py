@@ -16,7 +16,7 @@ VERBS = {
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "stress"),
-    "signals": ("match", "reduce"),
+    "signals": ("match", "port", "reduce"),
     "studies": (
         "analyze",
         "audit",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -129,25 +130,31 @@ def _is_ours(entry: Path) -> bool:
 
 
 def list_bundled() -> tuple[str, ...]:
-    """List the published studies that are ready to be run again.
+    """List the studies that are ready to be run: published ones, and designs of our own.
 
     Examples
     --------
     >>> list_bundled()
-    ('landin2010', 'lee2022', 'park2019')
+    ('airotouch', 'codec', 'generated', 'landin2010', 'lee2022', 'park2019')
     """
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in BUNDLED.iterdir()))
+    files = (entry.name for entry in BUNDLED.iterdir() if entry.name.endswith(".toml"))
+    return tuple(sorted(name.removesuffix(".toml") for name in files))
 
 
 def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     """Begin a study: its folder, a commented `study.toml` that works as it is, and a `rig.toml`.
 
-    bundled: which published study it is to be; one with every setting at its default if left out.
+    bundled: which ready study it is to be; one with every setting at its default if left out. Methods of its own that
+    it names are written beside it.
     """
     text = read_template() if bundled is None else read_bundled(bundled)
     study = StudyFolder(path)
     (path / "recordings").mkdir(parents=True, exist_ok=True)
     create_text(study.settings, text)
+    for name in sorted(set(re.findall(r"methods/(\w+\.py)", text if bundled else ""))):
+        (path / "methods").mkdir(exist_ok=True)
+        code = BUNDLED / "methods" / f"{name}.txt"
+        create_text(path / "methods" / name, code.read_text(encoding="utf-8"))
     if not study.rig.exists():
         create_text(study.rig, (TEMPLATES / "rig_template.toml").read_text(encoding="utf-8"))
     return study
@@ -167,6 +174,7 @@ def add_methods(study: StudyFolder) -> None:
     begin, end = text.index("reducers = ["), text.index("levels = [")
     own = 'reducers = ["say321", "pca321", "dft321", "my321", "wav321"]  # the last two are your own, see below\n'
     text = (text[:begin] + own + text[end:]).replace("metrics = []", 'metrics = ["snr"]')
+    text = text.replace("screening = []", 'screening = ["methods/slow.py:slow"]')
     text = text.replace(
         'protocols = ["realism", "similarity"]',
         'protocols = ["realism", "similarity", "methods/roughness.py:roughness"]',

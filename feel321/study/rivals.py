@@ -35,7 +35,9 @@ def measure_rivals(
                 metric: float(value)
                 for metric, value in measure_batch(
                     ready.acceleration,
-                    np.asarray(find_reducer(recipe, name)(ready.acceleration, ready.rate_hz)),
+                    np.asarray(
+                        find_reducer(recipe, name, ready.name)(ready.acceleration, ready.rate_hz)
+                    ),
                     ready.rate_hz,
                 ).items()
             }

@@ -12,7 +12,7 @@ from functools import partial
 from itertools import count, islice
 from pathlib import Path
 from threading import Event, Lock
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from feel321.study.exploration.track import MOTION
 from feel321.study.observer.participant import (
@@ -30,6 +30,9 @@ from feel321.study.session.plan import TOMBSTONE_FILE, Plan
 from feel321.study.settings.read import find_modes, make_identity
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.ports import Presenter
@@ -58,31 +61,55 @@ class Casting:
     percepts: Mapping[str, Percept]
 
 
-def find_planted(settings: Settings, stimuli: StimulusSet) -> dict[str, float]:
-    """Compute the slopes that simulated participants plant in realism ratings, after clipping at the ends of the scale.
+class Planted(NamedTuple):
+    """What simulated participants plant in realism ratings: points per +0.1 of a metric, and points of a reducer."""
 
-    Returns metric -> points per +0.1 within recordings, of the mean ratings of careful participants.
+    slopes: dict[str, float]
+    reducers: dict[str, float]
+
+
+def find_planted(settings: Settings, stimuli: StimulusSet) -> dict[str, float]:
+    """Compute the slopes that simulated participants plant in realism ratings: metric -> points per +0.1."""
+    return regress_planted(settings, stimuli).slopes
+
+
+def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
+    """Compute what simulated participants plant in realism ratings, after clipping at the ends of the scale.
+
+    Slopes and terms of reducers are those of one regression, within recordings, of the mean ratings of careful
+    participants; there are none where participants feel more than the two matches.
     """
     import numpy as np
 
     model = _make_model(settings)
     tests = [stimulus for stimulus in stimuli.stimuli if stimulus.role == "test"]
     if model.uses_percepts or "realism" not in settings.session.protocols or not tests:
-        return {}
+        return Planted({}, {})
     touch = Touch(model, {})
     points = [touch.locate(stimulus) for stimulus in tests]
     ratings = expect_rating(model, [touch.feel(point) for point in points])
+    felt = {stimulus.reducer for stimulus in tests}
+    terms = [name for name, points in model.reducers.items() if points and name in felt]
     values = np.array([
-        [point.spectral, point.temporal, rating]
-        for point, rating in zip(points, ratings, strict=True)
+        [point.spectral, point.temporal, *(stimulus.reducer == name for name in terms), rating]
+        for stimulus, point, rating in zip(tests, points, ratings, strict=True)
     ])
-    arms = np.unique(
-        [f"{stimulus.recording}/{stimulus.level}" for stimulus in tests], return_inverse=True
-    )[1]
-    for arm in range(arms.max() + 1):
+    found = _regress_within(values, [(one.recording, one.level) for one in tests])
+    metrics = (model.spectral_metric, "temporal_match")
+    slopes = {name: slope / 10 for name, slope in zip(metrics, found[:2], strict=True)}
+    return Planted(slopes, dict(zip(terms, found[2:], strict=True)))
+
+
+def _regress_within(values: NDArray[np.float64], groups: list[tuple[str, str]]) -> list[float]:
+    """Regress the last column on the others, within groups."""
+    import numpy as np
+
+    names = sorted(set(groups))
+    arms = np.array([names.index(group) for group in groups])
+    for arm in range(len(names)):
         values[arms == arm] -= values[arms == arm].mean(axis=0)
-    slopes = np.linalg.lstsq(values[:, :2], values[:, 2], rcond=None)[0] / 10
-    return dict(zip((model.spectral_metric, "temporal_match"), slopes.tolist(), strict=True))
+    found: list[float] = np.linalg.lstsq(values[:, :-1], values[:, -1], rcond=None)[0].tolist()
+    return found
 
 
 def _make_model(settings: Settings) -> ObserverModel:

@@ -248,7 +248,7 @@ class Study(Contents):
         path : str or path
             The folder; refused if it holds a study.
         like : str, optional
-            A published study to run again: `landin2010`, `lee2022` or `park2019`.
+            A ready study, such as `landin2010`, one that was published, or `generated`, a design.
         progress : bool or callable
             Whether long steps show a progress bar.
 

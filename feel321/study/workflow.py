@@ -133,16 +133,20 @@ def _try_recipe(
 
 
 def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check the form of the lab's own reducers and metrics, as far as that is quick."""
+    """Check the form of the lab's own reducers, metrics and screening rules, as far as that is quick."""
+    from feel321.analysis.screening.rules import find_rules, make_rule
     from feel321.stimuli.conformance import check_method
 
     try:
         methods = list_methods(settings, study.path)
+        for rule in find_rules(settings.analysis.screening, study.path):
+            make_rule(rule)
     except (TypeError, ValueError) as error:
         return [f"{study.settings.name}: {error}"]
     return [
         f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
         for one in methods
+        if one.origin != "made"
         for found in check_method(one, quick=True)
         if not found.passed
     ]

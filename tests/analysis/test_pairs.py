@@ -17,6 +17,7 @@ from feel321.analysis.report import pairs
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.write import write_report
 from feel321.analysis.table.reading import Table, read_table
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -227,17 +228,33 @@ def test_who_has_no_valid_judgement_is_named(write: Callable[..., tuple[Path, Pa
     assert set(table.rows["participant"]) == {"q"}
 
 
-@pytest.mark.parametrize("scale", ["dissimilarity", "abx"])
-def test_no_metric_is_set_against_comparisons(
-    tidy: Callable[..., pd.DataFrame], scale: str
-) -> None:
+def test_no_metric_is_set_against_right_and_wrong(tidy: Callable[..., pd.DataFrame]) -> None:
     rated = tidy()
-    whole = Table(pd.concat([rated, tidy(scales=(scale,))]), ("spectral_match",), ())
+    whole = Table(pd.concat([rated, tidy(scales=("abx",))]), ("spectral_match",), ())
     found = tabulate_correlations(whole, method="all", draws=20)
     assert set(found["scale"]) == {"realism"}
-    assert set(profile_reducers(whole)["scale"]) == {"realism", scale}
+    assert set(profile_reducers(whole)["scale"]) == {"realism", "abx"}
     alone = tabulate_correlations(rated, ["spectral_match"], method="all", draws=20)
     assert found.equals(alone)
+
+
+def test_a_dissimilarity_from_the_original_is_a_similarity_turned_round(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
+    likeness = tidy(scales=("similarity",))
+    turned = likeness.assign(scale="dissimilarity", rating=100 - likeness["rating"])
+    pairs_too = turned.assign(role=turned["role"].where(turned["role"] != "test", "pair"))
+    plain, recast = (
+        tabulate_correlations(rows, ["spectral_match"], method="all", draws=20)
+        for rows in (likeness, pd.concat([turned, pairs_too]))
+    )
+    assert set(recast["scale"]) == {"recast_similarity"}
+    assert recast["value"].to_numpy() == pytest.approx(plain["value"].to_numpy())
+    assert recast["n_items"].to_list() == plain["n_items"].to_list()
+    assert (plain["value"] > 0.3).all()
+    frame = Table(turned.assign(source=turned["recording"]), ("spectral_match",), ()).model_frame()
+    tested = likeness[likeness["role"] == "test"]
+    assert sorted(frame["rating"]) == pytest.approx(sorted(tested["rating"]))
 
 
 def test_everybody_right_is_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -268,24 +285,12 @@ def read_page(folder: Path) -> str:
 
 
 @pytest.mark.usefixtures("sketched")
-@pytest.mark.parametrize(
-    ("scale", "reason", "measure"),
-    [
-        (
-            "dissimilarity",
-            "a metric describes one stimulus and they compare two",
-            "Mean dissimilarity from the refer",
-        ),
-        ("abx", "they are right (100) or wrong (0)", "Mean percentage correct per reducer"),
-    ],
-)
 def test_comparisons_alone_are_a_page_without_a_claim(
-    files: Callable[..., object], tmp_path: Path, scale: str, reason: str, measure: str
+    files: Callable[..., object], tmp_path: Path
 ) -> None:
-    study = files(scales=(scale,))
+    study = files(scales=("abx",))
     ratings = pd.read_csv(study.ratings)
-    if scale == "abx":
-        ratings["rating"] = np.where(ratings["rating"] > 50, 100.0, 0.0)
+    ratings["rating"] = np.where(ratings["rating"] > 50, 100.0, 0.0)
     ratings.assign(reference_id=ratings["recording"] + "_original_as_is").to_csv(
         study.ratings, index=False
     )
@@ -293,8 +298,7 @@ def test_comparisons_alone_are_a_page_without_a_claim(
     assert results.verdict[0].startswith(
         "These ratings do not show whether the metrics predict what people feel"
     )
-    assert ("The space of what was felt" in results.verdict[-1]) == (scale == "dissimilarity")
-    lead = f"Scale '{scale}': none of its 576 judgements enters an association, because {reason}"
+    lead = "Scale 'abx': none of its 576 judgements enters an association, because they are right (100) or wrong (0)"
     assert results.notes[0].startswith(lead)
     assert not [
         number
@@ -305,12 +309,39 @@ def test_comparisons_alone_are_a_page_without_a_claim(
         len([number for number in results.numbers if number.name.startswith("profile")]) == 12 * 4
     )
     page = read_page(tmp_path / "report")
-    assert measure in page
+    assert "Mean percentage correct per reducer" in page
     assert "bootstrap" not in page
-    assert ("Guessing gives 50." in page) == (scale == "abx")
+    assert "Guessing gives 50." in page
     assert {"tables/participants.csv", "tables/profiles.csv"} <= set(results.files)
     assert not [name for name in results.files if "association" in name or "slope" in name]
     json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
+
+
+@pytest.mark.usefixtures("sketched")
+def test_dissimilarities_from_the_original_answer_the_question(
+    files: Callable[..., object], tmp_path: Path
+) -> None:
+    study = files(scales=("dissimilarity",), spectral=40.0)
+    ratings = pd.read_csv(study.ratings)
+    ratings = ratings.assign(
+        reference_id=ratings["recording"] + "_original_as_is", rating=100 - ratings["rating"]
+    )
+    ratings.to_csv(study.ratings, index=False)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    assert results.verdict[0].startswith(
+        "Recast similarity: Spectral match predicts recast similarity ratings"
+    )
+    found = {number.name: number for number in results.numbers}
+    slope = found["slope.recast_similarity.as_is.spectral_match"]
+    assert slope.low < 4.0 < slope.high
+    one, other = (
+        found[f"recast.as_is.spectral_match.pearson{end}"] for end in ("", ".dissimilarity")
+    )
+    assert (other.value, other.low, other.high) == (-one.value, -one.high, -one.low)
+    assert one.value == found["association.recast_similarity.as_is.spectral_match.pearson"].value
+    n_tests = 6 * 2 * 4 * len(DEFAULT_REDUCERS)
+    assert any(f"{n_tests} of its 576 judgements compare" in note for note in results.notes)
+    assert "Mean dissimilarity from the refer" in read_page(tmp_path / "report")
 
 
 def test_pairs_of_reducers_alone_are_a_page_too(

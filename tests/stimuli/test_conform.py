@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from functools import partial
@@ -9,11 +10,15 @@ import numpy as np
 import pytest
 
 from feel321.stimuli.__main__ import main
-from feel321.stimuli.conform import check_dft321, check_outputs, golden_vectors, write_vectors
+from feel321.stimuli.conform import GoldenVector, check_dft321, golden_vectors, judge
+from feel321.stimuli.port import check_port, write_port
+from feel321.stimuli.reducers.axes import sqrt_hann
 from feel321.stimuli.reducers.fourier import dft321, dft321_windowed
 from feel321.stimuli.wav import read_wav, write_wav
+from feel321.study.cli import main as feel321
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
 
@@ -69,9 +74,113 @@ FAULTS = {
 
 
 def test_ours_conform() -> None:
-    check_dft321(dft321)
+    assert check_dft321(dft321).verdict == "agrees"
     for window_s in (0.02, 0.035, 0.05):
-        check_dft321(partial(dft321_windowed, window_s=window_s), form="windowed")
+        found = check_dft321(partial(dft321_windowed, window_s=window_s), form="windowed")
+        assert found.verdict == "agrees"
+
+
+def half_spectrum(acceleration: np.ndarray, _rate_hz: float) -> np.ndarray:
+    """The routine as the paper states it: magnitude of equation 3, angle of the sum of equation 4."""
+    spectra = np.fft.rfft(acceleration)
+    magnitude = np.sqrt((np.abs(spectra) ** 2).sum(axis=0))
+    angle = np.angle(spectra.sum(axis=0))
+    return np.fft.irfft(magnitude * np.exp(1j * angle), acceleration.shape[1])
+
+
+def two_sided(acceleration: np.ndarray, _rate_hz: float) -> np.ndarray:
+    """The same over all frequencies: rounding may set the phases at f and -f each by its own."""
+    return np.fft.ifft(merged(acceleration)).real
+
+
+def in_frames(
+    acceleration: np.ndarray, rate_hz: float, *, length: int = 36, both: bool = True
+) -> np.ndarray:
+    """The routine in frames that overlap by half, windowed before and after the transform, or before only."""
+    n, hop = acceleration.shape[1], length // 2
+    window = sqrt_hann(length) if both else sqrt_hann(length) ** 2
+    padded = np.pad(acceleration, ((0, 0), (length, length + (-n) % hop)))
+    total = np.zeros(padded.shape[1])
+    for start in range(0, padded.shape[1] - length + 1, hop):
+        part = slice(start, start + length)
+        frame = half_spectrum(window * padded[:, part], rate_hz)
+        total[part] += window * frame if both else frame
+    return total[length : length + n]
+
+
+@pytest.mark.parametrize("routine", [half_spectrum, two_sided])
+def test_a_restatement_agrees_with_the_paper_and_differs_where_the_phase_is_open(
+    routine: Callable[[np.ndarray, float], np.ndarray],
+) -> None:
+    ordinary = np.random.default_rng(4).standard_normal((3, 1000))
+    np.testing.assert_allclose(routine(ordinary, 1e3), dft321(ordinary, 1e3), atol=1e-13)
+    found = check_dft321(routine)
+    assert found.verdict == (
+        "agrees with the paper; differs where the paper leaves the phase open (13)"
+    )
+    assert all(name.startswith("anti_phase") for name in found.differing)
+    assert found.off < 1e-9
+
+
+@pytest.mark.parametrize("both", [True, False])
+@pytest.mark.parametrize("length", [36, 50])
+def test_a_restatement_in_frames_agrees_too(length: int, both: bool) -> None:
+    found = check_dft321(partial(in_frames, length=length, both=both), form="windowed")
+    assert len(found.differing) == 15
+    # Zero phase moves a frame's energy to where the window is zero: worth a sentence.
+    assert found.energy < 0.5
+    assert any("of the energy is kept" in note for note in found.notes)
+
+
+def where_open(change: Callable[[np.ndarray], np.ndarray]) -> object:
+    """A routine that conforms, but for what it makes of its output where the axes cancel."""
+
+    def routine(acceleration: np.ndarray, rate_hz: float) -> np.ndarray:
+        output = half_spectrum(acceleration, rate_hz)
+        return output if np.abs(acceleration.sum(axis=0)).max() > 1e-9 else change(output)
+
+    return routine
+
+
+def forget_high(output: np.ndarray) -> np.ndarray:
+    spectrum = np.fft.rfft(output)
+    spectrum[1:] = 0
+    return np.fft.irfft(spectrum, output.size)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (np.abs, "stronger at a frequency than equation 3 allows"),
+        (lambda output: 0.95 * output, "equation 3 not the magnitude"),
+        (lambda output: 1.05 * output, "stronger at a frequency"),
+        (np.zeros_like, "equation 3 not the magnitude"),
+        (forget_high, "anti_phase_64: holds"),
+        (lambda output: output + 0j, "complex"),
+        (lambda output: output[:-1], "got shape"),
+    ],
+)
+def test_an_open_phase_is_no_licence(
+    change: Callable[[np.ndarray], np.ndarray], fault: str
+) -> None:
+    with pytest.raises(ValueError, match=fault):
+        check_dft321(where_open(change))
+
+
+def test_frequencies_are_judged_one_by_one() -> None:
+    """Where only low frequencies cancel, their phase is free, and that of the others is not."""
+    time = np.arange(64)
+    low, high = np.cos(2 * np.pi * 3 * time / 64), np.cos(2 * np.pi * 9 * time / 64)
+    acceleration = np.array([low + high, -low + high, high])
+    expected = 2**0.5 * low + 3**0.5 * high
+    vector = GoldenVector("mixed", acceleration, expected)
+    turned = 2**0.5 * np.sin(2 * np.pi * 3 * time / 64) + 3**0.5 * high
+    found = judge(vector, turned, form="whole")
+    assert not found.faults
+    assert found.energy == pytest.approx(1.0)
+    wrong = 2**0.5 * low + 3**0.5 * np.sin(2 * np.pi * 9 * time / 64)
+    (fault,) = judge(vector, wrong, form="whole").faults
+    assert "a frequency whose phase is decided" in fault
 
 
 @pytest.mark.parametrize("form", ["whole", "windowed"])
@@ -138,14 +247,52 @@ def answer(folder: Path, port: object) -> None:
 
 
 def test_a_port_in_another_language_is_judged_by_its_files(tmp_path: Path) -> None:
-    assert len(write_vectors(tmp_path)) == len(golden_vectors())
+    assert len(write_port(tmp_path)) == len(golden_vectors())
     with pytest.raises(ValueError, match=r"offset.out.wav is missing"):
-        check_outputs(tmp_path)
+        check_port(tmp_path)
     answer(tmp_path, dft321)
-    check_outputs(tmp_path)
+    assert check_port(tmp_path).verdict == "agrees"
+    answer(tmp_path, half_spectrum)
+    assert check_port(tmp_path).verdict.endswith("leaves the phase open (13)")
     answer(tmp_path, full_wave_rectified)
     with pytest.raises(ValueError, match="off by"):
-        check_outputs(tmp_path)
+        check_port(tmp_path)
+
+
+def test_a_port_may_read_and_write_text(tmp_path: Path) -> None:
+    write_port(tmp_path, form="windowed")
+    for path in tmp_path.glob("*.csv"):
+        table = np.loadtxt(path, delimiter=",", ndmin=2)
+        np.savetxt(path.with_suffix(".out.csv"), dft321_windowed(table.T, 1e3))
+    found = check_port(tmp_path)
+    assert (found.form, found.verdict) == ("windowed", "agrees")
+    assert found.off < 1e-9  # text keeps 64 bits
+    (tmp_path / "offset.out.csv").write_text("1\n2\nmany\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"^dft321 does not conform: offset: not readable"):
+        check_port(tmp_path)
+    write_wav(tmp_path / "offset.out.wav", np.zeros(50), 1000)
+    with pytest.raises(ValueError, match="offset: answered twice"):
+        check_port(tmp_path)
+    (tmp_path / "vectors.json").write_text("[]", encoding="utf-8")
+    with pytest.raises(ValueError, match="not a list that feel321 port wrote"):
+        check_port(tmp_path)
+
+
+def test_the_verb_writes_and_checks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = str(tmp_path / "vectors")
+    assert feel321(["port", folder, "--check"]) == 1
+    assert "write the vectors first: feel321 port" in capsys.readouterr().err
+    assert feel321(["port", folder, "--reducer", "soc321"]) == 2
+    assert feel321(["port", folder]) == 0
+    answer(tmp_path / "vectors", half_spectrum)
+    capsys.readouterr()
+    assert feel321(["port", folder, "--check", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["verdict"].endswith("(13)")
+    assert len(facts["differing"]) == 13
+    answer(tmp_path / "vectors", without_conjugates)
+    assert feel321(["port", folder, "--check"]) == 1
+    assert capsys.readouterr().err.startswith("feel321: dft321 does not conform: circular_motion")
 
 
 def test_the_module_is_a_program(tmp_path: Path) -> None:

@@ -10,16 +10,8 @@ import numpy as np
 import pytest
 
 from feel321.stimuli.__main__ import main
-from feel321.stimuli.conform_stream import (
-    BLOCKS,
-    LIST,
-    MISSING,
-    STREAMING,
-    check_stream,
-    check_stream_outputs,
-    stream_vectors,
-    write_stream_vectors,
-)
+from feel321.stimuli.conform_stream import BLOCKS, MISSING, STREAMING, check_stream, stream_vectors
+from feel321.stimuli.port import LIST, check_port, write_port
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING, StreamingReducer
 from feel321.stimuli.wav import read_wav, write_wav
 
@@ -150,7 +142,15 @@ def test_an_independent_stream_conforms() -> None:
     check_stream(lambda _rate_hz, on_gap: Naive(on_gap=on_gap), "dft321_windowed")
 
 
-REDUCING = (full_wave_rectified, mirrored_wrongly, without_conjugates, phase_of_rounding)
+def test_an_open_phase_is_told_from_a_fault() -> None:
+    found = check_stream(
+        lambda _rate_hz, on_gap: Naive(phase_of_rounding, on_gap), "dft321_windowed"
+    )
+    assert found.verdict.endswith("differs where the paper leaves the phase open (3)")
+    assert all(name.startswith("anti_phase") for name in found.differing)
+
+
+REDUCING = (full_wave_rectified, mirrored_wrongly, without_conjugates)
 
 
 @pytest.mark.parametrize("reduce", REDUCING, ids=lambda one: one.__name__)
@@ -248,15 +248,15 @@ def test_a_port_by_files(name: str, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert main(["check-vectors", str(tmp_path), "--form", "streaming", "--reducer", "soc321"]) == 1
     answer(tmp_path, name, extra=1)
     with pytest.raises(ValueError, match="latency must be one number, got"):
-        check_stream_outputs(tmp_path, name)
+        check_port(tmp_path, form="streaming", reducer=name)
     (tmp_path / "impulses_b7.out.wav").unlink()
     with pytest.raises(ValueError, match=r"impulses_b7\.out\.wav is missing"):
-        check_stream_outputs(tmp_path, name)
+        check_port(tmp_path, form="streaming", reducer=name)
 
 
 def test_files_hold_the_vectors_in_32_bits(tmp_path: Path) -> None:
     """The waveforms have so few bits that nothing is lost on the way to a port."""
-    write_stream_vectors(tmp_path, "soc321")
+    write_port(tmp_path, form="streaming", reducer="soc321")
     for vector in stream_vectors("soc321")[:12]:
         written = np.asarray(read_wav(tmp_path / f"{vector.name}.wav")[0], dtype=np.float64)
         there = np.isfinite(vector.acceleration)

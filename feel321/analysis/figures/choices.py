@@ -8,7 +8,6 @@ import numpy as np
 
 from feel321.analysis.figures import style
 from feel321.analysis.figures.style import Look
-from feel321.analysis.screening.rules import RULES
 from feel321.analysis.words import MINUS, format_name, format_span
 
 if TYPE_CHECKING:
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from pandas import DataFrame
 
+    from feel321.analysis.screening.rules import Rule
     from feel321.analysis.screening.screen import Screening
 
 # Specification curve: one estimate under every choice of screening rules.
@@ -110,7 +110,7 @@ def draw_raters(screening: Screening) -> Figure:
     parts = {rule: table[table["rule"] == rule] for rule in screening.limits}
     with style.print_style():
         texts = {
-            rule: _describe_rule(rule, parts[rule], limit)
+            rule: _describe_rule(screening.known[rule], parts[rule], limit)
             for rule, limit in screening.limits.items()
         }
         heights = [STRIP_CM + GAP_CM + LINE_CM * (1 + text.count("\n")) for text in texts.values()]
@@ -136,8 +136,8 @@ def draw_raters(screening: Screening) -> Figure:
     return figure
 
 
-def _describe_rule(rule: str, part: DataFrame, limit: float) -> str:
-    known, width = RULES[rule], style.COLUMN_CM - 3 * style.MARGIN_CM
+def _describe_rule(known: Rule, part: DataFrame, limit: float) -> str:
+    width = style.COLUMN_CM - 3 * style.MARGIN_CM
     says = known.says.format(limit=limit).replace("%", " %").replace(" -", f" {MINUS}")
     source = style.fit_text(f"{says[:1].upper()}{says[1:]} ({known.source})", width, lines=3)
     silent = int(part["share"].isna().sum())

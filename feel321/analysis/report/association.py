@@ -34,6 +34,7 @@ from feel321.analysis.report.section import (
     RATINGS,
     TEXT,
     Column,
+    PageTable,
     Picture,
     Section,
     TableForm,
@@ -46,7 +47,7 @@ from feel321.analysis.table.items import make_items
 from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart
 from feel321.analysis.table.reading import Table
-from feel321.analysis.table.schema import APART, CHOSEN, PAIRED
+from feel321.analysis.table.schema import APART, CHOSEN, PAIRED, RECAST
 from feel321.analysis.words import COUNT, ONE_WAY, TWO_WAY, Claim, Line
 from feel321.types import MetricInfo
 
@@ -103,6 +104,19 @@ DIFFERENCES = TableForm(
     ),
     path="difference.{scale}.{level}.{first}.{second}.{method}", n="n_items",
 )  # fmt: skip
+TURNED = TableForm(
+    "Dissimilarities from the original, both ways: the correlation with 100 less the dissimilarity, as above, and with "
+    "the dissimilarity itself. 95 % two-way intervals.",
+    (
+        Column("Level", "level", TEXT), METRIC, METHOD,
+        Column("r of similarity", "value", "correlation", method=CORRELATION, interval=TWO_WAY),
+        Column(
+            "r of dissimilarity", "turned", end="dissimilarity", method="the same with the dissimilarity itself",
+            interval=TWO_WAY, ends="turned_",
+        ),
+    ),
+    path="recast.{level}.{metric}.{method}", n="n_items",
+)  # fmt: skip
 EDGES = TableForm(
     "What a scatter cannot show in its place.",
     (
@@ -120,7 +134,8 @@ MAPPINGS = TableForm(
 UNADJUSTED = "95 % intervals are not adjusted for their number."
 UNANSWERED = (
     "These ratings do not show whether the metrics predict what people feel: on no scale were single test stimuli "
-    "rated. What was rated is in the profile; the reasons are under What was left out or assumed."
+    "rated by themselves or against their recording. What was rated is in the profile; the reasons are under What was "
+    "left out or assumed."
 )
 
 
@@ -153,7 +168,9 @@ def compute_association(table: Table, choices: Choices) -> Section:
     )
     return Section(
         key=key, title=title, answers=(*sum_up_panels(panels), UNADJUSTED), panels=tuple(panels),
-        grids=(ASSOCIATIONS.build(associations), DIFFERENCES.build(differences)),
+        grids=(
+            ASSOCIATIONS.build(associations), DIFFERENCES.build(differences), _turn_round(associations),
+        ),
         unseen=(*_number_stimuli(panels), *MAPPINGS.build(coefficients).numbers),
         tables={
             "associations": associations, "differences": differences,
@@ -163,6 +180,15 @@ def compute_association(table: Table, choices: Choices) -> Section:
         pictures=sorted(pictures, key=lambda picture: picture.detail),
         notes=notes, how=read_methods(key, draws=choices.draws),
     )  # fmt: skip
+
+
+def _turn_round(associations: Sequence[Row]) -> PageTable:
+    """Show correlations of recast dissimilarities beside those of the dissimilarities as they were given."""
+    own = (row for row in associations if row["scale"] == RECAST)
+    return TURNED.build(
+        row | {"turned": -row["value"], "turned_low": -row["high"], "turned_high": -row["low"]}
+        for row in own
+    )
 
 
 def _list_rows(panels: Sequence[Panel], name: str) -> list[Row]:

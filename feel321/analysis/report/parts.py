@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.primary.model import CENTRED, FEW, fit_slopes
-from feel321.analysis.table.items import find_sources
+from feel321.analysis.table.items import find_sources, recast_pairs
 from feel321.analysis.table.metrics import TENTH, Step, find_steps
 from feel321.analysis.table.schema import APART
 from feel321.analysis.words import format_name, format_number, format_ratings
@@ -69,7 +69,7 @@ def split_parts(table: Table, *, matched: bool = True) -> Iterator[RatingsPart]:
 
 def select_tests(table: Table, *, matched: bool = True) -> DataFrame:
     """Select the ratings of single test stimuli, with metrics where asked for."""
-    rows = table.rows
+    rows = recast_pairs(table.rows)
     rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
     return rated[rated["matched"]] if matched and "matched" in rated else rated
 

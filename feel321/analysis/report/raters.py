@@ -27,8 +27,8 @@ from feel321.analysis.report.section import (
     word_steps,
 )
 from feel321.analysis.screening.consistency import RaterModel, rater_model
-from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import Screening, screen_raters
+from feel321.analysis.table.items import recast_pairs
 from feel321.analysis.table.schema import APART, PAIR
 
 if TYPE_CHECKING:
@@ -132,12 +132,12 @@ REPEATED = TableForm(
 
 def compute(table: Table, choices: Choices) -> Section:
     """Screen raters, measure their agreement, and repeat the primary analysis without those flagged."""
-    rows = table.rows
+    rows = recast_pairs(table.rows)
     single = rows[~rows["scale"].isin(APART) & (rows["role"] != PAIR)]
     if single.empty:
         why = "Raters were not screened: no stimulus was rated by itself."
         return Section(KEY, TITLE, notes=(why,))
-    screening = screen_raters(single, rng=choices.make_rng(KEY))
+    screening = screen_raters(single, own=choices.rules, rng=choices.make_rng(KEY))
     models, more_notes = _fit_models(single)
     slopes, steps = list(_vary(table, screening, choices)), parts.find_table_steps(table)
     return Section(
@@ -251,7 +251,9 @@ def _count_flagged(screening: Screening) -> Iterator[words.Number]:
 
 def _list_flagged(screening: Screening, group: str) -> list[Hashable]:
     """List whom a group leaves out."""
-    standard = [rule for rule in screening.rules if RULES[rule].source.startswith("ITU-R")]
+    standard = [
+        rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")
+    ]
     rules = {"everyone": [], "standard": standard}.get(group, list(screening.rules))
     return sorted({who for rule in rules for who in screening.hits[rule]}, key=str)
 
@@ -260,8 +262,8 @@ def _list_rules(screening: Screening) -> Iterator[dict[str, Any]]:
     for rule, hits in screening.hits.items():
         share = screening.table.loc[screening.table["rule"] == rule, "share"]
         yield {
-            "rule": rule, "source": RULES[rule].source,
-            "protocols": ", ".join(map(words.format_name, RULES[rule].protocols)) or "all",
+            "rule": rule, "source": screening.known[rule].source,
+            "protocols": ", ".join(map(words.format_name, screening.known[rule].protocols)) or "all",
             "flagged": ", ".join(map(str, hits)) or "–", "n_judged": int(share.notna().sum()), "n": len(share),
         }  # fmt: skip
 
@@ -310,7 +312,7 @@ def _fit(
 
 def _describe_rules(screening: Screening) -> str:
     says = [
-        f"{words.format_name(rule)}: {RULES[rule].says.format(limit=limit)}"
+        f"{words.format_name(rule)}: {screening.known[rule].says.format(limit=limit)}"
         for rule, limit in screening.limits.items()
     ]
     return f"Screening rules: {'; '.join(says)}."
@@ -319,7 +321,7 @@ def _describe_rules(screening: Screening) -> str:
 def _describe_flagged(screening: Screening) -> str:
     standard, whole = (len(_list_flagged(screening, group)) for group in ("standard", "any"))
     everyone = screening.table["participant"].nunique()
-    own = [rule for rule in screening.rules if RULES[rule].source.startswith("ITU-R")]
+    own = [rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")]
     shares = screening.table.loc[screening.table["rule"].isin(own), "share"]
     of_standard = f"{standard} of them by ITU-R BS.1534-3 rules"
     if not shares.notna().any():

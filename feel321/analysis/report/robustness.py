@@ -44,6 +44,7 @@ from feel321.analysis.report.section import (
     word_steps,
 )
 from feel321.analysis.screening.screen import screen_raters
+from feel321.analysis.table.items import recast_pairs
 from feel321.analysis.words import COUNT, TWO_WAY, Line
 
 if TYPE_CHECKING:
@@ -172,10 +173,12 @@ def _read_universe(metric: str, part: RatingsPart, result: Multiverse) -> Row:
 
 
 def _run_universes(table: Table, part: RatingsPart, choices: Choices) -> Universes:
-    rows = table.rows
+    rows = recast_pairs(table.rows)
     own = rows[(rows["scale"] == part.scale) & (rows["level"] == part.level)]
     estimate_slope = _remember_slopes(own, find_table_steps(table))
-    screening = screen_raters(own, rng=choices.make_rng(KEY_ROBUSTNESS, *part.place))
+    screening = screen_raters(
+        own, own=choices.rules, rng=choices.make_rng(KEY_ROBUSTNESS, *part.place)
+    )
     return {
         (part.lead, metric): (
             part,

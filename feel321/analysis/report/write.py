@@ -22,8 +22,10 @@ from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.report import (
     association,
     delivered,
+    maps,
     pairs,
     primary,
+    rate,
     raters,
     reducers,
     rivals,
@@ -35,10 +37,11 @@ from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.section import Picture, Section, number_pictures, render_template
 from feel321.analysis.resampling import Choices
-from feel321.analysis.screening.rules import RULES
+from feel321.analysis.screening.rules import RULES, find_rules
 from feel321.analysis.table.items import find_sources, format_recordings
 from feel321.analysis.table.reading import Further, Table, find_tables, read_table
 from feel321.analysis.table.roster import ROSTER_FILE
+from feel321.analysis.table.schema import RECAST
 from feel321.doors import as_seed, follow
 from feel321.records import Result
 from feel321.types import MetricInfo, PathLike, Progress, Rng
@@ -207,8 +210,10 @@ def describe_inputs(
         told["further_metrics"] = ", ".join(map(str, further.metrics))
         told["further_metrics_sha256"] = _digest_rows(further.metrics.sort_index(), index=True)
     told["metrics"] = ", ".join(table.metrics)
-    for name, value in asdict(choices).items():
-        told[name] = "from repeated ratings" if value is None else str(value)
+    margin = "from repeated ratings" if choices.margin is None else str(choices.margin)
+    told |= {"draws": str(choices.draws), "margin": margin, "seed": str(choices.seed)}
+    for rule in choices.rules:
+        told |= {f"rule_{rule.name}": rule.place, f"rule_{rule.name}_sha256": rule.sha256}
     return told
 
 
@@ -229,6 +234,7 @@ def list_versions() -> dict[str, str]:
 
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
+    rate.compute,
     primary.compute,
     rivals.compute,
     association.compute_association,
@@ -238,6 +244,7 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     chosen.compute_choices,
     pairs.compute_discrimination,
     pairs.compute_space,
+    maps.compute_maps,
     robustness.compute_refined,
     association.compute_further,
     delivered.compute,
@@ -260,6 +267,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
     info: Mapping[str, MetricInfo] | None = None,
+    rules: Sequence[object] = (),
     paper: Paper | None = None,
     rng: Rng = 0,
     seed: int | None = None,
@@ -292,6 +300,8 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         Metrics to explore that neither file holds, such as rotation statistics.
     info : Mapping of str to MetricInfo, optional
         What metrics declare: which way each points, its bounds, label and unit (`read_table`).
+    rules : sequence of str, callable or Method
+        The lab's own screening rules, beside feel321's (`screen_raters`).
     paper : Paper, optional
         The paper that is replicated: its claims are answered first.
     rng : int or Generator
@@ -320,7 +330,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> print(results.summary())  # doctest: +SKIP
     """
     seed = as_seed(rng) if seed is None else seed
-    choices = Choices(draws=draws, margin=margin, seed=seed)
+    choices = Choices(draws=draws, margin=margin, seed=seed, rules=find_rules(rules))
     with (
         ResultsFolder(folder, background=True) as target,
         follow(progress or False, "report") as move,
@@ -441,7 +451,7 @@ def gather_results(
 ) -> Results:
     """Gather what ``results.json`` holds."""
     rows = table.rows
-    names = [*rows["scale"].unique(), *rows["level"].unique()]
+    names = [*rows["scale"].unique(), RECAST, *rows["level"].unique()]
     names += [*table.metrics, *table.further, *table.rivals]
     own = [words.format_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
     pictures = _gather(sections, "pictures")

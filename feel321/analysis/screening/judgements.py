@@ -46,6 +46,7 @@ class Judgements:
     participants: Index
     excerpts: DataFrame
     items: Series
+    given: DataFrame
     notes: tuple[str, ...] = ()
 
     def of_protocols(self, names: Sequence[str]) -> Judgements:
@@ -112,7 +113,8 @@ def make_judgements(ratings: DataFrame, *, assumed: str = "") -> Judgements:
     everyone = sorted(rows["participant"].unique(), key=lambda name: (isinstance(name, str), name))
     names = _name_groups(ratings[excerpt], excerpts).sort_index()
     labels = _name_groups(ratings[item], items).astype(str).agg("/".join, axis=1)
-    return Judgements(rows, pd.Index(everyone, name="participant"), names, labels, notes)
+    who = pd.Index(everyone, name="participant")
+    return Judgements(rows, who, names, labels, ratings, notes)
 
 
 def _name_groups(keys: DataFrame, numbers: np.ndarray) -> DataFrame:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -24,9 +25,12 @@ from feel321.analysis.arrays import FLAT, read_numbers
 from feel321.analysis.resampling import FEWEST_ITEMS
 from feel321.analysis.screening.judgements import FLOOR, SAME_POINTS, Judgements
 from feel321.analysis.table.schema import HIGHEST
-from feel321.doors import check_name
+from feel321.doors import check_name, describe
+from feel321.extensions import Method, call, find_method
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import ArrayLike
     from pandas import DataFrame, Series
 
@@ -366,3 +370,61 @@ def choose_limits(
     return {
         name: float(own.get(name, rule.limit)) for name, rule in RULES.items() if name in wanted
     }
+
+
+# A lab's own rules: a function of the ratings that returns a number per participant, flagged above its ``limit``.
+
+
+def find_rules(given: Iterable[object], folder: Path | None = None) -> tuple[Method, ...]:
+    """Find a lab's own rules: functions, places in the study's folder or in packages, entry points."""
+    found = tuple(find_method("screening rule", one, taken=RULES, folder=folder) for one in given)
+    names = [method.name for method in found]
+    if doubled := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(
+            f"screening rules must have names of their own, got more than one {', '.join(doubled)}"
+        )
+    return found
+
+
+def make_rule(method: Method) -> Rule:
+    """Make a rule of a lab's function and what its attributes declare."""
+    function = method.load()
+    if not callable(function):
+        raise TypeError(f"{method}: must be a function of the ratings, got {describe(function)}")
+    limit, says = getattr(function, "limit", None), getattr(function, "says", method.name)
+    if isinstance(limit, bool) or not isinstance(limit, int | float) or not np.isfinite(limit):
+        raise ValueError(
+            f"{method}: limit must be a number, got {describe(limit)}; write {method.name}.limit = 0.15"
+        )
+    try:
+        str(says).format(limit=limit)
+    except (LookupError, ValueError) as error:
+        raise ValueError(
+            f"{method}: says must be words, with {{limit}} for the limit, got {says!r} ({error})"
+        ) from None
+    needs = str(getattr(function, "needs", "what its function needs"))
+    source = f"the lab's own, {method.place}"
+    return Rule(str(says), source, float(limit), partial(_find, method), needs)
+
+
+def _find(method: Method, judgements: Judgements, limit: float) -> DataFrame:
+    import pandas as pd
+
+    ratings, everyone = judgements.given, judgements.participants
+    told = call(method, method.load(), ratings.copy())
+    try:
+        found = pd.Series(told, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(
+            f"{method}: must return a number per participant, got {describe(told)}"
+        ) from None
+    if unknown := [one for one in found.index if one not in everyone]:
+        raise ValueError(
+            f"{method}: must return a number per participant of the ratings, got one for {unknown[0]!r}"
+        )
+    if not found.index.is_unique or np.isinf(found).any():
+        raise ValueError(
+            f"{method}: must return one finite number per participant, or NaN where the rule does not apply"
+        )
+    n = ratings.groupby("participant", observed=True).size().reindex(everyone, fill_value=0)
+    return compare_values(n, n, found.reindex(everyone), limit=limit)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,7 +17,14 @@ from feel321.analysis.screening.judgements import (
     key_stimulus,
     make_judgements,
 )
-from feel321.analysis.screening.rules import EXPERTISE, RULES, SIGHTED, choose_limits
+from feel321.analysis.screening.rules import (
+    EXPERTISE,
+    RULES,
+    SIGHTED,
+    Rule,
+    check_expertise,
+    choose_limits,
+)
 from feel321.analysis.table.items import Table, leave_rejected, name_stimuli, open_ratings
 from feel321.doors import as_rng
 from feel321.records import Result
@@ -52,6 +59,8 @@ class Screening(Result):
         Limit of each rule that was asked for; that of ``test_retest`` is lower for raters with many pairs.
     notes : tuple of str
         Which rules were not applied, and why; one sentence each.
+    known : Mapping of str to Rule
+        `RULES`, and the lab's own.
     """
 
     table: DataFrame
@@ -61,6 +70,7 @@ class Screening(Result):
     panel: DataFrame
     limits: Mapping[str, float]
     notes: tuple[str, ...] = ()
+    known: Mapping[str, Rule] = field(default_factory=lambda: RULES)
 
     @property
     def rules(self) -> tuple[str, ...]:
@@ -111,7 +121,9 @@ class Screening(Result):
         str
             A line per rule with the raters that it flagged, and the notes.
         """
-        said = {rule: RULES[rule].says.format(limit=limit) for rule, limit in self.limits.items()}
+        said = {
+            rule: self.known[rule].says.format(limit=limit) for rule, limit in self.limits.items()
+        }
         lines = [
             f"{rule} ({said[rule]}): {', '.join(map(str, who)) or 'nobody'}"
             for rule, who in self.hits.items()
@@ -128,6 +140,7 @@ def screen_raters(
     table: Table | DataFrame,
     rules: Iterable[str] | Mapping[str, float] | None = None,
     *,
+    own: Iterable[object] = (),
     rng: Rng | None = None,
 ) -> Screening:
     """Apply every screening rule to every rater. Nobody is removed.
@@ -140,6 +153,9 @@ def screen_raters(
         known by ``mid`` or ``low`` in their reducer's name.
     rules : iterable of str, mapping of str to float, or None
         Names of `RULES`, or names with limits of one's own; None for all (``expertise`` with an rng only).
+    own : iterable of str, callable or Method
+        The lab's own rules beside them, such as ``"methods/rules.py:slow"``: each a function of the ratings that
+        returns a number per participant, with attributes ``limit`` (flagged above it) and ``says`` (in words).
     rng : int, Generator or None
         Source of randomness for the permutations of ``expertise``.
 
@@ -185,7 +201,10 @@ def screen_raters(
     """
     import pandas as pd
 
+    further = {method.name: measures.make_rule(method) for method in measures.find_rules(own)}
     limits = choose_limits(rules, random=rng is not None)
+    limits |= {name: rule.limit for name, rule in further.items()}
+    known = {**RULES, **further}
     ratings, left_out = leave_rejected(name_stimuli(open_ratings(table)))
     if "rating" in ratings:
         ratings = ratings.assign(rating=read_numbers(ratings["rating"], what="ratings, 'rating'"))
@@ -195,10 +214,8 @@ def screen_raters(
         gauge = gauge_raters(judgements, rng=as_rng(rng))
     found = {}
     for name, limit in limits.items():
-        find, meant = RULES[name].find, judgements.of_protocols(RULES[name].protocols)
-        found[name] = (
-            find(meant, limit) if find else measures.check_expertise(gauge, judgements, limit)
-        )
+        find, meant = known[name].find, judgements.of_protocols(known[name].protocols)
+        found[name] = find(meant, limit) if find else check_expertise(gauge, judgements, limit)
     parts = [part.reset_index().assign(rule=name) for name, part in found.items()]
     screened = pd.concat(parts, ignore_index=True)
     hit = screened.loc[screened["hit"], "participant"].unique()
@@ -211,9 +228,10 @@ def screen_raters(
         limits=limits,
         notes=(
             *left_out,
-            *_explain_protocols(judgements, limits),
-            *_explain_rules(found, judgements),
+            *_explain_protocols(judgements, [name for name in limits if known[name].protocols]),
+            *_explain_rules(found, judgements, known),
         ),
+        known=known,
     )
 
 
@@ -249,9 +267,8 @@ def _measure_reliability(tests: DataFrame) -> dict[str, object]:
     return {**sizes, **figures}
 
 
-def _explain_protocols(judgements: Judgements, limits: Mapping[str, float]) -> Iterator[str]:
-    """Name the protocol that was assumed, and the rules that are not meant for what was rated."""
-    bound = [name for name in limits if RULES[name].protocols]
+def _explain_protocols(judgements: Judgements, bound: Sequence[str]) -> Iterator[str]:
+    """Name the protocol that was assumed, and the rules bound to another that are not meant for what was rated."""
     if not bound:
         return
     yield from judgements.notes
@@ -262,12 +279,14 @@ def _explain_protocols(judgements: Judgements, limits: Mapping[str, float]) -> I
         yield f"{names} not applied: for MUSHRA ratings, where the reference is in sight; {of}."
 
 
-def _explain_rules(found: Mapping[str, DataFrame], judgements: Judgements) -> Iterator[str]:
+def _explain_rules(
+    found: Mapping[str, DataFrame], judgements: Judgements, known: Mapping[str, Rule]
+) -> Iterator[str]:
     for name, part in found.items():
         silent = int(part["share"].isna().sum())
-        if silent and not judgements.of_protocols(RULES[name].protocols).rows.empty:
+        if silent and not judgements.of_protocols(known[name].protocols).rows.empty:
             whom = "" if silent == len(part) else f" to {silent} of {len(part)} participants"
-            yield f"Rule '{name}' not applied{whom}: it needs {RULES[name].needs}."
+            yield f"Rule '{name}' not applied{whom}: it needs {known[name].needs}."
 
 
 def _describe_excerpts(judgements: Judgements) -> DataFrame:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
-from feel321.analysis.table.schema import APART, NAMING, NO, YES
+from feel321.analysis.table.schema import APART, HIGHEST, NAMING, NO, PAIRED, RECAST, YES
 from feel321.doors import as_names, check_name
 from feel321.records import Result
 from feel321.types import MetricInfo
@@ -54,9 +54,10 @@ class Table(Result):
     rows : DataFrame
         One row per judgement: participant, stimulus_id, reference_id, reference_reducer and other_id (which may be
         empty), source, recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and
-        response_time_s if there are any, one column per metric and further metric, rms_m_s2 if there is one, and one
-        per label of the participants. The role is the one that the stimulus had in that judgement; matched is whether
-        the metrics describe that judgement; a dissimilarity is about the stimulus compared with the reference.
+        response_time_s if there are any, one column per metric and further metric, rms_m_s2 if there is one,
+        interaction and sample of the recording if given, and one per label of the participants. The role is the one
+        that the stimulus had in that judgement; matched is whether the metrics describe that judgement; a dissimilarity
+        is about the stimulus compared with the reference.
     metrics : tuple of str
         The metrics that the primary analysis is about, as they were declared.
     notes : tuple of str
@@ -69,7 +70,8 @@ class Table(Result):
     info : Mapping of str to MetricInfo
         What each metric declares of itself: which way it points, its bounds, label and unit.
     stimuli : DataFrame, indexed by stimulus_id, optional
-        Every stimulus of the manifest, rated or not: source, recording, reducer, level, role and metrics.
+        Every stimulus of the manifest, rated or not: source, recording, reducer, level, role and metrics; where
+        dissimilarities were rated, every other numeric column too.
 
     Examples
     --------
@@ -414,11 +416,22 @@ def split_tests(ratings: Table | DataFrame) -> Iterator[Tests]:
     for column in ARMS:
         rows[column] = rows.get(column, "")
     _refuse_unnamed(rows, ARMS)
+    rows = recast_pairs(rows)
     rated = (rows[ROLE] == TEST if ROLE in rows else True) & ~rows["scale"].isin(APART)
     if "matched" in rows:
         rated &= rows["matched"]
     for (scale, level), part in rows[rated].groupby(list(ARMS), observed=True):
         yield Tests(str(scale), str(level), part)
+
+
+def recast_pairs(rows: DataFrame) -> DataFrame:
+    """Let a dissimilarity from the original be a rating of what was compared with it: 100 less the dissimilarity."""
+    if ROLE not in rows or not (turned := (rows["scale"] == PAIRED) & (rows[ROLE] == TEST)).any():
+        return rows
+    return rows.assign(
+        scale=rows["scale"].mask(turned, RECAST),
+        rating=rows["rating"].mask(turned, HIGHEST - rows["rating"]),
+    )
 
 
 def find_sources(rows: Table | DataFrame) -> Series:

@@ -109,7 +109,7 @@ def list_numeric(cells: DataFrame) -> list[str]:
 def list_rivals(manifest: Path | DataFrame) -> list[str]:
     """List the columns of a manifest that may be compared as metrics: numeric, and no fact about the file or gain."""
     facts = {name for name, column in schema.MANIFEST.items() if not column.used}
-    facts |= {schema.AMPLITUDE, schema.GAIN, schema.SENSATION}
+    facts |= {*schema.FACTS}
     cells = schema.read_cells(manifest)
     kinds = tuple(f"_{kind}" for kind in KINDS)
     return [
@@ -117,6 +117,17 @@ def list_rivals(manifest: Path | DataFrame) -> list[str]:
         for name in list_numeric(cells)
         if name not in facts and not (name.endswith(kinds) and name in describe_further())
     ]
+
+
+def read_attributes(manifest: Path | DataFrame) -> DataFrame:
+    """Read every numeric column of a manifest that may say what stimuli are like, by stimulus_id."""
+    import pandas as pd
+
+    facts = {name for name, column in schema.MANIFEST.items() if not column.used} | {schema.GAIN}
+    cells = schema.read_cells(manifest)
+    names = [name for name in list_numeric(cells) if name not in facts]
+    numbers = {name: pd.to_numeric(cells[name], errors="coerce").to_numpy() for name in names}
+    return pd.DataFrame(numbers, index=pd.Index(cells["stimulus_id"]))
 
 
 def gather_info(

@@ -138,11 +138,7 @@ def note_apart(rows: DataFrame) -> Iterator[str]:
     counts = rows["scale"].value_counts()
     lead = "Scale '{}': none of its {} judgements enters an association, because"
     if n := counts.get(schema.PAIRED, 0):
-        pairs = int((rows[ROLE] == schema.PAIR).sum())
-        yield (
-            f"{lead.format(schema.PAIRED, n)} a metric describes one stimulus and they compare two. The profile "
-            f"holds the {n - pairs} that compare with the reference, and leaves out {pairs}. {SPACE}"
-        )
+        yield _note_pairs(rows[rows["scale"] == schema.PAIRED], lead.format(schema.PAIRED, n))
     if n := counts.get(schema.ANSWERED, 0):
         yield (
             f"{lead.format(schema.ANSWERED, n)} they are right (100) or wrong (0). The profile holds the "
@@ -151,3 +147,29 @@ def note_apart(rows: DataFrame) -> Iterator[str]:
     for scale in schema.CHOSEN:
         if n := counts.get(scale, 0):
             yield f"{lead.format(scale, n)} one of two stimuli was chosen. {VOTES}"
+
+
+def _note_pairs(rows: DataFrame, none: str) -> str:
+    """Say which dissimilarities enter associations, turned round, and which do not."""
+    pairs, turned = (int((rows[ROLE] == role).sum()) for role in (schema.PAIR, TEST))
+    if not turned:
+        return (
+            f"{none} a metric describes one stimulus and they compare two. The profile holds the {len(rows) - pairs} "
+            f"that compare with the reference, and leaves out {pairs}. {SPACE}"
+        )
+    return (
+        f"Scale '{schema.PAIRED}': {turned} of its {len(rows)} judgements compare a reduction with its original. Those "
+        f"enter associations and slopes as a similarity, 100 less the dissimilarity (scale '{schema.RECAST}'): with "
+        "the dissimilarity itself every slope and every correlation has the opposite sign. The other "
+        f"{len(rows) - turned} (two reductions, identical pairs, anchors) enter none of them. {SPACE}"
+    )
+
+
+def note_gains(rows: DataFrame) -> Iterator[str]:
+    """Note judgements beside the real surface of stimuli that are not as strong as they were recorded."""
+    gains = rows[schema.GAIN].dropna() if schema.GAIN in rows else rows["rating"].iloc[:0]
+    if (gains != 1).any():
+        yield (
+            f"Scale '{rows['scale'].iloc[0]}': beside the real surface, stimuli were played at {gains.min():.3g} to "
+            f"{gains.max():.3g} times the strength that was recorded, so ratings mix strength with likeness."
+        )

@@ -58,7 +58,8 @@ ECHOED = ("recording", "reducer", "level")
 """Columns that both files may hold and must then agree on."""
 
 OPTIONAL = (
-    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
+    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.BIT_RATE, schema.ERROR, schema.SOURCE,
+    *schema.LABELS,
 )  # fmt: skip
 """Columns that judgements keep where there are any."""
 
@@ -72,12 +73,14 @@ class Further:
 
     rivals: metrics, columns of these or of the manifest, that are to be compared with those of the primary analysis.
     mountings: recording, reducer and metric with mean and quantiles over orientations of the sensor, if computed.
+    labels: interaction and sample of each recording, by its name, where the manifest does not say them.
     """
 
     metrics: DataFrame
     notes: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
     mountings: DataFrame | None = None
+    labels: DataFrame | None = None
 
 
 def read_table(
@@ -132,7 +135,7 @@ def read_table(
     rivals = further.rivals if further else ()
     stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources, further=further)
     known, beyond = _read_info(stimuli, info, listed, names=(*planned, *rivals))
-    stimuli = stimuli.set_index(STIMULUS)
+    stimuli = _label(stimuli, further.labels if further else None).set_index(STIMULUS)
     rows, more_notes = _read_ratings(*judged)
     _check_stimuli(rows, stimuli, names=(judged.what, listed.what))
     stimuli, joined = _join_further(stimuli, rows, further, names=(judged.what, listed.what))
@@ -141,22 +144,45 @@ def read_table(
     rows[ROLE] = _find_roles(rows, stimuli)
     rows["matched"] = _find_references(rows, stimuli).isin(["", SURFACED, UNLISTED])
     rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
-    notes += [
-        *beyond,
-        *joined,
-        *more_notes,
-        *remarks.note_gaps(rows, stimuli),
-        *_note_references(rows, stimuli),
-        *remarks.note_sources(rows),
-        *remarks.note_lookalikes(rows),
-        *remarks.note_lacking(rows, planned),
-    ]
+    notes += [*beyond, *joined, *more_notes, *_note_rows(rows, stimuli, planned)]
     rows, explored, compared, lacking = _select_columns(rows, planned, rivals, given=further)
     rows, more_notes = roster.join_labels(rows, judged.given)
     rows, on_rigs = roster.join_rigs(rows, judged.given)
     notes += [*lacking, *more_notes, *on_rigs]
-    columns = ["source", *ECHOED, ROLE, *dict.fromkeys([*planned, *explored, *compared])]
-    return Table(rows, planned, tuple(notes), explored, compared, known, stimuli[columns])
+    listing = _list_stimuli(stimuli, rows, listed, metrics=[*planned, *explored, *compared])
+    return Table(rows, planned, tuple(notes), explored, compared, known, listing)
+
+
+def _list_stimuli(
+    stimuli: DataFrame, rows: DataFrame, listed: _Source, *, metrics: Sequence[str]
+) -> DataFrame:
+    """List the stimuli with their metrics; where pairs were compared, with every number that the manifest has."""
+    labels = [name for name in schema.LABELS if name in stimuli]
+    sheet = stimuli[["source", *ECHOED, ROLE, *dict.fromkeys(metrics), *labels]]
+    if (rows["scale"] == schema.PAIRED).any():
+        more = metrics_of.read_attributes(listed.given)
+        sheet = sheet.join(more[[name for name in more if name not in sheet]])
+    return sheet
+
+
+def _note_rows(rows: DataFrame, stimuli: DataFrame, planned: Sequence[str]) -> Iterator[str]:
+    """Say what ratings lack, and what about them is odd."""
+    yield from remarks.note_gaps(rows, stimuli)
+    yield from _note_references(rows, stimuli)
+    yield from remarks.note_sources(rows)
+    yield from remarks.note_lookalikes(rows)
+    yield from remarks.note_lacking(rows, planned)
+
+
+def _label(manifest: DataFrame, labels: DataFrame | None) -> DataFrame:
+    """Give every stimulus the interaction and sample of its recording, where the manifest has none."""
+    given = (
+        {} if labels is None else {name: labels[name] for name in schema.LABELS if name in labels}
+    )
+    for name, said in given.items():
+        if name not in manifest:
+            manifest[name] = manifest["recording"].map(said).fillna("").astype(str)
+    return manifest
 
 
 def _select_columns(
@@ -341,7 +367,7 @@ def _read_manifest(
     )
     schema.refuse_doubled(sheet, STIMULUS, what)
     _read_metrics(sheet, planned, what, rivals=rivals)
-    for name in (schema.AMPLITUDE, schema.GAIN, schema.SENSATION):
+    for name in schema.FACTS:
         if name not in {*planned, *rivals}:
             schema.read_column(sheet, name, what, kind=columns[name].kind)
     sheet["source"] = _read_sources(sheet, sources or {}, what)
@@ -513,13 +539,8 @@ def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
         fate = ": none enters an association or a slope"
         fate = "" if reference in {SURFACED, UNLISTED} else fate
         yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
-        gains = part[schema.GAIN].dropna() if schema.GAIN in part else part["rating"].iloc[:0]
-        if reference == SURFACED and (gains != 1).any():
-            least, most = gains.min(), gains.max()
-            yield (
-                f"Scale '{scale}': beside the real surface, stimuli were played at {least:.3g} to {most:.3g} times the "
-                "strength that was recorded, so ratings mix strength with likeness."
-            )
+        if reference == SURFACED:
+            yield from remarks.note_gains(part)
 
 
 # Further metrics.

@@ -39,6 +39,13 @@ CHOSEN = ("triplet", "preference")
 APART = (PAIRED, ANSWERED, *CHOSEN)
 """Scales that enter no association: a metric describes one stimulus, and is larger or smaller."""
 
+RECAST = "recast_similarity"
+"""Scale of dissimilarities from the original turned round: 100 less the dissimilarity is a rating of one stimulus."""
+
+INTERACTION, SAMPLE = "interaction", "sample"
+LABELS = (INTERACTION, SAMPLE)
+"""What a recording is of, in the lab's words; maps of dissimilarities are made for each."""
+
 ROLES = ("test", "reference", "anchor")
 PAIR = "pair"
 """Role of a stimulus that is rated against another one than the reference."""
@@ -51,6 +58,9 @@ NAMING = ("recording", "reducer", "level")
 
 IDENTITY = ("stimulus_id", "recording", "reducer")
 AMPLITUDE, GAIN, SENSATION = "rms_m_s2", "gain", "sensation_level_db"
+BIT_RATE = "bit_rate_kbps"
+FACTS = (AMPLITUDE, GAIN, SENSATION, BIT_RATE)
+"""Columns of a manifest that describe a stimulus and match it with nothing."""
 
 ERROR, SOURCE = "level_error_db", "delivered_by"
 """Columns on what was delivered, beside the metrics."""
@@ -115,6 +125,7 @@ MANIFEST: Mapping[str, ColumnInfo] = {
     AMPLITUDE: ColumnInfo("root mean square as played", "m/s^2", kind="amplitude"),
     GAIN: ColumnInfo("m/s^2 played per m/s^2 recorded", kind="known"),
     SENSATION: ColumnInfo("over the detection threshold, as played", "dB", kind="known"),
+    BIT_RATE: ColumnInfo("of a codec", "kbit/s", kind="rate"),
     **{
         name: ColumnInfo("not used", used=False)
         for name in (
@@ -124,11 +135,13 @@ MANIFEST: Mapping[str, ColumnInfo] = {
     "source": ColumnInfo(
         "what the recording was made from, where several are one and the same, turned, cut or edited"
     ),
+    INTERACTION: ColumnInfo("what the tool did, such as tap or drag"),
+    SAMPLE: ColumnInfo("the surface that was recorded"),
 }  # fmt: skip
 """One row per stimulus."""
 
 NOT_METRICS = frozenset({
-    *IDENTITY, "level", "role", "source", "file", "sha256", "recording_sha256"
+    *IDENTITY, *LABELS, "level", "role", "source", "file", "sha256", "recording_sha256"
 })  # fmt: skip
 
 MOSTLY = 0.5
@@ -176,6 +189,7 @@ KINDS: Mapping[str, Kind] = {
         "be a count (0, 1, 2, ...) or empty", "", lambda values: (values >= 0) & (values % 1 == 0), 0
     ),
     "amplitude": Kind("be 0 or more, in m/s², or empty", "", lambda values: ~(values < 0)),
+    "rate": Kind("be above 0, in kbit/s, or empty", "", lambda values: ~(values <= 0)),
     "metric": Kind(
         f"be no more than {LARGEST:g} in size", "",
         lambda values: ~(values.abs() > LARGEST),

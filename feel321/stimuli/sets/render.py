@@ -32,10 +32,10 @@ from feel321.stimuli.wav import write_wav
 from feel321.types import Metric, Reducer, Samples
 
 
-def find_reducer(recipe: Recipe, name: str) -> Reducer:
-    """Find a reducer of a recipe, feel321's or the lab's own."""
+def find_reducer(recipe: Recipe, name: str, recording: str = "") -> Reducer:
+    """Find a reducer of a recipe, feel321's or the lab's own; recording: whose files are read, made elsewhere."""
     method = _find_method(recipe, "reducer", name)
-    return OwnReducer(method) if method else REDUCERS[name]
+    return OwnReducer(method, recording) if method else REDUCERS[name]
 
 
 def find_metric(recipe: Recipe, name: str) -> Metric:
@@ -60,8 +60,21 @@ def list_methods(recipe: Recipe) -> dict[str, dict[str, dict[str, Any]]]:
         method = _find_method(recipe, "metric", name)
         source = method.to_json() if method else {"method": "feel321", "sha256": __version__}
         metrics[name] = {**describe_metric(find_metric(recipe, name), name), **source}
+    if rates := find_bit_rates(recipe):
+        info = {"label": "bit rate", "higher": "better", "low": 0.0, "high": None, "unit": "kbit/s"}
+        sha256 = hashlib.sha256(json.dumps(rates, sort_keys=True).encode()).hexdigest()
+        metrics[BIT_RATE] = {**info, "method": "feel321", "sha256": sha256}
     found = {"reducers": reducers, "metrics": metrics}
     return {kind: entries for kind, entries in found.items() if entries}
+
+
+def find_bit_rates(recipe: Recipe) -> dict[str, float]:
+    """Find the bit rates that reducers of the lab's own declare, in kbit/s."""
+    return {
+        one.name: float(rate)
+        for one in recipe.methods
+        if one.kind == "reducer" and (rate := dict(one.facts).get(BIT_RATE)) is not None
+    }
 
 
 def describe_metric(metric: Metric, name: str) -> dict[str, Any]:
@@ -72,6 +85,9 @@ def describe_metric(metric: Metric, name: str) -> dict[str, Any]:
         for key, value in asdict(info).items()
     }
 
+
+BIT_RATE = "bit_rate_kbps"
+"""Column of the manifest where a reducer declares its bit rate; empty where another has none."""
 
 ROUNDING = 1e-9
 """A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
@@ -227,10 +243,16 @@ def _render(
     if not wanted:
         return
     try:
-        scale = _make_scale(condition(recording, recipe.conditioning), recipe)
+        scale, rates = (
+            _make_scale(condition(recording, recipe.conditioning), recipe),
+            find_bit_rates(recipe),
+        )
         for draft in wanted:
             samples, played = _play(draft.reducer, scale, recipe)
-            yield draft, played, _measure(samples, played, scale=scale, recipe=recipe)
+            note = _measure(samples, played, scale=scale, recipe=recipe)
+            if rates:
+                note.metrics[BIT_RATE] = rates.get(draft.reducer)
+            yield draft, played, note
     except ValueError as error:
         raise ValueError(f"recording {recording.name!r}: {error}") from None
 
@@ -249,7 +271,8 @@ def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples
     if reducer == ORIGINAL:
         return recording.acceleration, scale.played
     if reducer not in ANCHORS:
-        samples = find_reducer(recipe, reducer)(recording.acceleration, recording.rate_hz)
+        reduce = find_reducer(recipe, reducer, recording.name)
+        samples = reduce(recording.acceleration, recording.rate_hz)
         return samples, _for_the_rig(samples, recording.rate_hz, recipe)
     seed = [int(recording.sha256[:16], 16), *reducer.encode()]
     samples = ANCHORS[reducer](recording, np.random.default_rng(seed))

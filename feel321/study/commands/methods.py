@@ -36,13 +36,14 @@ class MethodTask:
     given_output: Path | None = None
 
     def list_own(self) -> dict[str, OwnReducer]:
-        """List the reducers of the lab that the study names."""
+        """List the reducers of the lab that the study names, but what was made elsewhere: it reduces nothing else."""
         from feel321.study.methods import list_own_reducers
         from feel321.study.settings.read import read_settings
 
         if not self.study.settings.is_file():
             return {}
-        return list_own_reducers(read_settings(self.study.settings), self.study.path)
+        found = list_own_reducers(read_settings(self.study.settings), self.study.path)
+        return {name: one for name, one in found.items() if one.method.origin != "made"}
 
     def find_methods(self, names: Sequence[str]) -> dict[str, Reducer]:
         """Find reducers by name, the lab's own too; all of them where none is named."""

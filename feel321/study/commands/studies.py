@@ -19,7 +19,10 @@ DEMO_PARTICIPANTS = 16
 @click.command(epilog="Example: feel321 new my-study --study park2019")
 @click.argument("folder", metavar="DIR", type=shared.FILE)
 @click.option(
-    "--study", "bundled", type=click.Choice(list_bundled()), help="A published study to run again."
+    "--study",
+    "bundled",
+    type=click.Choice(list_bundled()),
+    help="A ready study: a published one, or a design.",
 )
 @click.option(
     "--with",
@@ -212,20 +215,25 @@ def _open_demo(folder: Path) -> StudyFolder:
 @shared.json_option
 def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool) -> None:
     """Run sessions with simulated participants, or resume them."""
-    from feel321.study.simulation import find_planted
+    from feel321.study.simulation import regress_planted
 
     rows = _simulate(study, participants, seed)
-    planted = find_planted(study.settings, study.stimuli())
+    planted = regress_planted(study.settings, study.stimuli())
     file = str(study.folder.ratings)
     if as_json:
-        facts = {"participants": participants, "ratings": rows, "file": file, "planted": planted}
-        shared.print_json(facts)
+        facts = {"participants": participants, "ratings": rows, "file": file}
+        shared.print_json({
+            **facts,
+            "planted": planted.slopes,
+            "planted_reducers": planted.reducers,
+        })
         return
-    slopes = ", ".join(f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.items())
+    terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.slopes.items()]
+    terms += [f"{points:+.1f} for {reducer}" for reducer, points in planted.reducers.items()]
     click.echo(f"{file}: {rows} ratings")
     click.echo(
-        f"planted in realism, in points: {slopes}"
-        if planted
+        f"planted in realism, in points: {', '.join(terms)}"
+        if terms
         else "planted: more than the two matches"
     )
 
@@ -319,7 +327,8 @@ def audit(
         own = {"findings": findings, "seal": found.seal, "remarks": found.remarks}
         shared.print_json(own)
     else:
-        good = f"{path}: {len(study.folder.journals)} journals, all as they were written"
+        n = len(study.folder.journals)
+        good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, all as they were written"
         click.echo("\n".join([*(findings or [good]), *found.remarks]))
         click.echo(f"seal: {found.seal}; keep it elsewhere")
     context.exit(1 if findings else 0)

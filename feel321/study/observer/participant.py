@@ -1,15 +1,20 @@
 """Simulated participants: what stimuli feel like to them, how they answer, and what they remember.
 
-A stimulus is a point with five coordinates: its spectral match (the one that the model names, cut to 0..1), its
-temporal match, and the three of its `Percept`. The original and the real surface are the point where nothing is lost.
+A stimulus is a point with six coordinates: its spectral match (the one that the model names, cut to 0..1), its
+temporal match, and the four of its `Percept`. The original and the real surface are the point where nothing is lost.
 
 - *Realism* is the weighted sum of the coordinates.
-- *Distance* is the weighted sum of five differences (city block). Those of a percept are between the two vibrations
+- *Distance* is the weighted sum of six differences (city block). Those of a percept are between the two vibrations
   themselves, as they differ from each other. Level counts in both directions: what is stronger than the reference is as
   different as what is weaker by the same number of dB. A match is known to the original only: by its weight, stimuli
   lie on a line, not in a space, and two that match equally well feel the same.
 - *Similarity* is the top of the scale less the distance from the reference: what is identical is worth full marks.
 - Of two, the one *more like the reference* is at the smaller distance from it, and the *preferred* one feels more real.
+
+A *bonus*, for surprises that no metric knows, is the model's term for the stimulus's reducer, plus the model's
+`vector_magnitude` times how far the stimulus follows its recording's vector magnitude. It is added to realism, and to
+similarity with anything but itself; it is taken from the distance to the original and to the real surface. It leaves
+the distance between two reduced stimuli as it is. What comes out is cut to the scale only when it is answered.
 
 Answer of a careful one: sure + gain * (percept - sure) + bias + shift + noise, cut to 0..100. Sure is the end of the
 slider that means the same to everybody: the bottom, or the top (identical) where similarity is asked for. The shift is
@@ -48,6 +53,7 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.threshold import predict_correct
 from feel321.protocols.trial import MATCHING, RATING_RANGE, SURFACE, Judgement, Scale, Trial
 from feel321.stimuli.sets.anchors import to_db
+from feel321.stimuli.sets.recipe import ORIGINAL
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold
 from feel321.study.observer.percepts import Percept, compare_percepts
 from feel321.study.session.events import TrialRated
@@ -92,7 +98,8 @@ class ObserverModel(ObserverTable):
     @property
     def uses_percepts(self) -> bool:
         """Whether stimuli must be read and measured before this observer can feel them."""
-        return any((self.threshold_spectral, self.envelope, self.level))
+        weights = self.threshold_spectral, self.envelope, self.level, self.direction
+        return any((*weights, self.vector_magnitude))
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,15 +244,17 @@ def draw_rater(model: ObserverModel, rng: np.random.Generator) -> Rater:
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """The coordinates of a stimulus for the sense of touch; spectral, temporal: matches, 0 to 1."""
+    """The coordinates of a stimulus for the sense of touch; spectral, temporal: matches, 0 to 1; bonus: in points."""
 
     spectral: float
     temporal: float
     percept: Percept
+    bonus: float = 0.0
+    is_reduced: bool = True
 
 
 UNCHANGED = Percept(0.0, 0.0, 0.0)  # the percept of the original
-REAL = Location(1.0, 1.0, UNCHANGED)  # the original and the real surface
+REAL = Location(1.0, 1.0, UNCHANGED, is_reduced=False)  # the original and the real surface
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,24 +310,38 @@ class Touch:
             match
         ):  # a set that was built before the bounded match existed has eq. 1 only
             match = stimulus.spectral_match
-        return Location(min(max(match, 0.0), 1.0), stimulus.temporal_match, percept)
+        spectral, is_reduced = min(max(match, 0.0), 1.0), stimulus.reducer != ORIGINAL
+        bonus = self.model.reducers.get(stimulus.reducer, 0.0)
+        bonus += self.model.vector_magnitude * percept.vector_magnitude
+        return Location(
+            spectral, stimulus.temporal_match, percept, bonus if is_reduced else 0.0, is_reduced
+        )
 
     def feel(self, point: Location) -> float:
         """Compute how real something feels, in points, not cut to the scale."""
         model, lost = self.model, point.percept
         gained = model.intercept + model.spectral * point.spectral + model.temporal * point.temporal
         missed = model.threshold_spectral * lost.spectral_db + model.envelope * lost.envelope
-        return gained - missed + model.level * lost.level_db
+        missed += model.direction * lost.direction
+        return gained - missed + model.level * lost.level_db + point.bonus
+
+    def measure_shortfall(self, point: Location, reference: Location) -> float:
+        """Compute how far something falls short of a reference, in points; what is better than it is below 0."""
+        is_judged = point.is_reduced and reference.is_reduced and point != reference
+        return self.measure_distance(point, reference) - (point.bonus if is_judged else 0.0)
 
     def measure_distance(self, first: Location, second: Location) -> float:
         """Compute how different two feel, in points."""
         model, apart = self.model, compare_percepts(first.percept, second.percept)
+        bonus = 0.0 if first.is_reduced and second.is_reduced else first.bonus + second.bonus
         return (
             model.spectral * abs(first.spectral - second.spectral)
             + model.temporal * abs(first.temporal - second.temporal)
             + model.threshold_spectral * apart.spectral_db
             + model.envelope * apart.envelope
             + abs(model.level * apart.level_db)
+            + model.direction * apart.direction
+            - bonus
         )
 
 
@@ -342,8 +365,10 @@ def find_percept(experience: Experience, judgement: Judgement, *, touch: Touch) 
     sure, point = find_sure_end(experience.trial), experience.find(judgement.part)
     if judgement.reference_id is None:
         return touch.feel(point)
-    distance = touch.measure_distance(point, experience.find_reference(judgement))
-    return distance if sure == RATING_RANGE[0] else sure - distance
+    reference = experience.find_reference(judgement)
+    if sure == RATING_RANGE[0]:
+        return touch.measure_distance(point, reference)
+    return sure - touch.measure_shortfall(point, reference)
 
 
 def measure_distances(
@@ -351,10 +376,11 @@ def measure_distances(
 ) -> dict[str, float]:
     """Compute how far each candidate is from the part asked about, or from the reference of a choice, in points."""
     of_reference = judgement.part in choices
+    measure = touch.measure_shortfall if of_reference else touch.measure_distance
     asked = (
         experience.find_reference(judgement) if of_reference else experience.find(judgement.part)
     )
-    return {name: touch.measure_distance(experience.find(name), asked) for name in choices}
+    return {name: measure(experience.find(name), asked) for name in choices}
 
 
 # What they answer and remember.
@@ -516,6 +542,9 @@ def feel_level(scaled: Scaled) -> float:
     return scaled.stimulus.sensation_level_db + scaled.gain_db
 
 
+_LATER = ("direction", "vector_magnitude", "reducers")
+
+
 def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:
     """List what the answers of simulated participants depend on, for the header of their journals."""
     values, usual = model.model_dump(), ObserverModel().model_dump()
@@ -523,6 +552,6 @@ def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:
     kept = {
         k: v
         for k, v in values.items()
-        if not k.startswith(("detection", "matching")) or v != usual[k]
+        if not k.startswith(("detection", "matching", *_LATER)) or v != usual[k]
     }
     return {"simulated": True, "seed": seed, "observer": kept}

@@ -29,6 +29,12 @@ class ScaleTable(kinds.TomlTable):
     high: kinds.Words
     anchors: tuple[kinds.Words, ...] = ()
 
+    @model_validator(mode="after")
+    def _check_ends(self) -> Self:
+        if self.low == self.high:
+            raise ValueError(f"low and high must differ, got {self.low!r} for both")
+        return self
+
     def to_texts(self) -> dict[str, str | list[str]]:
         """Return its texts as a language holds them."""
         texts: dict[str, str | list[str]] = {

@@ -101,7 +101,8 @@ def try_recordings(settings: Settings, folder: Path) -> tuple[list[Recording], l
 def _open_recording(
     entry: SceneTable | FileTable, folder: Path, formats: Mapping[str, str]
 ) -> Recording:
-    own = entry.model_dump(exclude={"name", "sample", "picture", "rotation", "scene", "file"})
+    about = {"name", "interaction", "sample", "picture", "rotation", "scene", "file"}
+    own = entry.model_dump(exclude=about)
     if isinstance(entry, SceneTable):
         recording = make_scene(entry.scene, **own)
     elif method := find_format(folder / entry.file, folder=folder, declared=formats):

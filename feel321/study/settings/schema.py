@@ -12,6 +12,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
+from feel321.doors import name_of
 from feel321.protocols.detection import ThresholdBlock, name_tone
 from feel321.protocols.matching import MatchingBlock
 from feel321.protocols.options import refine_task
@@ -24,6 +25,7 @@ from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
+from feel321.stimuli.sets.anchors import ANCHORS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
@@ -273,6 +275,7 @@ class SourceTable(kinds.TomlTable):
 
     name: str = ""
     sample: kinds.Words | None = None
+    interaction: kinds.Words | None = None
     picture: kinds.Words | None = None
     rotation: kinds.Count | None = None
 
@@ -386,6 +389,8 @@ class MethodTable(kinds.TomlTable):
 class ReducerTable(MethodTable):
     """`[reducers.NAME]`: a lab's own reducer."""
 
+    file: kinds.Words | None = None
+    bit_rate_kbps: kinds.Positive | None = None
     operations: str | float | None = None
     state: str | float | None = None
     latency: str | float | None = None
@@ -421,6 +426,19 @@ class RigTable(kinds.TomlTable):
         return self.model_dump(exclude={"certificate"})
 
 
+def _check_terms(terms: dict[str, float], info: ValidationInfo) -> dict[str, float]:
+    """Demand reducers as the manifest names them; without a whole file, a lab's own are not known."""
+    if info.context is None:
+        return terms
+    stimuli, own = (info.context.get(table) for table in ("stimuli", "reducers"))
+    felt = stimuli.get("reducers") if isinstance(stimuli, dict) else ()
+    known = [*REDUCERS, *ANCHORS, *(own if isinstance(own, dict) else ())]
+    known += [name_of(name) for name in felt or () if isinstance(name, str)]
+    for name in terms:
+        kinds.check_one_of(name, known)
+    return terms
+
+
 class ObserverTable(kinds.TomlTable):
     """`[observer]`: how simulated participants feel and differ."""
 
@@ -430,6 +448,11 @@ class ObserverTable(kinds.TomlTable):
     threshold_spectral: kinds.Finite = 0.0
     envelope: kinds.Finite = 0.0
     level: kinds.Finite = 0.0
+    direction: kinds.Finite = 0.0
+    vector_magnitude: kinds.Finite = 0.0
+    reducers: Annotated[dict[str, kinds.Finite], AfterValidator(_check_terms)] = Field(
+        default_factory=dict
+    )
     bias_sd: kinds.NotNegative = 6.0
     gain_sd: kinds.NotNegative = 0.15
     noise_sd: kinds.NotNegative = 8.0
@@ -459,6 +482,7 @@ class AnalysisTable(kinds.TomlTable):
     """`[analysis]`: how ratings are related to metrics; chosen before they are seen."""
 
     metrics: Annotated[tuple[kinds.Words, ...], kinds.Some] = PLANNED
+    screening: tuple[kinds.Words, ...] = ()
     draws: Annotated[int, Field(ge=100)] = 2000
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
 

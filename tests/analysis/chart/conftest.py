@@ -32,7 +32,12 @@ def make_recording() -> Callable[[str], Recording]:
 def tiny(make_recording: Callable[[str], Recording]) -> Chart:
     """Two scenes at the least effort, timed on short signals."""
     with pytest.MonkeyPatch.context() as patch:
-        for name, short in (("REFERENCE_N", 5000), ("RATE_DURATION_S", 0.1), ("CALLS", 20)):
+        for name, short in (
+            ("REFERENCE_N", 5000),
+            ("RATE_DURATION_S", 0.1),
+            ("CALLS", 20),
+            ("FRAMES", 1),
+        ):
             patch.setattr(cost, name, short)
         scenes = [make_recording("bumps"), make_recording("circular_motion")]
         return compute_chart(scenes, effort=TINY, seed=3)

@@ -328,6 +328,7 @@ def test_a_server_that_dies_is_told_and_tried_again_with_the_next_stimulus(
     assert capture.find(sounds["b"]) >= 0
 
 
+@pytest.mark.soak
 def test_a_server_that_hangs_for_long_is_dead_without_hanging_the_session(
     pulse: Any, open_player: Any, make_rig: Any, make_sound: Any
 ) -> None:

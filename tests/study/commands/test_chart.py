@@ -39,7 +39,12 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=5000, rounds=3
     )
     monkeypatch.setattr(compute, "QUICK", tiny)
-    for name, short in (("REFERENCE_N", 5000), ("RATE_DURATION_S", 0.1), ("CALLS", 5)):
+    for name, short in (
+        ("REFERENCE_N", 5000),
+        ("RATE_DURATION_S", 0.1),
+        ("CALLS", 5),
+        ("FRAMES", 1),
+    ):
         monkeypatch.setattr(cost, name, short)
     # Whole figures are saved in tests/analysis/chart.
     monkeypatch.setattr("feel321.analysis.report.folder.save_figure", save_nothing)

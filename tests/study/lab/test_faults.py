@@ -60,6 +60,7 @@ def ask_to_close(display: str, window: int) -> None:
     server.close()
 
 
+@pytest.mark.soak
 def test_killed_in_the_middle_it_resumes_and_is_analysed(
     rig: Any, make_study: Callable[..., StudyFolder]
 ) -> None:
@@ -138,7 +139,7 @@ def test_a_rehearsal_lies_apart_and_is_no_data(
     assert read_status(apart).participants[0].done == session.count_done()
     assert audit_study(apart) == []
     assert main(["audit", str(study.path), "--rehearsals"]) == 0
-    assert capsys.readouterr().out.startswith(f"{study.path}: 1 journals, all as they were written")
+    assert capsys.readouterr().out.startswith(f"{study.path}: 1 journal, all as they were written")
     assert main(["status", str(study.path), "--rehearsals"]) == 0
     assert "p01 " in capsys.readouterr().out
 
@@ -210,6 +211,7 @@ def lead_by_keys(session: Any, *, until: Callable[[], bool]) -> None:
         time.sleep(0.1)
 
 
+@pytest.mark.soak
 def test_a_person_with_a_pedal_is_interrupted_by_a_crash_and_by_a_dead_server(
     rig: Any, sound: Any, make_study: Callable[..., StudyFolder]
 ) -> None:

@@ -313,3 +313,31 @@ def test_all_reducers_are_worse_than_the_original_and_better_than_the_low_anchor
         percept = lost[f"bumps__{name}__as_is"]
         assert 0 < percept.spectral_db < low.spectral_db
         assert 0 < percept.envelope < low.envelope
+
+
+def test_one_axis_loses_the_energy_outside_the_strongest_direction() -> None:
+    line, tone = np.array([0.6, 0.0, -0.8])[:, None], make_tone(150.0)
+    circle = np.array([tone, make_bursts(0.2, 0.7), np.roll(tone, 100)])
+    rng = np.random.default_rng(3)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    for moving, expected in ((line * tone, 0.0), (make_noise(), 2 / 3)):
+        lost = measure(tone, moving).direction
+        assert lost == pytest.approx(expected, abs=0.08)
+    assert measure(tone, turn @ circle).direction == pytest.approx(measure(tone, circle).direction)
+    assert 0.1 < measure(tone, circle).direction < 2 / 3
+    assert measure(make_tone(90.0), tone).direction == 0
+    assert measure(0 * tone, 0 * circle).direction == 0
+
+
+def test_the_vector_magnitude_is_known_by_its_waveform(
+    built: StimulusSet, percepts: dict[str, Percept]
+) -> None:
+    for stimulus in built:
+        followed = percepts[stimulus.stimulus_id].vector_magnitude
+        assert 0 <= followed <= 1
+        if stimulus.reducer == "mag321":
+            assert followed > 0.95
+        elif stimulus.role == "test":
+            assert followed < 0.5
+        elif stimulus.reducer == "original":
+            assert followed == 0

@@ -83,7 +83,7 @@ def test_what_is_out_of_range_is_refused() -> None:
 
 def test_only_weights_on_distances_ask_for_files() -> None:
     assert not vary(MODEL, fatigue=3.0, order=0.2).uses_percepts
-    for name in ("threshold_spectral", "envelope", "level"):
+    for name in ("threshold_spectral", "envelope", "level", "direction", "vector_magnitude"):
         assert vary(MODEL, **{name: -0.5}).uses_percepts
 
 

@@ -449,6 +449,7 @@ def test_interrupt_leaves_silence(seat: Callable[..., Any]) -> None:
     assert any("frames" in words for words in here.told)
 
 
+@pytest.mark.soak
 def test_rows_go_on_and_on_until_something_else_is_done(seat: Callable[..., Any]) -> None:
     """Another vibration begins where the last one was stopped; an answer ends it."""
     here = seat({"trial": "mushra", "rows": 1}, duration_s=0.3)

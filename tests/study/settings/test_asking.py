@@ -69,6 +69,7 @@ SCALE_MISTAKES = {
     f"{ROUGH}high_label = 'x'": "scales.roughness.high_label: unknown setting; known: question, low, high, anchors",
     "[scales.'How rough']\nquestion = 'a'\nlow = 'b'\nhigh = 'c'": "must be up to 40 lower-case letters",
     "[scales.abx]\nquestion = 'a'\nlow = 'b'\nhigh = 'c'": "scales.abx: must not be set, the answer to abx is a choice",
+    "[scales.rough]\nquestion = 'a'\nlow = 'b'\nhigh = 'b'": "scales.rough: low and high must differ, got 'b' for both",
     "[tasks.realism]\nanswer_timeout_s = 0": "tasks.realism.answer_timeout_s must be greater than 0, got 0",
     "[tasks.realism]\ngap_s = 40": "tasks.realism.gap_s must be 0 to 30, got 40",
     "[tasks.realism]\nonset_s = 0.2": "tasks.realism.onset_s must be 0.5 to 600, got 0.2",

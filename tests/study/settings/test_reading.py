@@ -67,6 +67,9 @@ def list_keys(table: type[TomlTable], place: str = "") -> Iterator[str]:
             yield place + name
 
 
+TERMS = "observer.reducers"
+
+
 def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
     for name, value in content.items():
         several = name in {"recordings", "claims", "published"} and isinstance(value, list)
@@ -79,7 +82,8 @@ def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
             entry = value["roughness"]
         if not place and name in {"reducers", "metrics"}:
             (entry,) = value.values()  # one of the lab's own
-        if isinstance(entry, dict) and name not in {"between", "formats", "options", "numbers"}:
+        held = {"between", "formats", "options", "numbers"}
+        if isinstance(entry, dict) and name not in held and place + name != TERMS:
             yield from list_written(entry, f"{place}{name}.")
         else:
             yield place + name
