@@ -74,6 +74,8 @@ MEASURES: Mapping[str, str] = Registry(
         "slope": "landin:measure_slope",
         "one_axis_against_three": "lee:measure_told_apart",
         "map_attribute": "lee:measure_attribute",
+        "correlation": "park:measure_correlation",
+        "rating_excess": "park:measure_rating_excess",
     },
 )
 """What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of a module of

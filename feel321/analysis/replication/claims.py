@@ -184,6 +184,13 @@ def leave_out(table: Table, reducers: Iterable[str]) -> Table:
     return replace(table, rows=kept, stimuli=stimuli)
 
 
+def require_option(claim: PaperClaim, name: str) -> str:
+    """Take an option that a measure cannot do without."""
+    if name not in claim.options:
+        raise ValueError(f"options must name a {name}; add {name} = ... to the claim {claim.name}")
+    return str(claim.options[name])
+
+
 # Whether a number is as the paper says.
 
 

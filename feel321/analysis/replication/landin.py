@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from feel321.analysis.contrasts.compare import fit_reducers
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.replication.claims import USUAL_LEVEL, ClaimValue, Ends
+from feel321.analysis.replication.claims import USUAL_LEVEL, ClaimValue, Ends, require_option
 from feel321.analysis.words import SATTERTHWAITE
 from feel321.doors import check_name
 
@@ -38,11 +38,15 @@ def tabulate_metric(table: Table, metric: str) -> DataFrame:
 
 def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
     """Average a metric of a reducer over recordings; options: metric, reducer, recording (one alone), among."""
-    metric, reducer = _require(claim, "metric"), _require(claim, "reducer")
+    metric, reducer = require_option(claim, "metric"), require_option(claim, "reducer")
     found = tabulate_metric(table, metric)
     if recording := claim.options.get("recording"):
         check_name(recording, sorted(found.index), "recording")
         found = found.loc[[recording]]
+    elif table.stimuli is not None and "source" in table.stimuli:
+        # Turned copies of one recording count once.
+        sources = table.stimuli.drop_duplicates("recording").set_index("recording")["source"]
+        found = found.groupby(sources.astype(str)).mean()
     check_name(reducer, sorted(map(str, found)), "reducer")
     own = found[reducer]
     others = choose_others(claim, found, reducer)
@@ -67,7 +71,7 @@ def _average(values: Series[float]) -> Ends:
 
 def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
     """Estimate the mean rating of a reducer, and its difference from all others; options: reducer, among."""
-    reducer = _require(claim, "reducer")
+    reducer = require_option(claim, "reducer")
     rows = table.rows[table.rows["role"] == "test"].assign(item=lambda part: part["stimulus_id"])
     rated = sorted(rows["reducer"].unique())
     check_name(reducer, rated, "reducer")
@@ -87,7 +91,7 @@ def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
 
 def measure_slope(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
     """Estimate the slope of ratings on a metric within recordings, all metrics together; option: metric."""
-    metric = _require(claim, "metric")
+    metric = require_option(claim, "metric")
     metrics = dict.fromkeys([*table.metrics, metric])
     fit = fit_primary(table, list(metrics), explain=False)
     if metric not in fit.slopes.index or not fit.slopes.loc[metric, "estimable"]:
@@ -103,10 +107,3 @@ def choose_others(claim: PaperClaim, names: Iterable[object], own: str) -> list[
     """Choose what a reducer is compared with: those of the option `among`, or all others."""
     among = claim.options.get("among")
     return [str(name) for name in names if name != own and (among is None or name in among)]
-
-
-def _require(claim: PaperClaim, name: str) -> str:
-    """Take an option that a measure cannot do without."""
-    if name not in claim.options:
-        raise ValueError(f"options must name a {name}; add {name} = ... to the claim {claim.name}")
-    return str(claim.options[name])

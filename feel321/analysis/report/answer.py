@@ -27,6 +27,7 @@ from feel321.analysis.primary.sensitivity import (
     find_own,
     find_variances,
 )
+from feel321.analysis.replication.park import explain_spread
 from feel321.analysis.report.parts import ITEM, SIGNIFICANCE, RatingsPart, add_step, format_p
 from feel321.analysis.report.section import METRIC, RATINGS, Column, TableForm
 from feel321.analysis.table.items import format_recordings
@@ -248,6 +249,8 @@ def describe_findings(found: Sequence[Finding], needs: Sequence[str]) -> Iterato
             yield Line(told, subject, "comparison")
     if told := _describe_exceptions(influence, part):
         yield Line(told, subject, "exceptions")
+    spreads = filter(None, (explain_spread(part.rows, one.metric) for one in found))
+    yield from (Line(told, subject, "spread over orientations") for told in spreads)
     if told := " ".join(filter(None, needs)):
         yield Line(told, subject, "sample size")
     if any(one.metric == UNBOUNDED for one in found):

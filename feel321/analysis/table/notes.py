@@ -163,3 +163,13 @@ def _note_pairs(rows: DataFrame, none: str) -> str:
         "the dissimilarity itself every slope and every correlation has the opposite sign. The other "
         f"{len(rows) - turned} (two reductions, identical pairs, anchors) enter none of them. {SPACE}"
     )
+
+
+def note_gains(rows: DataFrame) -> Iterator[str]:
+    """Note judgements beside the real surface of stimuli that are not as strong as they were recorded."""
+    gains = rows[schema.GAIN].dropna() if schema.GAIN in rows else rows["rating"].iloc[:0]
+    if (gains != 1).any():
+        yield (
+            f"Scale '{rows['scale'].iloc[0]}': beside the real surface, stimuli were played at {gains.min():.3g} to "
+            f"{gains.max():.3g} times the strength that was recorded, so ratings mix strength with likeness."
+        )

@@ -539,6 +539,8 @@ def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
         fate = ": none enters an association or a slope"
         fate = "" if reference in {SURFACED, UNLISTED} else fate
         yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
+        if reference == SURFACED:
+            yield from remarks.note_gains(part)
 
 
 # Further metrics.

@@ -1,0 +1,190 @@
+"""Metrics over orientations of the sensor: why a spread may go with ratings the wrong way, and the measures of Park."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from feel321.analysis.primary.model import fit_slopes
+from feel321.analysis.primary.plan import REDUCER, make_cells
+from feel321.analysis.primary.sensitivity import measure_excess
+from feel321.analysis.replication.claims import Paper, PaperAnswer, PaperClaim, answer_claims
+from feel321.analysis.replication.park import compare_spread, explain_spread
+from feel321.analysis.report import paper as paper_section
+from feel321.analysis.report import primary
+from feel321.analysis.resampling import Choices
+from feel321.analysis.table.metrics import ROTATIONS
+from feel321.analysis.table.reading import Further, read_table
+
+if TYPE_CHECKING:
+    from feel321.analysis.table.items import Table
+
+MEAN, SD = "temporal_match_rotation_mean", "temporal_match_rotation_sd"
+REDUCERS = ("say321", "saz321", "soc321", "mag321", "pca321", "dft321")
+MEANS = dict(zip(REDUCERS, (0.50, 0.48, 0.60, 0.02, 0.70, 0.66), strict=True))
+SPREADS = dict(zip(REDUCERS, (0.20, 0.30, 0.18, 0.01, 0.25, 0.08), strict=True))
+SLOPES = {MEAN: 50.0, SD: -40.0}
+
+
+def make_table(
+    *,
+    bonus: float = 0.0,
+    spreads: dict[str, float] = SPREADS,
+    seed: int = 1,
+    gain: float | None = None,
+) -> Table:
+    """Ratings of twelve people who follow mean and spread, and mag321 a bonus besides."""
+    rng = np.random.default_rng(seed)
+    scenes = [f"s{number}" for number in range(8)]
+    manifest = pd.DataFrame(
+        [
+            {"stimulus_id": f"{scene}-{reducer}", "recording": scene, "reducer": reducer, "temporal_match": 0.5,
+             MEAN: MEANS[reducer] + rng.normal(0, 0.05) * (reducer != "mag321"),
+             SD: spreads[reducer] * rng.uniform(0.7, 1.3)}
+            for scene in scenes for reducer in REDUCERS
+        ]
+    )  # fmt: skip
+    felt = 20 + manifest[MEAN] * SLOPES[MEAN] + manifest[SD] * SLOPES[SD]
+    felt += bonus * (manifest["reducer"] == "mag321") + rng.normal(0, 2, len(felt))
+    rows = [
+        {"participant": f"p{who}", "stimulus_id": name, "scale": "similarity", "trial": trial,
+         "rating": float(np.clip(level + mean + rng.normal(0, 6), 0, 100))}
+        for who in range(12)
+        for level in [rng.normal(0, 5)]
+        for trial, (name, mean) in enumerate(zip(manifest["stimulus_id"], felt, strict=True))
+    ]  # fmt: skip
+    ratings = pd.DataFrame(rows)
+    if gain is not None:
+        manifest["gain"], ratings["reference_id"] = gain, "surface"
+    statistics = manifest.set_index("stimulus_id")[[MEAN, SD]]
+    further = Further(statistics, ("Rotation statistics.",))
+    return read_table(
+        ratings, manifest.drop(columns=[MEAN, SD]), metrics=[MEAN, SD], further=further
+    )
+
+
+def test_a_mean_points_up_and_a_spread_down() -> None:
+    assert {one.rpartition("_")[2]: info.higher for one, info in ROTATIONS.items()} == {
+        "mean": "better",
+        "sd": "worse",
+    }
+    assert len({info.label for info in ROTATIONS.values()}) == len(ROTATIONS)
+
+
+def test_spread_and_mean_are_compared_within_recordings() -> None:
+    rows = make_table().rows
+    found = compare_spread(rows, SD)
+    items = rows.drop_duplicates("stimulus_id")
+    own = items[[MEAN, SD]] - items.groupby("recording")[[MEAN, SD]].transform("mean")
+    assert found.r == pytest.approx(own.corr().iloc[0, 1], abs=1e-12)
+    assert (found.reducer, found.rank) == ("mag321", 0)
+    assert found.mean == pytest.approx(0.02)
+    assert compare_spread(rows, MEAN) is None
+    assert compare_spread(rows.drop(columns=MEAN), SD) is None
+    assert compare_spread(rows.assign(**{SD: 0.1}), SD) is None
+
+
+def test_a_spread_that_rises_with_its_mean_is_explained() -> None:
+    told = explain_spread(make_table().rows, SD)
+    assert "nothing to lose when the sensor turns, and mag321 has the lowest mean (0.02)" in told
+    assert "and the smallest spread (0.01)" in told
+    steady = make_table(spreads=dict.fromkeys(REDUCERS, 0.2) | {"mag321": 0.05, "soc321": 0.01})
+    assert "reducers that match better vary more (mag321: " in explain_spread(steady.rows, SD)
+    falling = make_table(spreads={name: 0.8 - mean for name, mean in MEANS.items()})
+    assert explain_spread(falling.rows, SD) == ""
+
+
+def test_the_report_holds_the_plants_and_explains_the_spread() -> None:
+    section = primary.compute(make_table(), Choices(draws=2))
+    for row in section.tables["slopes"].to_dict("records"):
+        assert row["low"] < SLOPES[row["metric"]] < row["high"]
+    (line,) = [line for line in section.verdict if line.lead == "spread over orientations"]
+    assert "no merit by itself" in line.text
+    assert "opposite direction" not in " ".join(section.answers)
+
+
+def test_a_gain_beside_the_real_surface_is_noted() -> None:
+    (note,) = [note for note in make_table(gain=1.16).notes if "beside the real surface" in note]
+    assert "played at 1.16 to 1.16 times the strength that was recorded" in note
+    assert not [note for note in make_table(gain=1.0).notes if "beside the real surface" in note]
+
+
+# The measures of the paper's claims.
+
+CLAIMS = (
+    PaperClaim("mean", "the mean is felt", "abstract", "correlation", exceptions=("mag321",),
+               options={"metric": MEAN, "method": "within"}),
+    PaperClaim("spread", "the spread is felt", "abstract", "correlation", "negative", exceptions=("mag321",),
+               options={"metric": SD, "method": "within"}),
+    PaperClaim("excess", "vector magnitude feels good", "abstract", "rating_excess", options={"reducer": "mag321"}),
+)  # fmt: skip
+
+
+def answer(table: Table) -> dict[str, PaperAnswer]:
+    paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", CLAIMS)
+    return {one.claim.name: one for one in answer_claims(table, paper, Choices(draws=200, seed=1))}
+
+
+def test_claims_are_answered_with_and_without_the_exception() -> None:
+    found = answer(make_table(bonus=45))
+    mean, spread, excess = (found[name] for name in ("mean", "spread", "excess"))
+    assert mean.found.value < 0 < mean.without.low
+    assert "without mag321 0." in mean.sentence
+    assert spread.without.high < 0
+    assert excess.verdict == "agrees"
+    assert excess.found.low < 45 < excess.found.high
+    assert excess.without is None
+
+
+def test_a_spread_that_goes_the_wrong_way_says_why() -> None:
+    told = {name: one.sentence for name, one in answer(make_table()).items()}
+    assert "no merit by itself" in told["spread"]
+    assert "no merit by itself" not in told["mean"]
+
+
+def test_no_excess_is_found_where_none_was_planted() -> None:
+    for seed in range(6):
+        table = make_table(seed=seed)
+        cells = make_cells(table.rows, table.metrics)
+        others = fit_slopes(cells.leave_out(REDUCER, "mag321"))
+        excess = measure_excess(cells, "mag321", others)
+        assert abs(excess.value) < 2 * excess.se
+        items = table.rows.drop_duplicates("stimulus_id")
+        means = items.groupby("reducer", observed=True)[[MEAN, SD]].mean()
+        gap = means.loc["mag321"] - means.drop("mag321").mean()
+        alone = others.solved.estimate({f"{name}_w": gap[name] for name in (MEAN, SD)})
+        assert excess.se > alone.se
+    section = primary.compute(table, Choices(draws=2))
+    assert not section.tables["exceptions"]["exceptional"].any()
+
+
+def test_the_first_sentence_names_a_planted_surprise() -> None:
+    table, choices = make_table(bonus=45), Choices(draws=50)
+    paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", CLAIMS)
+    section = paper_section.compute(
+        table, choices, paper, sections=[primary.compute(table, choices)]
+    )
+    first = section.verdict[0].text
+    assert "mag321 was rated 4" in first.lower()
+    assert "points higher than the metrics predict from the other reducers" in first
+    assert "the paper names it as an exception too" in first
+
+
+@pytest.mark.parametrize(
+    ("measure", "options", "reason"),
+    [
+        ("correlation", {}, "options must name a metric"),
+        ("correlation", {"metric": "loudness"}, "loudness"),
+        ("rating_excess", {"reducer": "dft322"}, "reducer must be one of"),
+    ],
+)
+def test_what_cannot_be_examined_says_why(
+    measure: str, options: dict[str, str], reason: str
+) -> None:
+    claim = PaperClaim("one", "a claim", "abstract", measure, options=options)
+    (found,) = answer_claims(make_table(), Paper("a", "b", "abstract", (claim,)), Choices(draws=2))
+    assert found.verdict == "not_estimable"
+    assert reason in found.sentence
