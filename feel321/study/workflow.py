@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from feel321.analysis.table.metrics import ROTATIONS
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
@@ -250,6 +249,8 @@ def _check_plan(study: StudyFolder, settings: Settings) -> Iterator[str]:
 
 def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that the metrics that the analysis declares are numeric columns of the manifest, or computed by it."""
+    from feel321.analysis.table.metrics import ROTATIONS  # build needs nothing of the analysis
+
     with study.manifest.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     numeric = [name for name in rows[0] if any(_is_number(row[name]) for row in rows)]

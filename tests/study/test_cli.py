@@ -640,7 +640,7 @@ def test_draws_and_seed_of_a_study_reach_its_report(
     monkeypatch.setattr("feel321.study.analyze.read_stimuli", lambda _: None)
     monkeypatch.setattr("feel321.study.analyze.write_ratings", lambda *_: 1)
     monkeypatch.setattr(
-        "feel321.study.analyze.measure_rotations", lambda *_: Further(pd.DataFrame())
+        "feel321.study.analyze.measure_rotations", lambda *_, **__: Further(pd.DataFrame())
     )
     elsewhere = study.path / "else"
     elsewhere.mkdir()
