@@ -17,7 +17,7 @@ References
    doi:10.1109/3516.951362
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -82,11 +82,8 @@ def make_scene(
     if not isinstance(rng, np.random.Generator):
         as_rng(rng if seed is None else seed)
         rng = np.random.default_rng([rng if seed is None else seed, *name.encode()])
-    shares = np.array_split(np.arange(round(duration_s * rate_hz)) / rate_hz, len(parts))
-    made = [SCENES[part](own - own[0], rng) for part, own in zip(parts, shares, strict=True)]
-    for place, sample in enumerate(made if len(parts) > 1 else ()):
-        made[place] = sample * _fade_ends(sample.shape[1], round(JOINT_S * rate_hz))
-    return Recording(np.concatenate(made, axis=1), rate_hz, "-".join(parts))
+    time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
+    return Recording(_join_scenes(parts, time_s, rng), rate_hz, "-".join(parts))
 
 
 JOINT_S = 0.01
@@ -96,6 +93,17 @@ JOINT_S = 0.01
 def split_scene(name: str) -> tuple[str, ...]:
     """Split a name into those of the scenes that follow one another."""
     return tuple(check_name(part, SCENES, "scene") for part in str(name).split("+"))
+
+
+def _join_scenes(parts: Sequence[str], time_s: Samples, rng: np.random.Generator) -> Samples:
+    """Make scenes that follow one another in equal shares of a time; one alone has no joints."""
+    if len(parts) == 1:
+        return SCENES[parts[0]](time_s, rng)
+    made = []
+    for part, own in zip(parts, np.array_split(time_s, len(parts)), strict=True):
+        joint = round(JOINT_S / (own[1] - own[0]))
+        made.append(SCENES[part](own - own[0], rng) * _fade_ends(len(own), joint))
+    return np.concatenate(made, axis=1)
 
 
 def _fade_ends(n: int, joint: int) -> Samples:

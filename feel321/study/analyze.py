@@ -20,7 +20,7 @@ from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, find_methods, read_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
@@ -57,8 +57,9 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         require_study(study.path)
     settings = read_settings(study.settings) if study.settings.is_file() else None
     chosen = settings.analysis if settings else AnalysisTable()
-    own, wanted = settings if ratings is None else None, metrics or chosen.metrics
-    further = _derive_ratings(study, own, wanted) if own else Further(pd.DataFrame(), ())
+    further = Further(pd.DataFrame(), ())
+    if settings and ratings is None:
+        further = _derive_ratings(study, settings, metrics or chosen.metrics)
     if settings and metrics and set(metrics) != set(chosen.metrics):
         asked, declared = ", ".join(metrics), ", ".join(chosen.metrics)
         note = f"Metrics {asked} were asked for with this analysis; {study.settings.name} declares {declared}."
@@ -72,7 +73,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         out or study.report,
         draws=draws or chosen.draws,
         margin=chosen.margin,
-        metrics=wanted,
+        metrics=metrics or chosen.metrics,
         sources=list_origins(settings) if settings else {},
         further=replace(further, labels=list_labels(settings)) if settings else further,
         info=list_info(settings) if settings else {},
@@ -232,6 +233,7 @@ def compute_rotations(
     Copies share their statistics: over all orientations these are the same, and only chance would tell them apart.
     """
     copies = copies or {}
+    recordings = [one for one in recordings if copies.get(one.name, one.name) == one.name]
     commands = {one.name for one in recipe.methods if not one.is_python}
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
@@ -240,8 +242,7 @@ def compute_rotations(
             pd.DataFrame(), ("Rotation statistics: all reducers are commands or files; left out.",)
         )
     own = [find_reducer(recipe, name) for name in reducers]
-    first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
-    size = sum(recording.acceleration.size for recording in first.values()) * len(reducers)
+    size = sum(recording.acceleration.size for recording in recordings) * len(reducers)
     n_turns = min(effort * MOST, max(effort * LEAST, effort * AFFORDABLE // size))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
@@ -251,12 +252,26 @@ def compute_rotations(
 
     # Threads: nearly all of the work is done by libraries that release the interpreter. A lab's own code gets one.
     with ThreadPoolExecutor(1 if recipe.methods else os.cpu_count()) as pool:
-        of_first = dict(zip(first, pool.map(match, first.values()), strict=True))
-    matches = {one.name: of_first[copies.get(one.name, one.name)] for one in recordings}
+        names = [recording.name for recording in recordings]
+        matches = dict(zip(names, pool.map(match, recordings), strict=True))
+    places = [(copies.get(one.recording, one.recording), one.reducer) for one in tests]
+    table = pd.DataFrame(
+        [_average(matches[recording][reducers.index(reducer)]) for recording, reducer in places],
+        index=pd.Index([stimulus.stimulus_id for stimulus in tests], name="stimulus_id"),
+        columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
+    )
     turned = f"{n_turns} random orientations of the sensor (seed {seed}, the same ones for all)"
-    note = _describe_turns(turned, sorted(commands), shared=len(first) < len(recordings))
-    table = _tabulate_rotations(tests, matches, reducers)
-    return Further(table, (note,), mountings=_tabulate_mountings(matches, reducers))
+    shared = len(set(copies.values())) < len(copies)
+    mountings = _tabulate_mountings(matches, reducers, copies)
+    return Further(
+        table, (_describe_turns(turned, sorted(commands), shared=shared),), mountings=mountings
+    )
+
+
+def _average(matches: np.ndarray) -> np.ndarray:
+    """Average over orientations, and find their spread: (metrics, turns) gives mean and spread of each metric."""
+    both = np.stack([matches.mean(axis=-1), matches.std(axis=-1, ddof=1)], axis=-1)
+    return both.ravel().round(DIGITS)
 
 
 def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> str:
@@ -268,27 +283,16 @@ def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> st
     )
 
 
-def _tabulate_rotations(
-    tests: Sequence[Stimulus], matches: Mapping[str, np.ndarray], reducers: Sequence[str]
+def _tabulate_mountings(
+    matches: Mapping[str, np.ndarray], reducers: Sequence[str], copies: Mapping[str, str]
 ) -> pd.DataFrame:
-    """Tabulate mean and spread of every match over orientations, by test stimulus."""
-    found = {
-        name: np.stack([one.mean(axis=-1), one.std(axis=-1, ddof=1)], axis=-1).round(DIGITS)
-        for name, one in matches.items()
-    }
-    return pd.DataFrame(
-        [found[one.recording][reducers.index(one.reducer)].ravel() for one in tests],
-        index=pd.Index([one.stimulus_id for one in tests], name="stimulus_id"),
-        columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
-    )
-
-
-def _tabulate_mountings(matches: Mapping[str, np.ndarray], reducers: Sequence[str]) -> pd.DataFrame:
-    """Tabulate mean and quantiles of every metric over orientations; matches: (reducers, metrics, turns) each."""
+    """Tabulate mean and quantiles over orientations; matches: (reducers, metrics, turns); copies: of one recording."""
     shares = {"q05": 0.05, "q50": 0.5, "q95": 0.95}
     rows = []
-    for recording, found in matches.items():
-        for reducer, of_reducer in zip(reducers, found, strict=True):
+    for recording in [*matches, *(name for name in copies if name not in matches)]:
+        for reducer, of_reducer in zip(
+            reducers, matches[copies.get(recording, recording)], strict=True
+        ):
             for metric, values in zip(MATCHES, of_reducer, strict=True):
                 ends = {key: float(np.quantile(values, share)) for key, share in shares.items()}
                 names = {"recording": recording, "reducer": reducer, "metric": metric}

@@ -37,12 +37,10 @@ def compare_with_paper(
     if (paper := settings.paper) is None:
         return found
     told = [
-        *_compare_people(settings, paper),
-        *_compare_names(settings, paper),
-        *_compare_signals(settings, paper, recordings),
-        *_compare_plain(settings, paper),
+        *_compare_people(settings, paper), *_compare_names(settings, paper),
+        *_compare_signals(settings, paper, recordings), *_compare_plain(settings, paper),
         *_compare_rig(settings, paper, rig),
-    ]
+    ]  # fmt: skip
     conditions = [(name, one) for name, one in paper.conditions if one is not None]
     unknown = [name for name, one in conditions if one.source == "unknown"]
     notes = (f"not known of {FROM_PAPER}: {', '.join(unknown)}",) if unknown else ()
@@ -179,8 +177,7 @@ def make_paper(settings: Settings, mountings: DataFrame | None = None) -> Paper 
         number = table.paper.model_dump() if table.paper else {}
         ends = [number.get(key) for key in ("value", "low", "high")]
         value, low, high = (math.nan if one is None else float(one) for one in ends)
-        own = table.model_dump(exclude={"paper"})
-        claims.append(PaperClaim(paper=(value, low, high), **own))
+        claims.append(PaperClaim(paper=(value, low, high), **table.model_dump(exclude={"paper"})))
     published = [
         {**one.model_dump(exclude={"numbers"}), "reducer": reducer, "paper": value}
         for one in paper.published

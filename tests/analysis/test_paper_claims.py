@@ -44,6 +44,8 @@ def test_a_verdict_follows_from_the_interval(
         ({"b": (1, 0.5, 1.5), "c": (2, 1, 3)}, "agrees"),
         ({"b": (1, -0.5, 1.5), "c": (2, 1, 3)}, "open"),
         ({"b": (-1, -1.5, -0.5), "c": (2, 1, 3)}, "differs"),
+        ({"b": (0.004, math.nan, math.nan), "c": (2, 1, 3)}, "open"),
+        ({"b": (0.006, math.nan, math.nan), "c": (2, 1, 3)}, "agrees"),
         ({}, "not_estimable"),
     ],
 )

@@ -1,5 +1,6 @@
 """The paper's questions open a report: a planted surprise is named first, and the paper's numbers stand beside ours."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -95,6 +96,24 @@ def test_claims_are_answered_with_the_planted_slope_with_and_without_the_excepti
     numbers = surprised.to_frame().set_index("name")["value"]
     assert numbers["claim.spectrum"] == pytest.approx(rows.loc["spectrum", "value"])
     assert any("dft999" in line for line in surprised.verdict)
+
+
+def test_the_claims_are_in_the_results_as_the_schema_says(surprised: Results) -> None:
+    schema = json.loads(
+        (Path(write.__file__).parent / "results.schema.json").read_text(encoding="utf-8")
+    )
+    kinds = schema["properties"]["paper_claims"]["items"]["properties"]
+    claims = json.loads((surprised.path / "results.json").read_text(encoding="utf-8"))[
+        "paper_claims"
+    ]
+    assert [one["name"] for one in claims] == ["spectrum", "table", "missing"]
+    assert all(set(one) == set(kinds) for one in claims)
+    assert all(
+        one[name] in kinds[name]["enum"]
+        for one in claims
+        for name in ("source", "expect", "verdict")
+    )
+    assert claims[2]["value"] is None
 
 
 def test_the_papers_numbers_stand_beside_those_of_the_study(surprised: Results) -> None:

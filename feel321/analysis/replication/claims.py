@@ -189,7 +189,7 @@ def judge(claim: PaperClaim, found: ClaimValue) -> str:
 
     Of positive and negative, the whole interval must lie on one side of zero; of near, the value must lie within the
     paper's range (low to high), and what differs excludes it; of highest and lowest, the differences from all others
-    must exclude zero. A number without an interval is taken as it is.
+    must exclude zero. A number without an interval is taken as it is; a difference that is written as zero is none.
     """
     if not math.isfinite(found.value):
         return NOT_ESTIMABLE
@@ -201,6 +201,8 @@ def judge(claim: PaperClaim, found: ClaimValue) -> str:
         return DIFFERS if ends[2] < low or ends[1] > high else OPEN
     ranked = claim.expect in {"highest", "lowest"}
     gaps = [_fill_ends(one) for one in found.beside.values()] if ranked else [ends]
+    places = words.PLACES[found.kind]
+    gaps = [one if one[1] < one[2] else (round(one[0], places),) * 3 for one in gaps]
     return _judge_signs(gaps, upward=claim.expect in {"positive", "highest"})
 
 
@@ -240,6 +242,10 @@ def _describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) ->
     """Name the unit that comes closest, or is beyond."""
     sign = 1 if upward else -1
     name, ends = min(beside.items(), key=lambda item: sign * item[1][0])
-    value, interval = words.format_estimate(*ends, kind=kind)
+    way = 1 if ends[0] >= 0 else -1
+    low, high = sorted(way * end for end in ends[1:])
+    value, interval = words.format_estimate(way * ends[0], low, high, kind=kind)
     told = f" ({interval})" if interval != words.ABSENT else ""
-    return f"minus that of {words.format_name(name)}, the nearest: {value}{told}"
+    return (
+        f"{value} {'higher' if way > 0 else 'lower'} than that of {words.format_name(name)}{told}"
+    )

@@ -104,7 +104,7 @@ def measure_correlation(table: Table, claim: PaperClaim, choices: Choices) -> Cl
 
 
 def measure_rating_excess(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
-    """Estimate how much higher a reducer is rated than the metrics predict from all others; options: reducer, metrics."""
+    """Estimate how much higher a reducer is rated than metrics predict from all others; options: reducer, metrics."""
     from scipy.stats import t as student
 
     reducer = require_option(claim, "reducer")

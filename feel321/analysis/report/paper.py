@@ -30,13 +30,13 @@ VERDICTS = {
 }  # fmt: skip
 
 CLAIMS = TableForm(
-    "What the paper says, where that was seen, its number and this study's with a 95 % interval. Agrees or differs: "
-    "the whole interval lies where the paper says, or elsewhere; open: it holds both. Without: the same without the "
-    "reducers that the paper names as exceptions.",
+    "Each claim of the paper, its number and this study's with a 95 % interval, and where it was seen. Agrees or "
+    "differs: the whole interval lies where the paper says, or elsewhere; open: it holds both. Without: the same "
+    "without the reducers that the paper names as exceptions.",
     (
-        Column("Claim", "claim", NAME), Column("Seen in", "source", NAME), Column("The paper", "_paper", NAME),
-        Column("Here", "_here", NAME), Column("Interval", "_interval", NAME), Column("Verdict", "_verdict", NAME),
-        Column("Without", "_without", NAME),
+        Column("Claim", "name", TEXT), Column("Verdict", "_verdict", NAME), Column("The paper", "_paper", NAME),
+        Column("Here", "_here", NAME), Column("Interval", "_interval", NAME), Column("Without", "_without", NAME),
+        Column("Seen in", "source", NAME),
     ),
     path="claim.{name}", detail=False,
 )  # fmt: skip
@@ -61,7 +61,13 @@ def compute(
 
 
 def _describe(one: PaperAnswer) -> str:
-    return f"{one.claim.claim} ({one.claim.source}). {words.capitalise(one.sentence)}"
+    return f"{one.claim.claim} [{one.claim.source}]. {words.capitalise(one.sentence)}"
+
+
+def list_claims(sections: Sequence[Section]) -> tuple[dict[str, Any], ...]:
+    """List the claims of a report with their verdicts, for a program; none where no paper is replicated."""
+    found = [one.tables["paper_claims"] for one in sections if "paper_claims" in one.tables]
+    return tuple(row for rows in found for row in rows.to_dict("records"))
 
 
 def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[str]:
@@ -87,12 +93,22 @@ def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[s
         )
 
 
+COUNTED = {
+    paper_claims.DIFFERS: ("differs from this study", "differ from this study"),
+    paper_claims.AGREES: ("agrees", "agree"), paper_claims.OPEN: ("stays open", "stay open"),
+    NOT_ESTIMABLE: ("is not estimable", "are not estimable"),
+}  # fmt: skip
+
+
 def _count_verdicts(answers: Sequence[PaperAnswer], paper: Paper) -> str:
-    """Count the claims with each verdict."""
-    counts = {word: sum(one.verdict == key for one in answers) for key, word in VERDICTS.items()}
-    told = "; ".join(f"{word}: {count}" for word, count in counts.items() if count)
-    claims = f"{len(answers)} claim{'s' * (len(answers) != 1)}"
-    return f"{claims} of {paper.citation} ({paper.seen}) examined here. {words.capitalise(told)}."
+    """Count the claims with each verdict, those first that differ, by name."""
+    told = []
+    for key, forms in COUNTED.items():
+        if own := [one.claim.name for one in answers if one.verdict == key]:
+            which = f" ({', '.join(map(words.format_name, own))})" * (key == paper_claims.DIFFERS)
+            told.append(f"{len(own)} {forms[len(own) > 1]}{which}")
+    claims = f"claims of the paper ({paper.citation}; {paper.seen})"
+    return f"of {len(answers)} {claims}, {words.join_words(told)}."
 
 
 def _make_row(one: PaperAnswer) -> dict[str, Any]:
@@ -181,17 +197,14 @@ def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
     if paper.published is None or table.stimuli is None:
         return pd.DataFrame()
     known = [name for name in MATCH_METRICS if name in table.stimuli]
-    parts = [
-        tabulate_metric(table, name)
-        .reset_index()
-        .melt("recording", var_name="reducer", value_name="value")
-        .dropna(subset="value")
-        .assign(metric=name)
-        for name in known
-    ]
-    if not parts:
+    if not known:
         return pd.DataFrame()
-    found = pd.concat(parts, ignore_index=True)
+    wide = {name: tabulate_metric(table, name).reset_index() for name in known}
+    long = (
+        own.melt("recording", var_name="reducer", value_name="value").assign(metric=name)
+        for name, own in wide.items()
+    )
+    found = pd.concat(long, ignore_index=True).dropna(subset="value")
     for beside in (paper.published, paper.mountings):
         if beside is not None:
             found = found.merge(beside, how="left", on=ROW_KEYS)

@@ -90,6 +90,8 @@ class Results(Result):
         Software that computed it.
     path : Path
         The report's folder.
+    paper_claims : tuple of Mapping
+        Where a paper is replicated, each of its claims with the verdict: a row of ``tables/paper_claims.csv``.
     """
 
     verdict: tuple[str, ...]
@@ -105,6 +107,7 @@ class Results(Result):
     inputs: Mapping[str, str]
     versions: Mapping[str, str]
     path: Path = Path()
+    paper_claims: tuple[Mapping[str, Any], ...] = ()
 
     def to_frame(self) -> DataFrame:
         """Return every number of the report.
@@ -137,6 +140,7 @@ class Results(Result):
             A number that is not defined is None.
         """
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "path"}
+        claims = [_without_nan(dict(one)) for one in self.paper_claims]
         return {
             "schema_version": SCHEMA_VERSION, "verdict": self.verdict,
             "verdicts": [asdict(claim) for claim in self.verdicts], "simulated": self.simulated,
@@ -144,7 +148,7 @@ class Results(Result):
             "answers": dict(self.answers), "figures": dict(self.figures),
             **{name: fields[name] for name in ("captions", "notes", "how", "files")},
             "inputs": dict(self.inputs), "versions": dict(self.versions),
-        }  # fmt: skip
+        } | ({"paper_claims": claims} if claims else {})  # fmt: skip
 
     def to_json(self) -> str:
         """Write as JSON text, the same text for the same results.
@@ -465,6 +469,7 @@ def gather_results(
         notes=tuple(dict.fromkeys((*table.notes, *own, *_note_undrawable(table)))),
         how=tuple(dict.fromkeys(_gather(sections, "how"))),
         files=list_files([picture.name for picture in pictures], _gather(sections, "tables")),
+        paper_claims=paper_section.list_claims(sections),
         simulated=bool(rows["simulated"].any()),
         inputs=inputs,
         versions=list_versions(),
