@@ -20,7 +20,7 @@ from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, find_methods, read_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
@@ -57,8 +57,9 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         require_study(study.path)
     settings = read_settings(study.settings) if study.settings.is_file() else None
     chosen = settings.analysis if settings else AnalysisTable()
-    own, wanted = settings if ratings is None else None, metrics or chosen.metrics
-    further = _derive_ratings(study, own, wanted) if own else Further(pd.DataFrame(), ())
+    further = Further(pd.DataFrame(), ())
+    if settings and ratings is None:
+        further = _derive_ratings(study, settings, metrics or chosen.metrics)
     if settings and metrics and set(metrics) != set(chosen.metrics):
         asked, declared = ", ".join(metrics), ", ".join(chosen.metrics)
         note = f"Metrics {asked} were asked for with this analysis; {study.settings.name} declares {declared}."
@@ -72,7 +73,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         out or study.report,
         draws=draws or chosen.draws,
         margin=chosen.margin,
-        metrics=wanted,
+        metrics=metrics or chosen.metrics,
         sources=list_origins(settings) if settings else {},
         further=replace(further, labels=list_labels(settings)) if settings else further,
         info=list_info(settings) if settings else {},
@@ -232,6 +233,7 @@ def compute_rotations(
     Copies share their statistics: over all orientations these are the same, and only chance would tell them apart.
     """
     copies = copies or {}
+    recordings = [one for one in recordings if copies.get(one.name, one.name) == one.name]
     commands = {one.name for one in recipe.methods if not one.is_python}
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
@@ -240,8 +242,7 @@ def compute_rotations(
             pd.DataFrame(), ("Rotation statistics: all reducers are commands or files; left out.",)
         )
     own = [find_reducer(recipe, name) for name in reducers]
-    first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
-    size = sum(recording.acceleration.size for recording in first.values()) * len(reducers)
+    size = sum(recording.acceleration.size for recording in recordings) * len(reducers)
     n_turns = min(effort * MOST, max(effort * LEAST, effort * AFFORDABLE // size))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 

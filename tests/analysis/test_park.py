@@ -173,6 +173,17 @@ def test_the_first_sentence_names_a_planted_surprise() -> None:
     assert "the paper names it as an exception too" in first
 
 
+def test_a_claimed_excess_is_named_first_by_metrics_of_its_own() -> None:
+    options = {"reducer": "mag321", "metrics": (MEAN, SD)}
+    claim = PaperClaim("excess", "it feels good", "abstract", "rating_excess", options=options)
+    paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", (claim,))
+    first, *_ = paper_section.compute(make_table(bonus=45), Choices(draws=2), paper).verdict
+    assert first.text.startswith("the reducer mag321 was rated 4")
+    assert first.text.endswith("predict from the other reducers; the paper says so too.")
+    plain = paper_section.compute(make_table(), Choices(draws=2), paper).verdict[0]
+    assert "was rated" not in plain.text
+
+
 @pytest.mark.parametrize(
     ("measure", "options", "reason"),
     [

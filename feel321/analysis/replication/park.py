@@ -104,11 +104,12 @@ def measure_correlation(table: Table, claim: PaperClaim, choices: Choices) -> Cl
 
 
 def measure_rating_excess(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
-    """Estimate how much higher a reducer is rated than the metrics predict from all others; option: reducer."""
+    """Estimate how much higher a reducer is rated than metrics predict from all others; options: reducer, metrics."""
     from scipy.stats import t as student
 
     reducer = require_option(claim, "reducer")
-    cells = make_cells(table.rows, table.metrics)
+    metrics = claim.options.get("metrics", table.metrics)
+    cells = make_cells(table.rows, [metrics] if isinstance(metrics, str) else list(metrics))
     rated = list(map(str, cells.items[REDUCER].unique()))
     check_name(reducer, rated, "reducer")
     if len(rated) < FEWEST_REDUCERS:

@@ -47,7 +47,8 @@ def compute(
 ) -> Section:
     """Answer the questions of a paper; sections: those that follow it, which found what no metric accounts for."""
     answers = list(paper_claims.answer_claims(table, paper, choices))
-    verdict = [Line(text, TITLE) for text in _describe_surprises(paper, sections)]
+    surprises = [*_describe_surprises(paper, sections)] or [*_describe_excess(answers)]
+    verdict = [Line(text, TITLE) for text in surprises]
     verdict += [Line(_count_verdicts(answers, paper), TITLE)] if answers else []
     verdict += [Line(_describe(one), TITLE, VERDICTS[one.verdict]) for one in answers]
     rows = [_make_row(one) for one in answers]
@@ -131,6 +132,26 @@ def _make_row(one: PaperAnswer) -> dict[str, Any]:
     if not math.isfinite(paper):
         told = words.format_interval(*claim.paper[1:], kind=kind)
     return row | {"_paper": told, "_here": f"{here}{unit}", "_interval": interval}
+
+
+def _describe_excess(answers: Sequence[PaperAnswer]) -> Iterator[str]:
+    """Name the reducers of claims about an excess that is not open, where the primary model cannot tell."""
+    for one in answers:
+        settled = one.verdict in {paper_claims.AGREES, paper_claims.DIFFERS}
+        if one.claim.measure == "rating_excess" and one.found and settled:
+            points = words.format_number(abs(one.found.value), kind="rating")
+            way = "higher" if one.found.value > 0 else "lower"
+            reducer, metrics = one.claim.options["reducer"], one.claim.options.get("metrics", ())
+            names = words.join_words([words.format_name(str(name)) for name in metrics])
+            also = (
+                "the paper says so too"
+                if one.verdict == paper_claims.AGREES
+                else "not as in the paper"
+            )
+            yield (
+                f"the reducer {reducer} was rated {points} points {way} than {names or 'the metrics'} predict from the "
+                f"other reducers; {also}."
+            )
 
 
 def _take_ends(found: paper_claims.ClaimValue | None) -> paper_claims.Ends:
