@@ -20,7 +20,7 @@ from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rotation import match_rotations, random_rotations
-from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimuli
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, find_methods, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
@@ -233,7 +233,6 @@ def compute_rotations(
     Copies share their statistics: over all orientations these are the same, and only chance would tell them apart.
     """
     copies = copies or {}
-    recordings = [one for one in recordings if copies.get(one.name, one.name) == one.name]
     commands = {one.name for one in recipe.methods if not one.is_python}
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
@@ -242,7 +241,8 @@ def compute_rotations(
             pd.DataFrame(), ("Rotation statistics: all reducers are commands or files; left out.",)
         )
     own = [find_reducer(recipe, name) for name in reducers]
-    size = sum(recording.acceleration.size for recording in recordings) * len(reducers)
+    first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
+    size = sum(recording.acceleration.size for recording in first.values()) * len(reducers)
     n_turns = min(effort * MOST, max(effort * LEAST, effort * AFFORDABLE // size))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
