@@ -86,3 +86,15 @@ def test_a_claim_takes_similarities_to_the_original_unless_it_names_dissimilarit
     assert sorted(rows["rating"]) == pytest.approx(sorted(100 - pairs["rating"]))
     named = PaperClaim("one", "a claim", "abstract", "slope", options={"scale": "dissimilarity"})
     assert len(narrow(table, named).rows) == len(table.rows)
+
+
+def test_labels_of_recordings_come_from_the_manifest_too() -> None:
+    columns = ["participant", "stimulus_id", "scale", "rating"]
+    ratings = pd.DataFrame([("a", "x", "realism", 5)], columns=columns)
+    manifest = pd.DataFrame({
+        "stimulus_id": ["x"], "recording": ["tap"], "reducer": ["mag321"], "temporal_match": [0.2],
+        "interaction": ["tap"], "sample": ["oak"],
+    })  # fmt: skip
+    table = read_table(ratings, manifest)
+    assert table.rows[["interaction", "sample"]].to_numpy().tolist() == [["tap", "oak"]]
+    assert not [note for note in table.notes if "not used" in note]

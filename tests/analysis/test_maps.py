@@ -13,7 +13,7 @@ import pytest
 from feel321.analysis import maps
 from feel321.analysis.report import maps as report
 from feel321.analysis.resampling import Choices
-from feel321.analysis.space import Space, align_spaces
+from feel321.analysis.space import Ellipses, Space, align_spaces, bootstrap_space
 from feel321.analysis.table.reading import Further, read_table
 
 if TYPE_CHECKING:
@@ -110,6 +110,25 @@ def test_turning_a_map_turns_its_angles(groups: list[maps.GroupMap]) -> None:
             x, y = line @ turn
             expected = math.degrees(math.atan2(y, x))
             assert math.cos(math.radians(start + sign * degrees - expected)) == pytest.approx(1)
+
+
+def spread(ellipses: Ellipses) -> np.ndarray:
+    """The matrix of each ellipse: its axes turned by its angle."""
+    angle = np.radians(ellipses.angle)
+    axes = np.stack([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return np.einsum("ain,ajn,na->nij", axes, axes, ellipses.half_axes**2)
+
+
+def test_ellipses_turn_with_their_map(groups: list[maps.GroupMap]) -> None:
+    whole, drag = groups[0], groups[1]
+    mirror = Space(whole.space.positions * [-1, 1], 0.0, False)
+    for onto in (whole.space, mirror):
+        space, turned = maps._place(drag.matrices, onto, draws=8, rng=np.random.default_rng(4))
+        assert turned is not None
+        plain = bootstrap_space(drag.matrices, draws=8, rng=np.random.default_rng(4))
+        turn = np.linalg.lstsq(plain.space.positions, space.positions, rcond=None)[0]
+        expected = turn.T @ spread(plain) @ turn
+        assert spread(turned) == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
 def test_maps_of_one_interaction_agree_and_those_of_two_do_less(
