@@ -56,6 +56,7 @@ def shorten(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     if "landin2010" in text:
         text = re.sub(r"^reducers = \[\n.*?\]", f"reducers = {FEW}", text, flags=re.M | re.S)
+    text = re.sub(r"^duration_s = .*\n", "", text, flags=re.MULTILINE)
     text = re.sub(r"^(scene = .*)$", r"\1\nduration_s = 0.5", text, flags=re.MULTILINE)
     path.write_text(f"{text}\n[analysis]\ndraws = 100\n", encoding="utf-8")
 
