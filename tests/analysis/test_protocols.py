@@ -74,6 +74,8 @@ def test_every_task_loads(lab: StudyFolder) -> None:
         "Scale 'mushra': 36 judgements were made against what 'dft321' made of the recording; the metrics compare with "
         "the recording: none enters an association or a slope.",
         "Scale 'similarity': 36 judgements were made against the real surface; the metrics compare with the recording.",
+        "Scale 'similarity': beside the real surface, stimuli were played at 0.94 times the strength that was "
+        "recorded, so ratings mix strength with likeness.",
     )
 
 

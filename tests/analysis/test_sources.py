@@ -169,7 +169,7 @@ def test_copies_add_no_certainty_to_what_is_said_of_reducers_and_levels(
 ) -> None:
     def measure(study: object, sources: dict[str, str] | None) -> np.ndarray:
         table = read_table(study.ratings, study.manifest, sources=sources)
-        (found,) = compute(table, Choices()).tables.values()
+        found, *_ = compute(table, Choices()).tables.values()
         return found["se"].to_numpy()
 
     one = measure(

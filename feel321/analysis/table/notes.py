@@ -169,7 +169,8 @@ def note_gains(rows: DataFrame) -> Iterator[str]:
     """Note judgements beside the real surface of stimuli that are not as strong as they were recorded."""
     gains = rows[schema.GAIN].dropna() if schema.GAIN in rows else rows["rating"].iloc[:0]
     if (gains != 1).any():
+        span = " to ".join(dict.fromkeys([f"{gains.min():.3g}", f"{gains.max():.3g}"]))
         yield (
-            f"Scale '{rows['scale'].iloc[0]}': beside the real surface, stimuli were played at {gains.min():.3g} to "
-            f"{gains.max():.3g} times the strength that was recorded, so ratings mix strength with likeness."
+            f"Scale '{rows['scale'].iloc[0]}': beside the real surface, stimuli were played at {span} times the "
+            "strength that was recorded, so ratings mix strength with likeness."
         )

@@ -85,8 +85,9 @@ OTHERS = {"bradley_terry by rater", "find_sources"}
 CHOICES = {"embed_triplets", "fit_choices", "plan_choices", "predict_votes"}
 """What takes choices between two stimuli, tried in `tests/analysis/choices`."""
 
-ELSEWHERE = {"advise", "chart", "read_table", "write_report", *CHOICES}
-"""What is tried with ratings in `test_tradeoff_doors`, `test_table` and `test_notebook`."""
+PUBLISHED = {"correlate_published", "map_published"}
+ELSEWHERE = {"advise", "chart", "read_table", "write_report", *PUBLISHED, *CHOICES}
+"""What is tried with ratings in `test_tradeoff_doors`, `test_table`, `test_notebook` and `test_published`."""
 
 PAIRS = {"bradley_terry by rater", "bradley_terry", "discriminate"}
 """What takes pairs, here made of neighbouring rows."""
