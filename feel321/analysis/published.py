@@ -239,7 +239,7 @@ def read_matrix(source: PathLike | DataFrame) -> tuple[tuple[str, ...], Values]:
         place = int(np.nanargmax(np.abs(diagonal)))
         raise ValueError(
             f"{what}: {labels[place]!r} differs from itself by {diagonal[place]:g}, must be 0 or empty; similarities "
-            "must be turned first, as their largest value less each"
+            "must first be converted to dissimilarities (the largest value minus each)"
         )
     np.fill_diagonal(matrix, 0.0)
     return labels, _fill_halves(matrix, labels, what)
@@ -387,7 +387,9 @@ def _check_varied(columns: Mapping[str, Values]) -> None:
                 f"means: got {len(row)} rows, a correlation needs {FEWEST_ITEMS} or more"
             )
         if not np.ptp(row):
-            raise ValueError(f"{name} is {row[0]:g} for every stimulus; nothing goes along with it")
+            raise ValueError(
+                f"{name} is {row[0]:g} for every stimulus; its correlation is undefined"
+            )
 
 
 class _Given(NamedTuple):
@@ -493,4 +495,4 @@ def _note_limits(given: _Given, share: float) -> Iterable[str]:
     if given.n_recordings < FEWEST_RECORDINGS:
         yield "Intervals take stimuli for independent draws; they are too narrow for stimuli of few recordings."
     else:
-        yield "Intervals are over recordings only: other people are not in them."
+        yield "Intervals are over recordings only: variation between people is not included."

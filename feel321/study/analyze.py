@@ -263,9 +263,9 @@ def compute_rotations(
 def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> str:
     return (
         f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {turned}, reduced and "
-        "matched with itself; level, resampling and fades, which stimuli go through afterwards, have no part in it."
+        "matched with itself; level, resampling and fades, which stimuli go through afterwards, are not included."
         + (" Turned copies of a recording share theirs." if shared else "")
-        + (f" Without {', '.join(commands)}: commands or files." if commands else "")
+        + (f" Left out, as commands or files: {', '.join(commands)}." if commands else "")
     )
 
 

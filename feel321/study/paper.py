@@ -69,8 +69,8 @@ def _compare_people(settings: Settings, paper: PaperTable) -> Iterator[str]:
             fewer, more = known.value - left, known.value - left + cycle
             even = f"{fewer} or {more}" if fewer else f"{more}"
             yield (
-                f"{known.value} participants as in the paper leave the orders of {size} {what} uneven: they repeat "
-                f"after {cycle} participants; {even} are even"
+                f"{known.value} participants as in the paper leave orders of {size} {what} unbalanced: they repeat "
+                f"after {cycle} participants; {even} would balance them"
             )
 
 
@@ -104,10 +104,10 @@ def _compare_signals(
         and rate.value
         and (own := sorted(set(rates.values()) - {rate.value}))
     ):
-        yield f"recordings have {', '.join(f'{one:g}' for one in own)} Hz, the paper's {rate.value:g} Hz"
+        yield f"recordings are sampled at {', '.join(f'{one:g}' for one in own)} Hz, the paper's at {rate.value:g} Hz"
     window = paper.conditions.window_ms
     if window and window.value not in {None, WINDOW_MS}:
-        yield f"dft321_windowed takes {WINDOW_MS:g} ms, the paper {window.value:g} ms"
+        yield f"dft321_windowed uses windows of {WINDOW_MS:g} ms, the paper {window.value:g} ms"
 
 
 def _compare_band(
@@ -118,8 +118,8 @@ def _compare_band(
     for name, rate_hz in rates.items():
         if rate_hz < 2 * high:
             yield (
-                f"recording {name!r} has {rate_hz:g} Hz and so nothing above {rate_hz / 2:g} Hz; the paper's band ends "
-                f"at {high:g} Hz: record with {2 * high:g} Hz or more"
+                f"recording {name!r} at {rate_hz:g} Hz holds nothing above {rate_hz / 2:g} Hz; the paper's band ends "
+                f"at {high:g} Hz: sample at {2 * high:g} Hz or more"
             )
     if settings.rig.rate_hz < 2 * high:
         yield f"rig.rate_hz is {settings.rig.rate_hz:g}, too low for the paper's band up to {high:g} Hz"
@@ -159,9 +159,9 @@ def _compare_rig(settings: Settings, paper: PaperTable, rig: Rig | None) -> Iter
         )
     if rig is None:
         if known.value > 1:
-            yield f"{FROM_PAPER} wants {known.value} actuators, one per axis, and there is no rig.toml yet"
+            yield f"{FROM_PAPER} used {known.value} actuators, one per axis; there is no rig.toml yet"
     elif (count := len(rig.actuators)) < known.value:
-        yield f"{FROM_PAPER} wants {known.value} actuators, the rig has {count}"
+        yield f"{FROM_PAPER} used {known.value} actuators, the rig has {count}"
 
 
 def make_paper(settings: Settings, mountings: DataFrame | None = None) -> Paper | None:

@@ -81,7 +81,7 @@ def test_a_claim_takes_similarities_to_the_original_unless_it_names_dissimilarit
     table = plant()
     plain = PaperClaim("one", "a claim", "abstract", "slope", options={"metric": "temporal_match"})
     rows = narrow(table, plain).rows
-    assert set(rows["scale"]) == {"recast_similarity"}
+    assert set(rows["scale"]) == {"similarity_to_original"}
     pairs = table.rows[table.rows["role"] == "test"]
     assert sorted(rows["rating"]) == pytest.approx(sorted(100 - pairs["rating"]))
     named = PaperClaim("one", "a claim", "abstract", "slope", options={"scale": "dissimilarity"})

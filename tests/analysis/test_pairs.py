@@ -248,7 +248,7 @@ def test_a_dissimilarity_from_the_original_is_a_similarity_turned_round(
         tabulate_correlations(rows, ["spectral_match"], method="all", draws=20)
         for rows in (likeness, pd.concat([turned, pairs_too]))
     )
-    assert set(recast["scale"]) == {"recast_similarity"}
+    assert set(recast["scale"]) == {"similarity_to_original"}
     assert recast["value"].to_numpy() == pytest.approx(plain["value"].to_numpy())
     assert recast["n_items"].to_list() == plain["n_items"].to_list()
     assert (plain["value"] > 0.3).all()
@@ -329,16 +329,18 @@ def test_dissimilarities_from_the_original_answer_the_question(
     ratings.to_csv(study.ratings, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     assert results.verdict[0].startswith(
-        "Recast similarity: Spectral match predicts recast similarity ratings"
+        "Similarity to original: Spectral match predicts similarity to original ratings"
     )
     found = {number.name: number for number in results.numbers}
-    slope = found["slope.recast_similarity.as_is.spectral_match"]
+    slope = found["slope.similarity_to_original.as_is.spectral_match"]
     assert slope.low < 4.0 < slope.high
     one, other = (
         found[f"recast.as_is.spectral_match.pearson{end}"] for end in ("", ".dissimilarity")
     )
     assert (other.value, other.low, other.high) == (-one.value, -one.high, -one.low)
-    assert one.value == found["association.recast_similarity.as_is.spectral_match.pearson"].value
+    assert (
+        one.value == found["association.similarity_to_original.as_is.spectral_match.pearson"].value
+    )
     n_tests = 6 * 2 * 4 * len(DEFAULT_REDUCERS)
     assert any(f"{n_tests} of its 576 judgements compare" in note for note in results.notes)
     assert "Mean dissimilarity from the refer" in read_page(tmp_path / "report")

@@ -85,7 +85,7 @@ def test_every_task_has_its_place_in_the_report(lab: StudyFolder) -> None:
     associations = pd.read_csv(folder / "tables" / "associations.csv")
     assert dict(zip(associations["scale"], associations["n_items"], strict=True)) == {
         "realism": 6,
-        "recast_similarity": 6,
+        "similarity_to_original": 6,
         "similarity": 6,
     }
     page = re.sub(

@@ -49,16 +49,16 @@ def compare(
 @pytest.mark.parametrize(
     ("conditions", "told"),
     [
-        ('participants = { value = 16, source = "abstract" }', ["orders of 3 recordings uneven", "12 or 18 are even"]),
+        ('participants = { value = 16, source = "abstract" }', ["orders of 3 recordings unbalanced", "12 or 18 would"]),
         ('participants = { value = 12, source = "abstract" }', []),
         (f'reducers = {{ value = {OURS[:4]}, source = "abstract" }}', ["did not have: saz321"]),
         (f'reducers = {{ value = {[*OURS, "say321"]}, source = "abstract" }}', ["missing here: say321"]),
         (f'reducers = {{ value = {OURS}, source = "abstract" }}', []),
-        ('channels = { value = 3, source = "abstract" }', ["is one; use reference = 'original'", "wants 3 actuators"]),
+        ('channels = { value = 3, source = "abstract" }', ["is one; use reference = 'original'", "used 3 actuators"]),
         ('surface = { value = true, source = "abstract" }', ["surface is no here, yes in"]),
         ('gain = { value = 1.0, source = "ours" }', ["gain is "]),
-        ('window_ms = { value = 50.0, source = "full text" }', ["takes 35 ms, the paper 50 ms"]),
-        ('rate_hz = { value = 1000.0, source = "full text" }', ["the paper's 1000 Hz"]),
+        ('window_ms = { value = 50.0, source = "full text" }', ["uses windows of 35 ms, the paper 50 ms"]),
+        ('rate_hz = { value = 1000.0, source = "full text" }', ["the paper's at 1000 Hz"]),
         ('band_hz = { value = [20.0, 1000.0], source = "full text" }', []),
     ],
 )  # fmt: skip
@@ -72,8 +72,8 @@ def test_every_difference_is_named(tmp_path: Path, conditions: str, told: list[s
 def test_a_rate_or_a_filter_that_cuts_the_papers_band_is_named(tmp_path: Path) -> None:
     band = 'band_hz = { value = [20.0, 2500.0], source = "full text" }'
     low, filtered, high = compare(tmp_path, band, rate=4000.0, high_pass=30.0).warnings
-    assert "'bumps-hard_taps' has 4000 Hz and so nothing above 2000 Hz" in low
-    assert "record with 5000 Hz" in low
+    assert "'bumps-hard_taps' at 4000 Hz holds nothing above 2000 Hz" in low
+    assert "sample at 5000 Hz" in low
     assert "high_pass_hz is 30" in high
     assert "low_pass_hz is 1000" in filtered
 

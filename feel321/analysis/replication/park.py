@@ -81,9 +81,9 @@ def explain_spread(rows: DataFrame, metric: str) -> str:
         else f"reducers that match better vary more ({found.reducer}: lowest mean, {mean}; spread {spread})"
     )
     return (
-        f"a small {name} is no merit by itself, for within recordings it rises with the mean (r = {r}): {why}. Alone, "
-        "the spread may go with ratings the wrong way; its slope in a model with the mean is about reducers that match "
-        "equally well."
+        f"a small {name} is no merit by itself: within recordings it rises with the mean (r = {r}): {why}. Alone, "
+        "the spread may relate to ratings in the unexpected direction; with the mean in the model, its slope compares "
+        "reducers that match equally well."
     )
 
 

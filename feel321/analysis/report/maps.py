@@ -52,7 +52,7 @@ AGREEMENT = page.TableForm(
     path="maps_agree.{level}.{kind}.{first}.{second}",
 )  # fmt: skip
 ATTRIBUTES = page.TableForm(
-    "What increases along a direction of the maps, within recordings: share of an attribute's variance that the axes "
+    "Directions of attributes in the maps, within recordings: share of an attribute's variance that the axes "
     "explain, its direction, and the smallest p that permutations of so few stimuli allow.",
     (
         LEVEL, page.Column("Attribute", "property", page.TEXT),
@@ -211,8 +211,8 @@ def _describe_attributes(rows: Sequence[Row]) -> Iterator[str]:
     elif rows:
         best = max(rows, key=lambda row: row["r2"])
         yield (
-            f"Within recordings, it is not shown that the axes are associated with any of {len(rows)} attributes; the "
-            f"most is explained of {words.format_name(best['property'])} (R² = {words.format_number(best['r2'])})."
+            f"Within recordings, no association of the axes with any of {len(rows)} attributes was shown; the "
+            f"best explained is {words.format_name(best['property'])} (R² = {words.format_number(best['r2'])})."
         )
 
 
@@ -234,5 +234,5 @@ def _note_points(points: maps.Points, rows: Sequence[Row]) -> Iterator[str]:
     if points.size < maps.ENOUGH * len(rows):
         yield (
             f"{len(rows)} attributes are compared with {points.size} points ({n} stimuli in {len(points.places)} "
-            f"recordings); {maps.ENOUGH} for each are wanted: read R² as a description."
+            f"recordings); {maps.ENOUGH} for each are recommended: R² is descriptive only."
         )

@@ -158,9 +158,13 @@ def compute_told_apart(table: Table, choices: Choices) -> Section:  # noqa: ARG0
         apart = [row for row in single if row["p_holm"] < SIGNIFICANCE and row["difference"] > 0]
         where = f" (level {format_name(str(level))})" if several else ""
         rest = [str(row["reducer"]) for row in single if row not in apart]
-        told = f" Not shown for {join_words(rest)}, nor that these feel the same." if rest else ""
+        told = (
+            f" No difference was shown for {join_words(rest)}; this does not show equality."
+            if rest
+            else ""
+        )
         answers.append(
-            f"One axis was told from three{where} for {len(apart)} of {len(single)} reducers: their dissimilarity from "
+            f"One axis was told apart from three{where} for {len(apart)} of {len(single)} reducers: dissimilarity from "
             f"the original is above that of identical pairs (p (Holm) < {SIGNIFICANCE}).{told}"
         )
     return Section(

@@ -90,7 +90,7 @@ def _relate(part: RatingsPart, table: Table) -> tuple[list[dict[str, Any]], dict
     rates = coded.groupby("reducer", observed=True)[BIT_RATE].unique()
     if several := [name for name, own in rates.items() if len(own) > 1]:
         raise ValueError(
-            f"a reducer must have one bit rate, got several for {several[0]}; name each its own"
+            f"a reducer must have one bit rate, got several for {several[0]}; use one reducer name per bit rate"
         )
     known = {str(name): float(own[0]) for name, own in rates.items()}
     if len(set(known.values())) < FEWEST:
@@ -137,7 +137,7 @@ def _sum_up(rows: list[dict[str, Any]], mapping: dict[str, Any]) -> str:
     return (
         f"mean rating {write(first)} at {first[BIT_RATE]:g} kbit/s, "
         f"{write(last)} at {last[BIT_RATE]:g} kbit/s{''.join(f', {one}' for one in plain)}. The bit rate alone, mapped "
-        f"by P.1401, gives the mean ratings of the stimuli of other recordings with a correlation of {plcc} ({reach}) "
+        f"by P.1401, predicts mean ratings of stimuli from held-out recordings with a correlation of {plcc} ({reach}) "
         f"and an error of {words.format_number(mapping['rmse'], kind='rating')} points."
     )
 

@@ -292,8 +292,8 @@ class _Pair(NamedTuple):
 
 
 CLASSIC = TableForm(
-    "Do reducers differ at all? The mixed model leads: it takes recordings, like people, as drawn from others, keeps "
-    "participants with missing judgements, and needs no equal variances of differences. Beside it, repeated-measures "
+    "Do reducers differ at all? The mixed model is the main test: it treats recordings, like people, as samples, keeps "
+    "participants with missing judgements, and does not assume sphericity. Beside it, repeated-measures "
     "ANOVA (Greenhouse and Geisser's correction) and Friedman's test, for comparison with published studies: of these "
     "recordings only, and of participants who rated every cell.",
     (

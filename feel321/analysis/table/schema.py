@@ -39,7 +39,7 @@ CHOSEN = ("triplet", "preference")
 APART = (PAIRED, ANSWERED, *CHOSEN)
 """Scales that enter no association: a metric describes one stimulus, and is larger or smaller."""
 
-RECAST = "recast_similarity"
+RECAST = "similarity_to_original"
 """Scale of dissimilarities from the original turned round: 100 less the dissimilarity is a rating of one stimulus."""
 
 INTERACTION, SAMPLE = "interaction", "sample"

@@ -369,13 +369,13 @@ Example: feel321 published park-means.csv --manifest my-study/stimuli/manifest.c
 """
 )
 @click.argument("table", metavar="FILE", type=shared.FILE)
-@click.option("--manifest", type=shared.FILE, help="Of means: the stimuli that they are about.")
+@click.option("--manifest", type=shared.FILE, help="For means: the manifest of the rated stimuli.")
 @click.option(
     "--metric",
     "metrics",
     multiple=True,
     metavar="NAME",
-    help="Of means: a numeric column of the manifest; repeatable.  [default: the two matches]",
+    help="For means: a numeric column of the manifest; repeatable.  [default: the two matches]",
 )
 @click.option("--level", help="Of means: the stimuli's level, where the manifest has several.")
 @click.option(
@@ -383,7 +383,7 @@ Example: feel321 published park-means.csv --manifest my-study/stimuli/manifest.c
     type=click.IntRange(min=1),
     default=2,
     show_default=True,
-    help="Of dissimilarities: those of the map.",
+    help="For dissimilarities: number of map dimensions.",
 )
 @shared.json_option
 def published(

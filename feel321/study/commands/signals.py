@@ -184,7 +184,9 @@ def match(
     epilog="Example: feel321 port vectors; run your port on them; feel321 port vectors --check"
 )
 @click.argument("folder", metavar="DIR", type=shared.FILE)
-@shared.flag("--check", "Check the answers that your port has put beside the inputs.", "is_check")
+@shared.flag(
+    "--check", "Check the answers that your port has written next to the inputs.", "is_check"
+)
 @click.option(
     "--form",
     type=click.Choice(["whole", "windowed", "streaming"]),
