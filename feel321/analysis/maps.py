@@ -25,7 +25,7 @@ from feel321.analysis.space import (
     refit_space,
 )
 from feel321.analysis.table.schema import LABELS, PAIRED
-from feel321.names import REDUCER_NAMES
+from feel321.names import METRIC_INFO, REDUCER_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -226,9 +226,14 @@ def gather_points(
 
 
 def _average_attributes(rows: DataFrame, stimuli: DataFrame) -> DataFrame:
-    """Average every number that is known of the stimuli of the rated levels, by recording and reducer."""
+    """Average every number that is known of the stimuli of the rated levels, by recording and reducer.
+
+    The original matches itself by definition: it would lie at the end of every metric, as it lies at the edge of every
+    map, and make any metric seem to contribute. It has no matches here.
+    """
     is_whole = (stimuli["role"] == "reference") & ~stimuli["reducer"].isin(REDUCER_NAMES)
     numbers = stimuli.select_dtypes("number").assign(**{DIRECTIONS: np.where(is_whole, 3.0, 1.0)})
+    numbers.loc[is_whole, numbers.columns.intersection([*METRIC_INFO])] = np.nan
     own = numbers[stimuli["level"].isin(rows["level"].unique())]
     return own.groupby([stimuli.loc[own.index, name] for name in (RECORDING, "reducer")]).mean()
 
@@ -270,15 +275,16 @@ def regress_points(points: Points, *, draws: int, rng: np.random.Generator) -> l
 
 def regress_axes(points: Points, names: Sequence[str]) -> list[dict[str, Any]]:
     """Regress both axes of the maps on several attributes at once, all in standard deviations, within recordings."""
-    chosen = {
-        name: points.attributes[name]
-        for name in names
-        if name in points.attributes and np.isfinite(points.attributes[name]).all()
-    }
+    chosen = {name: points.attributes[name] for name in names if name in points.attributes}
     if not chosen:
         return []
-    design = np.stack([_centre(values).ravel() for values in chosen.values()], axis=1)
-    places, rows = _centre(points.places), []
+    known = np.isfinite(np.stack([*chosen.values()])).all(axis=(0, 1))
+    centred = {name: _centre(values[:, known]) for name, values in chosen.items()}
+    chosen = {name: values for name, values in centred.items() if values.any()}
+    if not chosen:
+        return []
+    design = np.stack([values.ravel() for values in chosen.values()], axis=1)
+    places, rows = _centre(points.places[:, known]), []
     for axis in range(places.shape[-1]):
         place = places[..., axis].ravel()
         r2, weights = _explain(place / place.std(), design / design.std(axis=0))

@@ -43,6 +43,8 @@ LONG = 64
 """Samples from which on the energy of an open phase is judged: the axes of shorter ones hold few frequencies."""
 WHOLE_KEPT, LEAST_KEPT = 0.99, 0.2
 """Of an open phase: the share of its magnitude that some frequency keeps, and of the energy that all of them keep."""
+SEVERAL, SILENT = 10, 1e-6
+"""Of more open frequencies than that, a fifth below that share of their magnitude is no matter of rounding."""
 IN_FRAMES = (0.01, 2.0)
 """Energy of an open phase in frames: 0.02 to 0.74 in honest ones; frames that overlap by half at most double it."""
 
@@ -320,6 +322,8 @@ def _judge_bins(vector: GoldenVector, got: Samples, tolerance: float) -> Iterato
         yield f"{vector.name}: stronger at a frequency than equation 3 allows"
     shares = np.abs(there[is_open]) / np.abs(wanted[is_open])
     energy = (np.abs(there[is_open]) ** 2).sum() / (np.abs(wanted[is_open]) ** 2).sum()
+    if shares.size > SEVERAL and (shares < SILENT).mean() > LEAST_KEPT:
+        yield f"{vector.name}: silent at frequencies where the axes cancel; equation 3 gives their magnitude"
     if shares.max() < WHOLE_KEPT or (got.size >= LONG and energy < LEAST_KEPT):
         yield (
             f"{vector.name}: holds {energy:.2g} times the energy where the axes cancel; equation 4 leaves the phase "

@@ -29,12 +29,16 @@ LIST, READ_ME = "vectors.json", "README.txt"
 NOT_THERE = 999.0
 """What the files hold in a gap; it must not be used."""
 
+ROUGH_TOLERANCE = 0.03
+"""Of answers in files, where the axes almost cancel; the wrong phase is off by 2."""
+
 _HOW = """Golden vectors of feel321 for {what}, at 1000 Hz.
 
 Each input is here twice: NAME.csv (a row per sample: x,y,z) and NAME.wav (three channels, float32).
 Answer each with NAME.out.csv (a number per line, no header) or NAME.out.wav (one channel, float32), of {length}.
 {more}
-Answers may be computed in 32 bits: 1e-5 of the peak is allowed. Then: feel321 port {folder} --check
+Answers may be computed in 32 bits: 1e-5 of the peak is allowed, 0.03 where the axes almost cancel.
+Then: feel321 port {folder} --check
 
 MATLAB, with a function y = my_dft321(a, rate_hz) of your own, a of n x 3:
 
@@ -109,7 +113,11 @@ def _write_input(folder: Path, vector: _Vector) -> Path:
 
 def _judge(vector: _Vector, output: Samples, *, form: str, reducer: str) -> Judged:
     if isinstance(vector, conform.GoldenVector):
-        return conform.judge(vector, output, form=form, tolerance=FILE_TOLERANCE)
+        near = vector.name.startswith(
+            "almost_anti_phase"
+        )  # 32 bits leave 1 % of the sum of the axes
+        allowed = ROUGH_TOLERANCE if near else FILE_TOLERANCE
+        return conform.judge(vector, output, form=form, tolerance=allowed)
     latency = output.shape[-1] - streams.N_SAMPLES
     return streams.judge_stream(
         vector, output, latency=latency, allowed=FILE_TOLERANCE, reducer=reducer

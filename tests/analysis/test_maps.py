@@ -162,7 +162,9 @@ def test_attributes_that_make_the_axes_are_found_and_chance_is_not(planted: Tabl
     assert points.size == SURFACES * len(NAMES)
     found = pd.DataFrame(maps.regress_points(points, draws=100, rng=rng)).set_index("property")
     assert (found.loc[["temporal_match", "roughness"], "r2"] > 0.9).all()
-    assert (found.loc[["temporal_match", "roughness"], "p"] <= 3 / 720).all()
+    # The original has no match of its own: five stimuli are permuted.
+    assert found.loc["temporal_match", "p"] <= 3 / 120
+    assert found.loc["roughness", "p"] <= 3 / 720
     assert found.loc["chance", "r2"] < 0.5
     # The planted attributes are orthogonal directions of the plane.
     first, second = (
@@ -184,7 +186,7 @@ def test_a_stimulus_without_a_number_is_left_out_of_that_attribute_only(
     rng = np.random.default_rng(3)
     points = maps.gather_points(planted.rows, stimuli, groups[0], rng=rng)
     found = pd.DataFrame(maps.regress_points(points, draws=10, rng=rng)).set_index("property")
-    assert found["n"].to_dict() == {"temporal_match": 48, "chance": 48, "directions": 48, "roughness": 40}  # fmt: skip
+    assert found["n"].to_dict() == {"temporal_match": 40, "chance": 48, "directions": 48, "roughness": 40}  # fmt: skip
     assert found.loc["roughness", "permutations"] == math.factorial(5)
 
 

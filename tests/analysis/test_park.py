@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -108,7 +109,7 @@ def test_the_report_holds_the_plants_and_explains_the_spread() -> None:
 
 def test_a_gain_beside_the_real_surface_is_noted() -> None:
     (note,) = [note for note in make_table(gain=1.16).notes if "beside the real surface" in note]
-    assert "played at 1.16 to 1.16 times the strength that was recorded" in note
+    assert "played at 1.16 times the strength that was recorded" in note
     assert not [note for note in make_table(gain=1.0).notes if "beside the real surface" in note]
 
 
@@ -182,6 +183,38 @@ def test_a_claimed_excess_is_named_first_by_metrics_of_its_own() -> None:
     assert first.text.endswith("predict from the other reducers; the paper says so too.")
     plain = paper_section.compute(make_table(), Choices(draws=2), paper).verdict[0]
     assert "was rated" not in plain.text
+
+
+def first_line(table: Table, claim: PaperClaim) -> str:
+    paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", (claim,))
+    sections = [primary.compute(table, Choices(draws=2))]
+    return paper_section.compute(table, Choices(draws=2), paper, sections=sections).verdict[0].text
+
+
+def test_the_first_sentence_says_which_way_the_papers_exception_was_rated() -> None:
+    options = {"reducer": "mag321"}
+    claim = PaperClaim("excess", "it feels good", "abstract", "rating_excess", options=options)
+    assert "the paper names it as an exception too" in first_line(make_table(bonus=45), claim)
+    told = first_line(make_table(bonus=-45), claim)
+    assert "points lower" in told
+    assert told.endswith("the paper names it too, but as rated higher.")
+
+
+def test_an_excess_within_a_range_of_the_paper_is_no_surprise() -> None:
+    options = {"reducer": "mag321", "metrics": MEAN}
+    claim = PaperClaim("excess", "none", "abstract", "rating_excess", "near", (float("nan"), -90.0, 90.0),
+                       options=options)  # fmt: skip
+    paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", (claim,))
+    (first, *_) = paper_section.compute(make_table(), Choices(draws=2), paper).verdict
+    assert first.text.startswith("of 1 claim of the paper (")
+
+
+def test_one_recording_settles_no_correlation() -> None:
+    table = make_table()
+    one = replace(
+        table, rows=table.rows[table.rows["recording"] == table.rows["recording"].iloc[0]]
+    )
+    assert answer(one)["mean"].verdict == "not_estimable"
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """`check` says where a study differs from the paper that it replicates, and what of the paper is not known."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -94,6 +95,35 @@ def test_a_claim_near_a_number_needs_its_range_and_a_known_measure(tmp_path: Pat
         compare(tmp_path, claim)
     with pytest.raises(ValueError, match="did you mean 'slope'"):
         compare(tmp_path, claim.replace('"slope"', '"slop"'))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "options = { metrics = 3.0 }",
+            "options.metrics must be words or a list of names, got 3.0",
+        ),
+        ("options = { among = 'mag321' }", "options.among must be a list of names, got 'mag321'"),
+        ("options = { recordng = 'r1' }", "recordng"),
+        (
+            "paper = { value = 0.5, low = 0.6, high = 0.8 }",
+            "the value within low and high, got 0.5",
+        ),
+    ],
+)
+def test_a_claim_that_cannot_be_examined_is_named_by_check(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    claim = '[[paper.claims]]\nname = "a"\nclaim = "b"\nsource = "ours"\nmeasure = "slope"\n'
+    with pytest.raises(ValueError, match=re.escape(message)):
+        compare(tmp_path, claim + text)
+
+
+def test_a_number_that_is_published_twice_is_refused(tmp_path: Path) -> None:
+    one = '[[paper.published]]\ntable = "T"\nsource = "ours"\nrecording = "r"\nmetric = "m"\nnumbers = { a = 1.0 }\n'
+    with pytest.raises(ValueError, match="r, m, a"):
+        compare(tmp_path, one + one)
 
 
 def test_a_study_without_a_paper_is_left_alone(tmp_path: Path) -> None:

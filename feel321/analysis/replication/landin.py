@@ -53,7 +53,7 @@ def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
     beside = {name: _average(own - found[name]) for name in others}
     return ClaimValue(
         *_average(own), n=len(own), beside=beside, interval=OVER_RECORDINGS if len(own) > 1 else "",
-        method=f"{metric} of {reducer}, mean over recordings",
+        method=f"{metric} of {reducer}, mean over recordings", note=note_lacking(claim, found),
     )  # fmt: skip
 
 
@@ -85,7 +85,7 @@ def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
         beside[name] = (gap.estimate, gap.low, gap.high)
     return ClaimValue(
         mean.estimate, mean.low, mean.high, "rating", "points", n, "mixed model with reducers, mean rating",
-        SATTERTHWAITE, beside,
+        SATTERTHWAITE, beside, note_lacking(claim, rated),
     )  # fmt: skip
 
 
@@ -105,5 +105,15 @@ def measure_slope(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVal
 
 def choose_others(claim: PaperClaim, names: Iterable[object], own: str) -> list[str]:
     """Choose what a reducer is compared with: those of the option `among`, or all others."""
-    among = claim.options.get("among")
-    return [str(name) for name in names if name != own and (among is None or name in among)]
+    known, among = [str(name) for name in names if name != own], claim.options.get("among")
+    chosen = [name for name in known if among is None or name in among]
+    if not chosen and claim.expect in {"highest", "lowest"}:
+        raise ValueError(f"none of the reducers that {own} is to be compared with is there")
+    return chosen
+
+
+def note_lacking(claim: PaperClaim, names: Iterable[object]) -> str:
+    """Name the reducers of the option `among` that a study lacks."""
+    known = {str(name) for name in names}
+    lacking = [name for name in claim.options.get("among", ()) if name not in known]
+    return f"Not compared, because missing here: {', '.join(lacking)}." if lacking else ""

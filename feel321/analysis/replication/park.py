@@ -93,8 +93,8 @@ def measure_correlation(table: Table, claim: PaperClaim, choices: Choices) -> Cl
     method = str(claim.options.get("method", "pearson"))
     rng = choices.make_rng("paper", claim.name)
     found = correlate(table, metric, method=method, draws=choices.draws, rng=rng)
-    if not math.isfinite(found.value):
-        raise ValueError(" ".join(found.notes) or "the correlation is not defined")
+    if not math.isfinite(found.value + found.low + found.high):
+        raise ValueError(" ".join(found.notes) or "the correlation has no interval")
     wrong = metric in ROTATIONS and metric.endswith(SD) and found.value > 0
     return ClaimValue(
         found.value, found.low, found.high, n=found.n_items,
@@ -116,6 +116,8 @@ def measure_rating_excess(table: Table, claim: PaperClaim, choices: Choices) -> 
         raise ValueError(f"{len(rated)} reducers were rated, {FEWEST_REDUCERS} are needed")
     excess, se, df = measure_excess(cells, reducer, fit_slopes(cells.leave_out(REDUCER, reducer)))
     half = float(student.ppf(0.975, df)) * se
+    if not half > 0:
+        raise ValueError(f"the excess of {reducer} has no interval")
     return ClaimValue(
         excess, excess - half, excess + half, "rating", "points", len(rated),
         f"rating of {reducer} beyond what slopes on the metrics, fitted without it, predict",

@@ -30,9 +30,10 @@ VERDICTS = {
 }  # fmt: skip
 
 CLAIMS = TableForm(
-    "Each claim of the paper, its number and this study's with a 95 % interval, and where it was seen. Agrees or "
-    "differs: the whole interval lies where the paper says, or elsewhere; open: it holds both. Without: the same "
-    "without the reducers that the paper names as exceptions.",
+    "Each claim of the paper, its number and this study's with a 95 % interval (of attributes of maps: 90 % of "
+    "permutations), and where it was seen. Agrees: the whole interval lies on the paper's side of zero or of all "
+    "others, or the value within the paper's range; differs: the interval lies elsewhere; open: neither. Without: "
+    "the same without the reducers that the paper names as exceptions.",
     (
         Column("Claim", "name", TEXT), Column("Verdict", "_verdict", NAME), Column("The paper", "_paper", NAME),
         Column("Here", "_here", NAME), Column("Interval", "_interval", NAME), Column("Without", "_without", NAME),
@@ -73,7 +74,7 @@ def list_claims(sections: Sequence[Section]) -> tuple[dict[str, Any], ...]:
 def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[str]:
     """Name reducers that were rated otherwise than the metrics predict, and whether the paper names them too."""
     found = [one.tables["exceptions"] for one in sections if "exceptions" in one.tables]
-    named = {name for claim in paper.claims for name in claim.exceptions}
+    named = _name_exceptions(paper)
     odd = found[0][found[0]["exceptional"]] if found else None
     for reducer, rows in odd.groupby("reducer", sort=False) if odd is not None else ():
         points = [
@@ -82,15 +83,29 @@ def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[s
         span = " to ".join(dict.fromkeys([points[0], points[-1]]))
         ways = {"higher" if one > 0 else "lower" for one in rows["excess"]}
         where = "; ".join(map(str, rows["ratings"].map(words.format_name)))
-        also = (
-            "the paper names it as an exception too"
-            if reducer in named
-            else "the paper names no such exception"
-        )
+        also = "the paper names no such exception"
+        if reducer in named:
+            also = "the paper names it as an exception too"
+            if (told := named[reducer]) and not told >= ways:
+                also = f"the paper names it too, but as rated {' or '.join(sorted(told))}"
         yield (
             f"the reducer {reducer} was rated {span} points {' or '.join(sorted(ways))} than the metrics predict from "
             f"the other reducers ({where}); {also}."
         )
+
+
+WAYS = {"positive": "higher", "negative": "lower"}
+
+
+def _name_exceptions(paper: Paper) -> dict[str, set[str]]:
+    """Name the paper's exceptions: reducer -> which way they were rated, as far as claims say so."""
+    named: dict[str, set[str]] = {}
+    for claim in paper.claims:
+        for name in claim.exceptions:
+            named.setdefault(name, set())
+        if claim.measure == "rating_excess" and claim.expect in WAYS:
+            named.setdefault(str(claim.options.get("reducer")), set()).add(WAYS[claim.expect])
+    return named
 
 
 COUNTED = {
@@ -107,8 +122,11 @@ def _count_verdicts(answers: Sequence[PaperAnswer], paper: Paper) -> str:
         if own := [one.claim.name for one in answers if one.verdict == key]:
             which = f" ({', '.join(map(words.format_name, own))})" * (key == paper_claims.DIFFERS)
             told.append(f"{len(own)} {forms[len(own) > 1]}{which}")
-    claims = f"claims of the paper ({paper.citation}; {paper.seen})"
-    return f"of {len(answers)} {claims}, {words.join_words(told)}."
+    ours = sum(one.claim.source == "ours" for one in answers)
+    added = f"; {ours} of them this study's own" if ours else ""
+    what = f"{'question' if ours else 'claim'}{'s' * (len(answers) > 1)}"
+    about = f"{what} {'about' if ours else 'of'} the paper ({paper.citation}; {paper.seen}{added})"
+    return f"of {len(answers)} {about}, {words.join_words(told)}."
 
 
 def _make_row(one: PaperAnswer) -> dict[str, Any]:
@@ -137,11 +155,15 @@ def _make_row(one: PaperAnswer) -> dict[str, Any]:
 def _describe_excess(answers: Sequence[PaperAnswer]) -> Iterator[str]:
     """Name the reducers of claims about an excess that is not open, where the primary model cannot tell."""
     for one in answers:
-        settled = one.verdict in {paper_claims.AGREES, paper_claims.DIFFERS}
+        settled = one.claim.expect in WAYS and one.verdict in {
+            paper_claims.AGREES, paper_claims.DIFFERS,
+        }  # fmt: skip
         if one.claim.measure == "rating_excess" and one.found and settled:
             points = words.format_number(abs(one.found.value), kind="rating")
             way = "higher" if one.found.value > 0 else "lower"
             reducer, metrics = one.claim.options["reducer"], one.claim.options.get("metrics", ())
+            metrics = [metrics] if isinstance(metrics, str) else list(metrics)
+            predict = "predicts" if len(metrics) == 1 else "predict"
             names = words.join_words([words.format_name(str(name)) for name in metrics])
             also = (
                 "the paper says so too"
@@ -149,8 +171,8 @@ def _describe_excess(answers: Sequence[PaperAnswer]) -> Iterator[str]:
                 else "not as in the paper"
             )
             yield (
-                f"the reducer {reducer} was rated {points} points {way} than {names or 'the metrics'} predict from the "
-                f"other reducers; {also}."
+                f"the reducer {reducer} was rated {points} points {way} than {names or 'the metrics'} {predict} "
+                f"from the other reducers; {also}."
             )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import combinations
@@ -304,23 +303,27 @@ CLASSIC = TableForm(
         Column("Epsilon", "epsilon", end="epsilon", method="Greenhouse and Geisser's epsilon"),
         Column("p", "p", "p", "p", "{test}, p with epsilon where there is one"),
         Column("Participants", "n_participants", COUNT, "n_participants"),
+        Column("Left out", "n_left_out", COUNT, "n_left_out"),
     ),
     path="classic.{scale}.{level}.{test}.{effect}", n="n_participants",
 )  # fmt: skip
 
 
-def _test_whole(part: RatingsPart, fitted: tuple[MixedFit, Mapping[str, str]]) -> list[Row]:
-    """Test whether reducers differ, by the mixed model and by the classic tests, as far as these can be made."""
+def _test_whole(
+    part: RatingsPart, fitted: tuple[MixedFit, Mapping[str, str]]
+) -> tuple[list[Row], list[str]]:
+    """Test whether reducers differ, by the mixed model and by the classic tests; notes say why these are missing."""
     fit, terms = fitted
     people = len(part.rows["participant"].unique())
     found = [replace(compare_terms(fit, list(terms.values())), n_participants=people)]
     labels = part.rows.get(INTERACTION)
     crossed = labels is not None and len(labels.unique()) > 1 and (labels != "").all()
-    with suppress(ValueError):
-        found += compare_repeated(
-            part.rows, within=(REDUCER, INTERACTION) if crossed else (REDUCER,)
-        )
-    return [part.keys | asdict(one) for one in found]
+    within, notes = (REDUCER, INTERACTION) if crossed else (REDUCER,), []
+    try:
+        found += compare_repeated(part.rows, within=within)
+    except ValueError as error:
+        notes.append(f"{part.lead}: no repeated-measures ANOVA and no Friedman's test. {error}")
+    return [part.keys | asdict(one) for one in found], notes
 
 
 def compute_contrasts(table: Table, choices: Choices) -> Section:
@@ -346,7 +349,8 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
         answers.append(_describe_contrasts(pairs, part))
         rows += own
         pictures += _picture_equivalence(pairs, part)
-        classic += _test_whole(part, fitted)
+        tested, why = _test_whole(part, fitted)
+        classic, notes = [*classic, *tested], [*notes, *why]
     return Section(
         "contrasts",
         "Reducers against each other",

@@ -398,7 +398,7 @@ def make_rule(method: Method) -> Rule:
         )
     try:
         str(says).format(limit=limit)
-    except (LookupError, ValueError) as error:
+    except (LookupError, ValueError, AttributeError) as error:
         raise ValueError(
             f"{method}: says must be words, with {{limit}} for the limit, got {says!r} ({error})"
         ) from None
@@ -412,6 +412,10 @@ def _find(method: Method, judgements: Judgements, limit: float) -> DataFrame:
 
     ratings, everyone = judgements.given, judgements.participants
     told = call(method, method.load(), ratings.copy())
+    if told is None:
+        raise TypeError(
+            f"{method}: must return a number per participant, got None; does it return anything?"
+        )
     try:
         found = pd.Series(told, dtype=np.float64)
     except (TypeError, ValueError):

@@ -8,6 +8,7 @@ from typing import Annotated, Generic, Self, TypeVar
 
 from pydantic import Field, model_validator
 
+from feel321.doors import check_name
 from feel321.names import EXPECTATIONS, MEASURES, PROVENANCE
 from feel321.study.settings import fields as kinds
 
@@ -67,7 +68,25 @@ class NumberTable(kinds.TomlTable):
             raise ValueError("must have a value, or low and high; add one of them")
         if self.low is not None and self.high is not None and self.low > self.high:
             raise ValueError(f"must have low at most high, got {self.low:g} and {self.high:g}")
+        if None not in {self.value, self.low} and not self.low <= self.value <= self.high:  # type: ignore[operator]  # three numbers
+            raise ValueError(f"must have the value within low and high, got {self.value:g}")
         return self
+
+
+OPTIONS = {
+    **dict.fromkeys(("scale", "level", "metric", "reducer", "recording", "method", "attribute"), "words"),
+    "metrics": "words or a list of names", "among": "a list of names",
+}  # fmt: skip
+"""Option of a measure -> what it is."""
+
+
+def _check_option(name: str, value: object) -> None:
+    check_name(name, OPTIONS, "options")
+    is_list = isinstance(value, tuple | list)
+    if (isinstance(value, str) and name == "among") or (not is_list and not isinstance(value, str)):
+        raise ValueError(f"options.{name} must be {OPTIONS[name]}, got {value!r}")
+    if is_list and name not in {"metrics", "among"}:
+        raise ValueError(f"options.{name} must be {OPTIONS[name]}, got {value!r}")
 
 
 Option = str | float | bool | tuple[str, ...]
@@ -86,6 +105,16 @@ class ClaimTable(kinds.TomlTable):
     options: dict[str, Option] = Field(default_factory=dict)
 
     @model_validator(mode="after")
+    def _check_options(self) -> Self:
+        for name, value in self.options.items():
+            _check_option(name, value)
+        if self.source == "unknown" and self.paper is not None:
+            raise ValueError(
+                'must not give the paper\'s number where source = "unknown"; remove one'
+            )
+        return self
+
+    @model_validator(mode="after")
     def _check_near(self) -> Self:
         if self.expect == "near" and (self.paper is None or self.paper.low is None):
             raise ValueError(
@@ -102,7 +131,7 @@ class PublishedTable(kinds.TomlTable):
     recording: kinds.Words
     shown: kinds.Words = "a recording of the paper"
     metric: kinds.Words
-    numbers: dict[str, kinds.Finite]
+    numbers: Annotated[dict[str, kinds.Finite], Field(min_length=1)]
 
 
 class PaperTable(kinds.TomlTable):
@@ -118,4 +147,8 @@ class PaperTable(kinds.TomlTable):
     @model_validator(mode="after")
     def _check_names(self) -> Self:
         kinds.check_distinct(tuple(claim.name for claim in self.claims))
+        told = [(one, reducer) for one in self.published for reducer in one.numbers]
+        kinds.check_distinct(
+            tuple(f"{one.recording}, {one.metric}, {reducer}" for one, reducer in told)
+        )
         return self

@@ -79,6 +79,8 @@ def use(**changed: object) -> Callable[[pd.DataFrame], object]:
     ("rule", "message"),
     [
         (use(told={"dan": 0.1}), "must return a number per participant of the ratings, got one for 'dan'"),
+        (use(told=None), "must return a number per participant, got None; does it return anything?"),
+        (use(told={}, says="{limit.foo}"), "says must be words, with {limit} for the limit"),
         (use(told="much"), "must return a number per participant, got 'much'"),
         (use(told={"ann": float("inf")}), "must return one finite number per participant"),
         (use(told={}, limit="a"), "limit must be a number, got 'a'; write mine.limit = 0.15"),
