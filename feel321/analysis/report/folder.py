@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.figures.style import save_figure
-from feel321.analysis.report.section import Picture, inline_svg
+from feel321.analysis.page import inline_svg
 from feel321.doors import as_path
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from markupsafe import Markup
     from pandas import DataFrame
 
+    from feel321.analysis.report.section import Picture
     from feel321.types import PathLike
 
 PAGE, RESULTS = "index.html", "results.json"
@@ -132,7 +133,7 @@ class ResultsFolder:
         self._finish_drawing()
         stage = self._stage()
         drawings = {
-            one.name: inline_svg(one, stage / "figures" / f"{one.name}.svg")
+            one.name: inline_svg(one.name, one.caption, stage / "figures" / f"{one.name}.svg")
             for one in self.pictures
         }
         text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)

@@ -22,11 +22,9 @@ from feel321.analysis.words import (
     Claim,
     Line,
     Number,
-    capitalise,
     count_number,
     format_estimate,
     format_name,
-    keep_together,
     make_interval,
     make_number,
     name_path,
@@ -42,7 +40,6 @@ if TYPE_CHECKING:
     from feel321.analysis.table.metrics import Step
 
     Record = Mapping[Any, Any]
-    from markupsafe import Markup
 
 
 TEXT, NAME = "text", "name"
@@ -310,38 +307,3 @@ def stack(frames: Iterable[tuple[Mapping[str, Any], DataFrame]]) -> Any:  # noqa
 
     own = [frame.assign(**more) for more, frame in frames if len(frame)]
     return pd.concat(own, ignore_index=True) if own else []
-
-
-TEMPLATES = Path(__file__).parent / "templates"
-
-
-def render_template(name: str, *, styles: Sequence[str] = ("report.css",), **values: object) -> str:
-    """Render a template; it finds its style sheets as `style`, and the filters `words` and `start`."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        finalize=keep_together,
-    )
-    environment.filters |= {"words": format_name, "start": capitalise}
-    style = "".join((TEMPLATES / sheet).read_text(encoding="utf-8") for sheet in styles)
-    return environment.get_template(name).render(style=style, **values)
-
-
-def inline_svg(picture: Picture, path: Path) -> Markup:
-    """Make a figure's SVG file part of a page; its ids begin with the figure's name."""
-    from markupsafe import Markup, escape
-
-    text = path.read_text(encoding="utf-8")
-    body = re.sub(r"<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
-    body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{picture.name}-", body)
-    for size in ("width", "height"):
-        body = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", body, count=1)
-    body = body.replace(' target="_blank"', "")  # links lead down the page, not to another one
-    label = f'<svg role="img" aria-label="{escape(picture.caption)}"'
-    return Markup(body.strip().replace("<svg", label, 1))  # noqa: S704 - our own drawing, its caption escaped

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis import words
 from feel321.analysis.association.correlate import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
+from feel321.analysis.page import render_template
 from feel321.analysis.report import (
     association,
     delivered,
@@ -35,7 +36,7 @@ from feel321.analysis.report import (
 from feel321.analysis.report import choices as chosen
 from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
-from feel321.analysis.report.section import Picture, Section, number_pictures, render_template
+from feel321.analysis.report.section import Picture, Section, number_pictures
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES, find_rules
 from feel321.analysis.table.items import find_sources, format_recordings

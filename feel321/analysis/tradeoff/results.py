@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from feel321.analysis.page import render_template
 from feel321.analysis.report.folder import PAGE, ResultsFolder, list_files
-from feel321.analysis.report.section import Picture, render_template
 from feel321.doors import describe
 from feel321.records import Result, to_json_value
 from feel321.types import PathLike
@@ -15,6 +15,7 @@ from feel321.types import PathLike
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.report.section import Picture
     from feel321.analysis.table.items import Table
     from feel321.stimuli.recording import Recording
 

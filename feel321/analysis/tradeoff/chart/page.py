@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
+from feel321.analysis.page import TEMPLATES
 from feel321.analysis.report import section
 from feel321.analysis.report.section import PageTable, Picture
 from feel321.analysis.table.schema import APART
@@ -390,8 +391,8 @@ def build_page(tables: Tables, merged: Tables) -> dict[str, Any]:
         "looks": figures.choose_looks(merged),
         "grids": tabulate(tables),
         "data": dump_data(tables, merged, axes),
-        "script": (section.TEMPLATES / "chart.js").read_text(encoding="utf-8"),
-        "styles": ("report.css", "chart.css"),
+        "script": (TEMPLATES / "chart.js").read_text(encoding="utf-8"),
+        "styles": ("chart.css",),
     }
 
 

@@ -1,0 +1,50 @@
+"""Pages: HTML in one file, from a template, with style sheet, drawings and script inside."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from feel321.analysis.words import capitalise, format_name, keep_together
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from markupsafe import Markup
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def render_template(name: str, *, styles: Sequence[str] = (), **values: object) -> str:
+    """Render a template, which finds the style sheets as `style` and the filters `words` and `start`."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        finalize=keep_together,
+    )
+    environment.filters |= {"words": format_name, "start": capitalise}
+    style = "".join(
+        (TEMPLATES / sheet).read_text(encoding="utf-8") for sheet in ("page.css", *styles)
+    )
+    return environment.get_template(name).render(style=style, **values)
+
+
+def inline_svg(name: str, caption: str, path: Path) -> Markup:
+    """Make a figure's SVG file part of a page; its ids begin with the figure's name."""
+    from markupsafe import Markup, escape
+
+    text = path.read_text(encoding="utf-8")
+    body = re.sub(r"<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
+    body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", body)
+    for size in ("width", "height"):
+        body = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", body, count=1)
+    body = body.replace(' target="_blank"', "")  # links lead down the page, not to another one
+    label = f'<svg role="img" aria-label="{escape(caption)}"'
+    return Markup(body.strip().replace("<svg", label, 1))  # noqa: S704 - our own drawing, its caption escaped
