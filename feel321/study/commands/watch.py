@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,13 +33,12 @@ Example: feel321 monitor my-study
 )
 @shared.rehearsals_option
 def monitor(folders: Sequence[Path], *, port: int, host: str, rehearsals: bool) -> None:
-    """Show running sessions on a live page: blind, read-only, on this machine only.
+    """Show running sessions on a live page, blind and read-only.
 
-    The page has progress, time left, underruns, delivery errors, catch trials, training and notes, but no rating and no
-    name of a condition. Its address holds a token; keep it to yourself. Ctrl-C ends it.
+    The page has progress, time left, underruns, delivery errors, catch trials, training and notes, but no rating and
+    no name of a condition. It answers on this machine only, at an address with a token: keep it to yourself. Ctrl-C
+    ends it.
     """
-    from dataclasses import replace
-
     from feel321.study.monitor.live import serve_monitor
     from feel321.study.session.journal import utc_now
 

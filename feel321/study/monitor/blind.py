@@ -222,7 +222,7 @@ def _describe_session(dossier: Dossier) -> dict[str, Any]:
         "device_errors": sum(bool(one.error) for one in played),
         "not_delivered": sum(bool(events.find_loss(one.delivered, plan.flow)) for one in played),
         "playbacks": len(played),
-        "level_error_db": round(max(errors_db, key=abs), 2) if errors_db else None,
+        "level_error_db": max(errors_db, key=abs, default=None),
         "catch_right": sum(caught),
         "catch_trials": len(caught),
         "training": _describe_training(records),

@@ -8,8 +8,9 @@ from datetime import UTC
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
+from feel321.analysis.page import render_template
 from feel321.study.monitor.blind import LIVE, StudyWatch
-from feel321.study.monitor.server import render_page, serve_pages
+from feel321.study.monitor.server import serve_pages
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -46,7 +47,10 @@ class Monitor:
             study["participants"].sort(key=lambda one: STATES.index(one["state"]))
             study["live"] = [one for one in study["participants"] if one["state"] in LIVE]
         clock = self.now().astimezone().strftime("%H:%M:%S")
-        return render_page("monitor.html", nonce, clock=clock, quiet_s=QUIET_S, **state)
+        page = render_template(
+            "monitor.html", nonce=nonce, clock=clock, quiet_s=QUIET_S, studies=state["studies"]
+        )
+        return "text/html", page
 
     def write_state(self, _nonce: str) -> tuple[str, str]:
         """Write what the page shows as JSON."""

@@ -13,8 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from feel321.analysis.page import render_template
-
 if TYPE_CHECKING:
     from starlette.applications import Starlette
     from starlette.requests import Request
@@ -136,8 +134,3 @@ def serve_pages(
         bound.listen()
         announce(door.address)
         uvicorn.Server(config).run(sockets=[bound])
-
-
-def render_page(template: str, nonce: str, **values: object) -> tuple[str, str]:
-    """Render a template as a page."""
-    return "text/html", render_template(template, nonce=nonce, **values)

@@ -1,4 +1,4 @@
-"""Runs the session of a simulated participant slowly, with an underrun in the first part: station.py STUDY ID SEED SLEEP_S."""
+"""Runs a simulated session slowly, with an underrun in its first part: station.py STUDY ID SEED SLEEP_S."""
 
 from __future__ import annotations
 
