@@ -22,7 +22,9 @@ numpydoc_show_class_members = False
 autodoc_typehints = "none"  # the docstrings give types, shapes and units
 default_role = "py:obj"
 nitpicky = True
-nitpick_ignore_regex = [("py:obj", ".*")]  # single backquotes in docstrings name arguments and fields too
+nitpick_ignore_regex = [
+    ("py:obj", ".*")
+]  # single backquotes in docstrings name arguments and fields too
 exclude_patterns = ["docsite", "_static"]
 
 html_theme = "furo"

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
-from sphinx.application import Sphinx
-from sphinx.writers.html5 import HTML5Translator
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+    from sphinx.writers.html5 import HTML5Translator
 
 
 def _visit_inline(writer: HTML5Translator, node: nodes.math) -> None:
@@ -15,7 +19,9 @@ def _visit_inline(writer: HTML5Translator, node: nodes.math) -> None:
 
 def _visit_block(writer: HTML5Translator, node: nodes.math_block) -> None:
     formula = tex2mathml(" ".join(node.astext().split()), as_block=True)
-    writer.body.append(f'<div class="formula" tabindex="0" role="group" aria-label="Formula">{formula}</div>')
+    writer.body.append(
+        f'<div class="formula" tabindex="0" role="group" aria-label="Formula">{formula}</div>'
+    )
     raise nodes.SkipNode
 
 

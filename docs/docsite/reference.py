@@ -12,9 +12,8 @@ from types import ModuleType
 import click
 from sphinx.pycode import ModuleAnalyzer
 
-from feel321 import analysis
-
 from docsite.text import ASIDE, contents, table, title, write
+from feel321 import analysis
 
 FACES = {
     "feel321.stimuli": "Recordings, reducers, metrics, stimulus sets",
@@ -32,8 +31,9 @@ def write_faces(folder: Path) -> None:
     write(
         folder / "index.rst",
         title("Python reference"),
-        "Import from these modules only: ``from feel321 import stimuli, analysis``. Each page gives arguments with shapes"
-        " and units, what is returned, errors, formula, source and an example. :doc:`/python` shows them at work.",
+        "Import from these modules only: ``from feel321 import stimuli, analysis``. Each page gives arguments with"
+        " shapes and units, what is returned, errors, formula, source and an example. :doc:`/python` shows them at"
+        " work.",
         table(("module", "holds"), rows),
         contents(f"{face}/index" for face in FACES),
     )
@@ -73,7 +73,9 @@ def _describe(module: ModuleType, name: str) -> str:
         return f".. autoclass:: {name}\n   :members:\n" + "   :no-index:\n" * double
     if inspect.isfunction(thing):
         return f".. autofunction:: {name}\n"
-    return f".. py:data:: {name}\n\n" + "".join(f"   {line}\n" for line in read_comment(module, name))
+    return f".. py:data:: {name}\n\n" + "".join(
+        f"   {line}\n" for line in read_comment(module, name)
+    )
 
 
 def _summarise(module: ModuleType, name: str) -> str:
@@ -86,7 +88,10 @@ def _summarise(module: ModuleType, name: str) -> str:
 def read_comment(module: ModuleType, name: str) -> list[str]:
     """Read what stands below a name in the module that defines it: of mappings and other data, and of types."""
     thing = getattr(module, name)
-    homes = [module, *(each for key, each in sorted(sys.modules.items()) if key.startswith("feel321."))]
+    homes = [
+        module,
+        *(each for key, each in sorted(sys.modules.items()) if key.startswith("feel321.")),
+    ]
     for home in homes:
         if vars(home).get(name) is thing:
             found = ModuleAnalyzer.for_module(home.__name__).find_attr_docs().get(("", name))
@@ -99,7 +104,9 @@ def write_commands(path: Path, group: click.Group) -> None:
     """Write the page of the command line: as `--help` has it, verb by verb."""
     verbs = sorted(group.commands.items())
     context = click.Context(group, info_name="feel321")
-    links = [(f":ref:`{verb} <verb-{verb}>`", str(one.get_short_help_str(200))) for verb, one in verbs]
+    links = [
+        (f":ref:`{verb} <verb-{verb}>`", str(one.get_short_help_str(200))) for verb, one in verbs
+    ]
     write(
         path,
         title("Command line"),
@@ -122,7 +129,11 @@ def _describe_verb(verb: str, command: click.Command, group: click.Context) -> I
     yield from _describe_options(command, context)
     example = inspect.cleandoc((command.epilog or "").replace("\b", "")).removeprefix("Example:")
     if example:
-        lines = "".join(f"   {line.strip()}\n" for line in example.replace("; ", "\n").splitlines() if line.strip())
+        lines = "".join(
+            f"   {line.strip()}\n"
+            for line in example.replace("; ", "\n").splitlines()
+            if line.strip()
+        )
         yield f".. code-block:: sh\n\n{lines}"
 
 
@@ -135,4 +146,11 @@ def _describe_options(command: click.Command, context: click.Context) -> Iterato
 
 def _quiet(text: str) -> str:
     """Show characters that reStructuredText would read as its own."""
-    return text.replace("\\", "\\\\").replace("*", "\\*").replace("|", "\\|").replace("`", "\\`").replace("_ ", "\\_ ")
+    return (
+        text
+        .replace("\\", "\\\\")
+        .replace("*", "\\*")
+        .replace("|", "\\|")
+        .replace("`", "\\`")
+        .replace("_ ", "\\_ ")
+    )

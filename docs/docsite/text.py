@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 ASIDE = ":orphan:\n"
-"""Keeps a page out of the sidebar: with some hundred more entries there, nobody finds anything, and Sphinx takes a minute."""
+"""Keeps a page out of the sidebar: with a hundred more entries nobody finds anything, and Sphinx takes a minute."""
 
 
 def title(text: str, line: str = "=") -> str:

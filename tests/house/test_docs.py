@@ -34,7 +34,9 @@ def test_every_public_name_has_a_page(site: Any, tmp_path: Path) -> None:
     for face in reference.FACES:
         names = set(import_module(face).__all__)
         assert {page.stem for page in (tmp_path / face).glob("*.rst")} == {*names, "index"}
-        listed = re.findall(r":doc:`(\w+) <\1>`\n +- (.+)", (tmp_path / face / "index.rst").read_text())
+        listed = re.findall(
+            r":doc:`(\w+) <\1>`\n +- (.+)", (tmp_path / face / "index.rst").read_text()
+        )
         assert {name for name, purpose in listed if purpose.strip()} == names
 
 
