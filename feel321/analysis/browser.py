@@ -349,7 +349,9 @@ def _band_energies(axes: Samples, rate_hz: float, window: Samples, *, count: int
         np.clip(CENTRES_HZ * edge * size / rate_hz + 0.5, 0, summed.shape[-1] - 1)
         for edge in (1 - half, 1 + half)
     )
-    return _interpolate(summed, high) - _interpolate(summed, low)
+    return np.maximum(
+        _interpolate(summed, high) - _interpolate(summed, low), 0.0
+    )  # but for rounding
 
 
 def _interpolate(values: Samples, at: Samples) -> Samples:
