@@ -16,7 +16,7 @@ from feel321.analysis.figures.estimates import draw_profile
 from feel321.analysis.figures.scatter import draw_scatter
 from feel321.analysis.figures.style import (
     CM_PER_INCH,
-    COLUMN_CM,
+    WIDTH_CM,
     PNG_DPI,
     Look,
     assign_looks,
@@ -97,7 +97,7 @@ def test_text_is_readable_and_inside_the_figure(
     draw: Callable[..., Figure], table: pd.DataFrame
 ) -> None:
     figure = draw(table)
-    assert figure.get_figwidth() * CM_PER_INCH == pytest.approx(COLUMN_CM)
+    assert figure.get_figwidth() * CM_PER_INCH == pytest.approx(WIDTH_CM)
     for text in list_texts(figure):
         assert text.get_fontsize() >= SMALLEST_PT
         box = text.get_window_extent()
@@ -287,7 +287,7 @@ def test_files_are_made_for_print_and_repeat_to_the_byte(
     for suffix in (".svg", ".png"):
         assert (tmp_path / f"one{suffix}").read_bytes() == (tmp_path / f"two{suffix}").read_bytes()
     width = imread(tmp_path / "one.png").shape[1]
-    assert width == pytest.approx(COLUMN_CM / CM_PER_INCH * PNG_DPI, abs=1)
+    assert width == pytest.approx(WIDTH_CM / CM_PER_INCH * PNG_DPI, abs=1)
     assert dict(rcParams) == before
 
 

@@ -107,7 +107,7 @@ def _describe_association(result: Association) -> str:
 # Ratings against a metric, recording by recording, with the P.1401 mapping and the noise ceiling.
 
 COLUMNS = 3
-ROW_CM, LABELS_CM, STRIP_CM = 2.5, 1.6, 1.9
+ROW_CM, LABELS_CM, STRIP_CM = 2.8, 1.9, 1.9
 SIZE = 3.0
 """Of markers, in points."""
 
@@ -155,7 +155,7 @@ def _draw_panels(
     )
     values = stimuli[metric].to_numpy(np.float64)
     x = np.linspace(max(values.min(), find_cut(metric)), values.max(), CURVE_POINTS)
-    width = (style.COLUMN_CM - 1.6) / columns
+    width = (style.WIDTH_CM - 1.6) / columns
     shown: dict[str, Line2D] = {}
     for axes, (name, part) in zip(grid.flat, parts, strict=False):
         axes.plot(x, Polynomial(judged.coefficients)(x), color=style.BLACK, linewidth=1.0, zorder=2)
