@@ -16,8 +16,8 @@ from feel321.analysis.figures.estimates import draw_profile
 from feel321.analysis.figures.scatter import draw_scatter
 from feel321.analysis.figures.style import (
     CM_PER_INCH,
-    WIDTH_CM,
     PNG_DPI,
+    WIDTH_CM,
     Look,
     assign_looks,
     save_figure,

@@ -136,8 +136,8 @@ def plot_marks(
 
 # Words in figures: broken by measured width, so that no name runs off or into another.
 
-AXIS_LETTERS, SCALE_LETTERS = 30, 60
-"""Letters per line of an axis's label, and of a scale's name within it."""
+AXIS_CM, SCALE_LETTERS = 6.0, 60
+"""Length of an axis's label, and letters of a scale's name within it."""
 
 SIZE = float(PRINT["font.size"])
 POINTS_PER_CM = 72 / CM_PER_INCH
@@ -151,9 +151,7 @@ TITLE_LINES = 10
 def label_scale(scale: str) -> str:
     """Label an axis by the scale that was rated."""
     name = wrap_name(format_name(scale), SCALE_LETTERS, lines=1)
-    return wrap_name(
-        f"Mean {format_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_LETTERS, lines=3
-    )
+    return fit_text(f"Mean {format_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_CM, lines=3)
 
 
 def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) -> str:

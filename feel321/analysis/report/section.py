@@ -214,8 +214,7 @@ SLUG_PART = 40
 
 
 def make_slug(*parts: str) -> str:
-    """Make names readable in a file's name; one that this changes or cuts is followed by a digest, which tells it from
-    others."""
+    """Make names readable in a file's name; a digest follows one that this changes or cuts, to tell it from others."""
     return "_".join(map(_make_part, parts))
 
 
