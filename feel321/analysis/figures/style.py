@@ -51,7 +51,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
 
 PRINT: Any = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.labelsize": 8, "axes.titlesize": 8,
-    "figure.titlesize": 8, "figure.labelsize": 8,
+    "figure.titlesize": 8.5, "figure.labelsize": 8,
     "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 8, "axes.linewidth": 0.6,
     "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left",
     "lines.markersize": 4, "lines.linewidth": 0.8, "text.parse_math": False,
@@ -142,16 +142,19 @@ AXIS_CM, SCALE_LETTERS = 6.0, 60
 SIZE = float(PRINT["font.size"])
 POINTS_PER_CM = 72 / CM_PER_INCH
 MARGIN_CM = 0.2
+SNUG = 0.96
+"""Share of its place that a line may take by measure: on a screen letters are up to 4 % wider."""
+
 LONGEST = 200
 """Letters of a name that are looked at, from its start and from its end."""
 
 TITLE_LINES = 10
 
 
-def label_scale(scale: str) -> str:
-    """Label an axis by the scale that was rated."""
+def label_scale(scale: str, length_cm: float = AXIS_CM) -> str:
+    """Label an axis of that length by the scale that was rated."""
     name = wrap_name(format_name(scale), SCALE_LETTERS, lines=1)
-    return fit_text(f"Mean {format_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_CM, lines=3)
+    return fit_text(f"Mean {format_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", length_cm, lines=3)
 
 
 def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) -> str:
@@ -166,7 +169,7 @@ def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) 
     """
     if len(text) > 2 * LONGEST:
         text = f"{text[:LONGEST]}…{text[-LONGEST:]}"
-    room = width_cm * POINTS_PER_CM
+    room = SNUG * width_cm * POINTS_PER_CM
     found, parts = [""], _split(text)
     while parts:
         part = parts.pop(0)
@@ -186,8 +189,9 @@ def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) 
 
 
 def add_title(figure: Figure, text: str) -> None:
-    """Write what a figure shows above it, and give the figure the height that this takes."""
-    fitted = fit_text(text, 0.96 * WIDTH_CM - 2 * MARGIN_CM, lines=TITLE_LINES)
+    """Write above a figure what it finds, then what it shows, and give it the height that this takes."""
+    size = PRINT["figure.titlesize"]
+    fitted = fit_text(text, WIDTH_CM - 2 * MARGIN_CM, lines=TITLE_LINES, size=size)
     title = figure.suptitle(fitted, x=MARGIN_CM / WIDTH_CM, ha="left")
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + title.get_window_extent().height / figure.dpi)
@@ -225,6 +229,43 @@ def _measure(text: str, size: float) -> float:
 
     font = FontProperties(family=PRINT["font.family"], size=size)
     return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0])
+
+
+# Names beside the axes, and legends below a figure.
+
+END_CM, ROW_CM = 3.6, 0.38
+"""Width of a name beside the axes, and the least distance between two."""
+
+
+def label_ends(
+    axes: Axes, heights: Mapping[str, float], looks: Mapping[str, Look], *, height_cm: float
+) -> bool:
+    """Name reducers at the right of axes of that height, each at its own; return False if there are too many."""
+    if not heights or len(heights) * ROW_CM > height_cm:
+        return False
+    order = sorted(heights, key=lambda name: -heights[name])
+    low, high = axes.get_ylim()
+    places = spread([heights[name] for name in order], (high - low) * ROW_CM / height_cm, low=low)
+    of_axes = axes.get_yaxis_transform()
+    for name, place in zip(order, places, strict=True):
+        strokes: dict[str, Any] = {"transform": of_axes, "clip_on": False, "linewidth": THIN}
+        axes.plot([1.0, 1.025], [heights[name], place], color=GREY, **strokes)
+        mark: dict[str, Any] = {"transform": of_axes, "clip_on": False, "size": 5.0}
+        plot_marks(axes, [1.04], [place], look=looks[name], **mark)
+        axes.text(1.055, place, fit_text(name, END_CM, lines=1), transform=of_axes, va="center")
+    return True
+
+
+def spread(falling: Sequence[float], apart: float, *, low: float) -> list[float]:
+    """Move heights, from the highest down, until each is so far below the one before, and the last not below low."""
+    places: list[float] = []
+    for height in falling:
+        places.append(min(height, places[-1] - apart) if places else height)
+    floor = low
+    for number in range(len(places) - 1, -1, -1):
+        places[number] = max(places[number], floor)
+        floor = places[number] + apart
+    return places
 
 
 # Legends below a figure.
@@ -342,12 +383,31 @@ def _round(value: str) -> str:
 
 def _unwrap(node: Element) -> None:
     """Put what is in groups without a meaning in their place; style sheets of a drawing would style its whole page."""
-    children = []
+    children: list[Element] = []
     for child in node:
         _unwrap(child)
         bare = child.tag == f"{{{SVG}}}g" and not child.attrib
         empty = child.tag in {f"{{{SVG}}}{name}" for name in ("metadata", "style")} or (
             child.tag == f"{{{SVG}}}defs" and not len(child)
         )
-        children += list(child) if bare else [] if empty else [child]
+        for one in list(child) if bare else [] if empty else [child]:
+            if not (children and _join(children[-1], one)):
+                children.append(one)
     node[:] = children
+    styles = {child.get("style") for child in children}
+    if len(children) > 1 and len(styles) == 1 and None not in styles and node.get("style") is None:
+        node.set("style", str(styles.pop()))
+        for child in children:
+            del child.attrib["style"]
+
+
+def _join(first: Element, second: Element) -> bool:
+    """Join open lines of the same look, such as bars, into one path; return whether that was done."""
+    own, other = dict(first.attrib), dict(second.attrib)
+    one, more = own.pop("d", ""), other.pop("d", "")
+    if not (
+        one and more and own == other and "id" not in own and "fill:none" in own.get("style", "")
+    ):
+        return False
+    first.set("d", f"{one} {more}")
+    return True
