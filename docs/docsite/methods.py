@@ -6,19 +6,21 @@ import inspect
 import re
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+
 from docsite.plot import FAINT, INK
 from docsite.text import ASIDE, table, title, write
-
 from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.names import METRIC_INFO, REDUCER_NAMES
 from feel321.stimuli import INVARIANTS, METRICS, REDUCERS, psd, spectral_match_bounded
-from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, WHY_NOT_STREAMING
 from feel321.stimuli.recording import Reduced
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, WHY_NOT_STREAMING
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.axes import Axes
 
     from feel321.stimuli import Recording
@@ -60,8 +62,8 @@ def write_reducers(folder: Path) -> None:
     write(
         folder / "index.rst",
         title("Reducers"),
-        "Three axes in, one out: ``REDUCERS[name](acceleration, rate_hz)``. :doc:`/metrics` compares them by the paper's"
-        " two metrics, :doc:`/tradeoff` by speed and stability.",
+        "Three axes in, one out: ``REDUCERS[name](acceleration, rate_hz)``. :doc:`/metrics` compares them by the"
+        " paper's two metrics, :doc:`/tradeoff` by speed and stability.",
         table(("reducer", "keeps", "fails"), rows, widths="24 38 38"),
     )
 
@@ -72,7 +74,9 @@ def write_metrics(folder: Path) -> None:
     for name, metric in METRICS.items():
         words, info = WORDS["metrics"][name], METRIC_INFO[name]
         best = "higher is better" if info.higher == "better" else "0 is best"
-        ends = f"{info.low:g} to {info.high:g}".replace("-inf to", "at most").replace(" to inf", " or more")
+        ends = f"{info.low:g} to {info.high:g}".replace("-inf to", "at most").replace(
+            " to inf", " or more"
+        )
         reach = f"{ends} {info.unit}".strip()
         rows.append((f":doc:`{name} <{name}>`", words["does"], f"{reach}; {best}"))
         code = f"from docsite.methods import draw_metric\n\ndraw_metric('{name}')"
@@ -109,17 +113,20 @@ def _list_facts(name: str) -> str:
     return table(("streams", "in a study by default"), [(streams, default)])
 
 
-def _take_notes(function: Any, formula: str) -> tuple[str, str]:
+def _take_notes(function: Callable[..., object], formula: str) -> tuple[str, str]:
     """Take notes and sources of a docstring, and the formula where it has none."""
     lines = inspect.cleandoc(function.__doc__ or "").splitlines()[1:]
     below: dict[str, list[str]] = {}
     part = below.setdefault("Summary", [])
-    for line, rule in zip(lines, [*lines[1:], ""], strict=True):
+    for line, rule in zip(lines, [*lines, ""][1:], strict=True):
         if rule and set(rule) == {"-"}:
             part = below.setdefault(line, [])
         elif set(line) != {"-"}:
             part.append(line)
-    said = (formula and f".. math:: {formula}\n", *("\n".join(below.get(key, [])) for key in ("Summary", "Notes")))
+    said = (
+        formula and f".. math:: {formula}\n",
+        *("\n".join(below.get(key, [])) for key in ("Summary", "Notes")),
+    )
     sources = below.get("References") or _find_sources(function, "\n".join(lines))
     heading = title("Source", "-") + "\n" if sources else ""
     return (
@@ -134,9 +141,11 @@ def _drop_footnotes(text: str) -> str:
     return re.sub(r"^\.\. \[\d+\]", "-", text, flags=re.MULTILINE).replace("\n   ", "\n  ")
 
 
-def _find_sources(function: Any, text: str) -> list[str]:
+def _find_sources(function: Callable[..., object], text: str) -> list[str]:
     """Find in a module's docstring the sources that one of its functions cites."""
-    _, _, listed = (inspect.getdoc(inspect.getmodule(function)) or "").partition("References\n----------\n")
+    _, _, listed = (inspect.getdoc(inspect.getmodule(function)) or "").partition(
+        "References\n----------\n"
+    )
     cited = set(re.findall(r"(\[\d+\])_", text))
     each = re.findall(r"^\.\. (\[\d+\]) (.*(?:\n   .*)*)", listed, re.MULTILINE)
     return [f".. {number} {source}" for number, source in each if number in cited]
@@ -168,11 +177,13 @@ def draw_reducer(name: str, failing: str) -> None:
     for (above, below), key in zip(axes.T, (CONTROL, failing), strict=True):
         scene = BATTERY[key].make(1)
         reduced, spectral, temporal = measure(name, scene)
-        above.set_title(f"{BATTERY[key].title}\nspectral match {spectral:.2f}, temporal match {temporal:.2f}")
+        above.set_title(
+            f"{BATTERY[key].title}\nspectral match {spectral:.2f}, temporal match {temporal:.2f}"
+        )
         _draw_waveforms(above, scene, reduced)
         _draw_spectra(below, scene, reduced)
     axes[0, 0].set_ylabel("m/s²")
-    axes[1, 0].set_ylabel("dB, the recording's peak = 0")
+    axes[1, 0].set_ylabel("Power (dB)")
 
 
 def _draw_spectra(ax: Axes, scene: Recording, reduced: Reduced) -> None:
@@ -190,7 +201,9 @@ def _draw_spectra(ax: Axes, scene: Recording, reduced: Reduced) -> None:
 def _draw_waveforms(ax: Axes, scene: Recording, reduced: Reduced) -> None:
     """Draw 60 ms, from a little before the strongest sample."""
     middle = int(np.argmax(np.abs(scene.acceleration).max(axis=0)))
-    first = min(max(middle - round(0.02 * scene.rate_hz), 0), scene.n_samples - round(0.06 * scene.rate_hz))
+    first = min(
+        max(middle - round(0.02 * scene.rate_hz), 0), scene.n_samples - round(0.06 * scene.rate_hz)
+    )
     part = slice(first, first + round(0.06 * scene.rate_hz))
     time_ms = 1000 * np.arange(part.stop - part.start) / scene.rate_hz
     ax.plot(time_ms, scene.acceleration[:, part].T, color=FAINT, lw=0.8)
@@ -210,7 +223,23 @@ def draw_metric(name: str) -> None:
         return METRICS[name](scene.acceleration, signal, scene.rate_hz)
 
     _, (left, right) = plt.subplots(1, 2, figsize=(8.0, 2.8), sharey=True)
-    left.plot(gains_db, [value(reduced * 10 ** (gain / 20)) for gain in gains_db], color=INK, marker="o", ms=3)
-    left.set(xlabel="Gain (dB)", ylabel=METRIC_INFO[name].label + (f" ({METRIC_INFO[name].unit})" if METRIC_INFO[name].unit else ""))
-    right.plot(1000 * delays / scene.rate_hz, [value(np.roll(reduced, int(k))) for k in delays], color=INK, marker="o", ms=3)
+    left.plot(
+        gains_db,
+        [value(reduced * 10 ** (gain / 20)) for gain in gains_db],
+        color=INK,
+        marker="o",
+        ms=3,
+    )
+    left.set(
+        xlabel="Gain (dB)",
+        ylabel=METRIC_INFO[name].label
+        + (f" ({METRIC_INFO[name].unit})" if METRIC_INFO[name].unit else ""),
+    )
+    right.plot(
+        1000 * delays / scene.rate_hz,
+        [value(np.roll(reduced, int(k))) for k in delays],
+        color=INK,
+        marker="o",
+        ms=3,
+    )
     right.set_xlabel("Delay (ms)")

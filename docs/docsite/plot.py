@@ -50,7 +50,9 @@ class Plot(SphinxDirective):
         known = self.env.current_document.setdefault("plot_names", {})
         shown = nodes.literal_block(code, code, language="python")
         drawn = draw(code, known, self.arguments[0], name=f"plot{self.env.new_serialno('plot')}")
-        return [shown] * ("hide" not in self.options) + [nodes.raw("", each, format="html") for each in drawn]
+        return [shown] * ("hide" not in self.options) + [
+            nodes.raw("", each, format="html") for each in drawn
+        ]
 
 
 def draw(code: str, known: dict[str, Any], label: str, *, name: str) -> list[str]:
@@ -67,7 +69,9 @@ def draw(code: str, known: dict[str, Any], label: str, *, name: str) -> list[str
         for number in plt.get_fignums():
             path = Path(folder) / f"{number}.svg"
             plt.figure(number).savefig(path, metadata={"Date": None})
-            drawn.append(f"<figure class='plot'>{colour(inline_svg(f'{name}-{number}', label, path))}</figure>")
+            drawn.append(
+                f"<figure class='plot'>{colour(inline_svg(f'{name}-{number}', label, path))}</figure>"
+            )
     plt.close("all")
     if not drawn:
         raise ValueError(f"plot {label!r}: the code draws no figure; leave one open")
