@@ -504,6 +504,7 @@ def render_page(
         answer=group_lines(sections),
         drawings=drawings,
         sizes=sizes,
+        points="".join(section.points for section in sections),
     )
 
 
