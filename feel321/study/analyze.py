@@ -11,6 +11,7 @@ from shlex import quote
 import numpy as np
 import pandas as pd
 
+from feel321.analysis.report.front import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.screening.rules import find_rules
 from feel321.analysis.table.metrics import ROTATIONS, list_rivals, make_info
@@ -26,6 +27,7 @@ from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.answers import write_answers
 from feel321.study.folder import StudyFolder, require_study
+from feel321.study.ledger.progress import Progress as Participant
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import describe_matches, write_matches
 from feel321.study.paper import make_paper
@@ -57,9 +59,10 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         require_study(study.path)
     settings = read_settings(study.settings) if study.settings.is_file() else None
     chosen = settings.analysis if settings else AnalysisTable()
-    further = Further(pd.DataFrame(), ())
+    further, everybody = Further(pd.DataFrame(), ()), []
     if settings and ratings is None:
-        further = _derive_ratings(study, settings, metrics or chosen.metrics)
+        everybody = list_progress(study)
+        further = _derive_ratings(study, settings, metrics or chosen.metrics, everybody=everybody)
     if settings and metrics and set(metrics) != set(chosen.metrics):
         asked, declared = ", ".join(metrics), ", ".join(chosen.metrics)
         note = f"Metrics {asked} were asked for with this analysis; {study.settings.name} declares {declared}."
@@ -79,9 +82,16 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         info=list_info(settings) if settings else {},
         rules=find_rules(chosen.screening, study.path),
         paper=make_paper(settings, further.mountings) if settings else None,
+        about=_describe(settings, everybody) if settings else None,
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
+
+
+def _describe(settings: Settings, everybody: Iterable[Participant]) -> About:
+    """Say which study it is and, of its own ratings, when the last one was given."""
+    day = max((one.rated_utc[:10] for one in everybody), default="")
+    return About(settings.study.name, day, tuple(settings.session.protocols))
 
 
 def list_labels(settings: Settings) -> pd.DataFrame:
@@ -139,8 +149,13 @@ def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Record
     return recordings, recipe, reason
 
 
-def _derive_ratings(study: StudyFolder, settings: Settings, metrics: Sequence[str]) -> Further:
-    everybody = list_progress(study)
+def _derive_ratings(
+    study: StudyFolder,
+    settings: Settings,
+    metrics: Sequence[str],
+    *,
+    everybody: Sequence[Participant],
+) -> Further:
     write_roster(study, everybody)
     stimuli = read_stimuli(study.stimuli)
     if not write_ratings(study, stimuli):
