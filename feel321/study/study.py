@@ -64,7 +64,7 @@ class Contents:
         Study
             The same study.
         """
-        from feel321.study.settings.read import edit_settings
+        from feel321.study.settings.edit import edit_settings
 
         edit_settings(self.folder.settings, changes)
         return self
@@ -190,7 +190,8 @@ class Contents:
             What every function of `feel321.analysis` takes.
         """
         from feel321.analysis.table.reading import read_table
-        from feel321.study.analyze import list_info, measure_declared
+        from feel321.study.analyze import list_info
+        from feel321.study.metrics import measure_declared
         from feel321.study.settings.read import list_origins
 
         self.ratings()

@@ -12,9 +12,9 @@ from feel321.stimuli.rotation import rotation_statistics
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
-from feel321.study import analyze
-from feel321.study.analyze import compute_rotations, measure_declared, measure_rotations
+from feel321.study import metrics
 from feel321.study.folder import StudyFolder
+from feel321.study.metrics import compute_rotations, measure_declared, measure_rotations
 from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study
 
@@ -59,7 +59,7 @@ def measure(study: StudyFolder) -> Further:
 def test_every_test_stimulus_has_the_statistics_of_its_recording_and_reducer(
     lab: StudyFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(analyze, "MOST", 200)
+    monkeypatch.setattr(metrics, "MOST", 200)
     found = measure(lab).metrics
     tests = [stimulus for stimulus in read_stimuli(lab.stimuli).stimuli if stimulus.role == "test"]
     assert list(found.index) == [stimulus.stimulus_id for stimulus in tests]
@@ -149,7 +149,7 @@ def test_long_recordings_get_fewer_orientations(
         for name in ("bumps", "hard_taps-r2")
     ]
     for affordable, count in ((10**9, 64), (2 * size * 20 + 5, 20), (size, 16)):
-        monkeypatch.setattr(analyze, "AFFORDABLE", affordable)
+        monkeypatch.setattr(metrics, "AFFORDABLE", affordable)
         found = compute_rotations(recordings, read_stimuli(lab.stimuli), recipe=Recipe(), seed=1)
         assert f"into {count} random orientations" in found.notes[0]
 

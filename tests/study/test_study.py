@@ -12,7 +12,7 @@ from feel321 import study as face
 from feel321.study import Study
 from feel321.study.cli import main
 from feel321.study.folder import read_template
-from feel321.study.settings.read import change_settings
+from feel321.study.settings.edit import change_settings
 
 if TYPE_CHECKING:
     from pathlib import Path

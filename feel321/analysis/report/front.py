@@ -50,27 +50,44 @@ NAMED = 2
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What a study says of itself: its name, the day of the last rating (ISO 8601), its protocols in order."""
+    """What a report's first screen says of the study.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    date : str
+        Day of the last rating, as 2026-03-01; empty if unknown.
+    protocols : tuple of str
+        Its protocols, in the order in which the report shows their scales.
+
+    Examples
+    --------
+    >>> from feel321.results import About
+    >>> About("pilot", "2026-03-01").date
+    '2026-03-01'
+    """
 
     name: str = ""
     date: str = ""
     protocols: tuple[str, ...] = ()
 
-    def order(self, table: Table) -> Table:
-        """Put the ratings of protocols in the study's order, where the first participant had another."""
-        rows = table.rows
-        if "protocol" not in rows or not self.protocols:
-            return table
-        place = {name: number for number, name in enumerate(self.protocols)}
-        ranks = rows["protocol"].map(place).fillna(len(place))
-        if ranks.drop_duplicates().is_monotonic_increasing:
-            return table
-        order = ranks.sort_values(kind="stable").index
-        return replace(table, rows=rows.loc[order].reset_index(drop=True))
+
+def order_scales(table: Table, protocols: Sequence[str]) -> Table:
+    """Put the ratings of protocols in the study's order, where the first participant had another."""
+    rows = table.rows
+    if "protocol" not in rows or not protocols:
+        return table
+    place = {name: number for number, name in enumerate(protocols)}
+    ranks = rows["protocol"].map(place).fillna(len(place))
+    if ranks.drop_duplicates().is_monotonic_increasing:
+        return table
+    order = ranks.sort_values(kind="stable").index
+    return replace(table, rows=rows.loc[order].reset_index(drop=True))
 
 
 @dataclass(frozen=True, slots=True)
-class Card:
+class MetricCard:
     """What the first screen shows of one metric on one scale and level; a row of ``cards`` in ``results.json``.
 
     effect: points of rating from the metric's lower to its upper quartile within recordings. correlation: Pearson's,
@@ -110,12 +127,12 @@ class Card:
 
     @property
     def r(self) -> str:
-        """The correlation with its interval, for the page."""
+        """The correlation with its interval, for the page; empty where there is none."""
         value, interval = words.format_estimate(
             self.correlation, self.correlation_low, self.correlation_high
         )
         known = math.isfinite(self.correlation)
-        return f"r = {value} ({interval})" if known else "no correlation"
+        return f"r = {value} ({interval})" if known else ""
 
     @property
     def described(self) -> str:
@@ -126,7 +143,7 @@ class Card:
 
 def make_cards(
     table: Table, sections: Iterable[Section], numbers: Iterable[words.Number]
-) -> tuple[Card, ...]:
+) -> tuple[MetricCard, ...]:
     """Make a card of every metric of the primary analysis, scale by scale in the study's order."""
     sections, found = list(sections), {number.name: number for number in numbers}
     claims = {
@@ -142,20 +159,10 @@ def make_cards(
             effect = _find_ends(found.get(words.name_path("slope", *place) + ".quartile_effect"))
             r = found.get(words.name_path("association", *place, "within"))
             ceiling = found.get(words.name_path("association", *place, "within", "ceiling"))
+            found_here = *effect, *_find_ends(r), _find_ends(ceiling)[0]
+            said = claim.verdict, claim.direction, claim.higher, claim.hinge
             cards.append(
-                Card(
-                    *part.place,
-                    subject,
-                    metric,
-                    claim.verdict,
-                    claim.direction,
-                    claim.higher,
-                    claim.hinge,
-                    *effect,
-                    *_find_ends(r),
-                    _find_ends(ceiling)[0],
-                    claim.better_than,
-                )  # fmt: skip
+                MetricCard(*part.place, subject, metric, *said, *found_here, claim.better_than)
             )
     return tuple(cards)
 
@@ -168,7 +175,7 @@ def _find_ends(number: words.Number | None) -> tuple[float, float, float]:
 
 
 def write_headline(
-    cards: Sequence[Card], sections: Iterable[Section], numbers: Iterable[words.Number]
+    cards: Sequence[MetricCard], sections: Iterable[Section], numbers: Iterable[words.Number]
 ) -> str:
     """State the finding in one sentence; where nothing was rated that metrics describe, what there is instead."""
     sections = list(sections)
@@ -185,7 +192,7 @@ def write_headline(
     return words.capitalise("; ".join(clauses)) + hint + "."
 
 
-def _describe_group(cards: Sequence[Card], metrics: Sequence[str]) -> Iterator[str]:
+def _describe_group(cards: Sequence[MetricCard], metrics: Sequence[str]) -> Iterator[str]:
     """Say what metrics have in common that have the same verdicts on all scales."""
     subjects = list(dict.fromkeys(card.subject for card in cards))
     one = [card for card in cards if card.metric == metrics[0]]
@@ -209,7 +216,8 @@ def _describe_group(cards: Sequence[Card], metrics: Sequence[str]) -> Iterator[s
 def _name_ratings(own: Sequence[str], subjects: Sequence[str]) -> str:
     """Name the ratings of some scales, or say that it is all of them."""
     if len(own) == len(subjects) > 1:
-        return f"the ratings on {'both' if len(own) == 2 else f'all {len(own)}'} scales"
+        every = {2: "both"}.get(len(own), f"all {len(own)}")
+        return f"the ratings on {every} scales"
     names = _list_subjects(own)
     return f"ratings of {names}" if "(" in names else f"{names} ratings"
 
@@ -220,7 +228,7 @@ def _list_subjects(subjects: Sequence[str]) -> str:
     return words.join_words(names)
 
 
-def _describe_best(same: Sequence[Card], metrics: Sequence[str]) -> str:
+def _describe_best(same: Sequence[MetricCard], metrics: Sequence[str]) -> str:
     """Name the metric that predicts better than each other one of its group on all of these scales."""
     for metric in metrics if len(metrics) > 1 else ():
         others = set(metrics) - {metric}
@@ -229,7 +237,7 @@ def _describe_best(same: Sequence[Card], metrics: Sequence[str]) -> str:
     return ""
 
 
-def _describe_hinges(same: Sequence[Card]) -> str:
+def _describe_hinges(same: Sequence[MetricCard]) -> str:
     """Say on what a finding hinges, or on how many cards it does."""
     hinges = dict.fromkeys(card.hinge for card in same if card.hinge)
     if not hinges:
@@ -256,7 +264,7 @@ def _describe_exceptions(sections: Iterable[Section]) -> Iterator[str]:
         yield f"{name} was rated {size} points {'higher' if above else 'lower'} than the metrics predict"
 
 
-def _describe_hint(cards: Sequence[Card], numbers: Iterable[words.Number]) -> str:
+def _describe_hint(cards: Sequence[MetricCard], numbers: Iterable[words.Number]) -> str:
     """Say that a finding with few people or recordings is a hint."""
     if not any(card.verdict == PREDICTS for card in cards):
         return ""
@@ -275,7 +283,7 @@ def _describe_hint(cards: Sequence[Card], numbers: Iterable[words.Number]) -> st
 # What stands where on the page.
 
 
-def choose_picture(cards: Sequence[Card], sections: Iterable[Section]) -> Picture | None:
+def choose_picture(cards: Sequence[MetricCard], sections: Iterable[Section]) -> Picture | None:
     """Choose the figure beside the cards: the first scale's ratings over the metric that correlates most with them."""
     pictures = [one for section in sections for one in section.pictures if not one.detail]
     own = [card for card in cards if card.subject == cards[0].subject]
@@ -288,7 +296,7 @@ def choose_picture(cards: Sequence[Card], sections: Iterable[Section]) -> Pictur
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Block:
+class PageBlock:
     """A question of the page and the sections that answer it."""
 
     key: str
@@ -296,16 +304,18 @@ class Block:
     sections: tuple[Section, ...]
 
 
-def group_sections(sections: Iterable[Section]) -> tuple[Block, ...]:
+def group_sections(sections: Iterable[Section]) -> tuple[PageBlock, ...]:
     """Put sections under the questions that they answer; one that no question names has a block of its own."""
     left = {section.key: section for section in sections if not section.is_empty or section.verdict}
     asked = {key for _, keys in QUESTIONS.values() for key in keys}
-    own = [Block(f"on-{key}", one.title, (one,)) for key, one in left.items() if key not in asked]
+    own = [
+        PageBlock(f"on-{key}", one.title, (one,)) for key, one in left.items() if key not in asked
+    ]
     blocks = [
-        Block(anchor, title, tuple(left[key] for key in keys if key in left))
+        PageBlock(anchor, title, tuple(left[key] for key in keys if key in left))
         for anchor, (title, keys) in QUESTIONS.items()
     ]
-    return tuple([*own, *blocks])
+    return (*own, *blocks)
 
 
 def split_lines(section: Section) -> tuple[list[str], list[str]]:
@@ -319,9 +329,9 @@ def split_lines(section: Section) -> tuple[list[str], list[str]]:
     kinds = Counter(lead for lead, _ in merged)
     shown, told = [], set[str]()
     for (lead, text), lines in merged.items():
-        if section.key != "paper" and (primary and lead in IN_TABLES or kinds[lead] > COUNTED):
+        if section.key != "paper" and ((primary and lead in IN_TABLES) or kinds[lead] > COUNTED):
             continue
-        subjects = [line.subject for line in lines if line.subject]
+        subjects = [line.subject for line in lines if line.subject not in {"", section.title}]
         subject = words.capitalise(_list_subjects(subjects)) if subjects else ""
         shown.append(words.capitalise(str(words.Line(text, subject, lead))))
         told |= set(map(str, lines))

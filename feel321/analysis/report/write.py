@@ -38,6 +38,7 @@ from feel321.analysis.report import (
 from feel321.analysis.report import choices as chosen
 from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
+from feel321.analysis.report.front import About
 from feel321.analysis.report.section import Picture, Section, number_pictures
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES, find_rules
@@ -99,7 +100,7 @@ class Results(Result):
         Name of the study, and the day of the last rating, if known.
     headline : str
         The finding in one sentence.
-    cards : tuple of Card
+    cards : tuple of MetricCard
         What the page opens with: effect, correlation and verdict of every metric on every scale.
     """
 
@@ -119,7 +120,7 @@ class Results(Result):
     paper_claims: tuple[Mapping[str, Any], ...] = ()
     about: Mapping[str, str] = field(default_factory=dict)
     headline: str = ""
-    cards: tuple[front.Card, ...] = ()
+    cards: tuple[front.MetricCard, ...] = ()
 
     def to_frame(self) -> DataFrame:
         """Return every number of the report.
@@ -287,7 +288,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     info: Mapping[str, MetricInfo] | None = None,
     rules: Sequence[object] = (),
     paper: Paper | None = None,
-    about: front.About | None = None,
+    about: About | None = None,
     rng: Rng = 0,
     seed: int | None = None,
     progress: Progress | None = False,
@@ -358,8 +359,8 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     ):
         choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
         table, given = _open(ratings_path, manifest_path, **choice)
-        about = about or front.About()
-        table = about.order(table)
+        about = about or About()
+        table = front.order_scales(table, about.protocols)
         inputs = describe_inputs(given, table=table, further=further, choices=choices)
         if paper is not None:
             inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
@@ -374,7 +375,7 @@ def _write(
     target: ResultsFolder,
     *,
     move: Callable[[int, int], None],
-    given: tuple[Mapping[str, str], Paper | None, front.About],
+    given: tuple[Mapping[str, str], Paper | None, About],
 ) -> Results:
     """Compute all sections, and draw the figures of each meanwhile; given: inputs, paper and what the study is."""
     inputs, paper, about = given
@@ -470,7 +471,7 @@ def _reconcile(sections: Sequence[Section]) -> list[Section]:
 
 
 def gather_results(
-    table: Table, sections: Sequence[Section], *, inputs: Mapping[str, str], about: front.About
+    table: Table, sections: Sequence[Section], *, inputs: Mapping[str, str], about: About
 ) -> Results:
     """Gather what ``results.json`` holds."""
     rows = table.rows

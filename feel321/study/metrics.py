@@ -1,0 +1,245 @@
+"""Further metrics of a study's stimuli, measured from its recordings: rivals, and over orientations of the sensor."""
+
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from feel321.analysis.table.metrics import ROTATIONS, list_rivals
+from feel321.analysis.table.reading import Further
+from feel321.names import MATCHES
+from feel321.stimuli.condition import condition
+from feel321.stimuli.recording import Recording
+from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+from feel321.stimuli.rotation import match_rotations, random_rotations
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
+from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.render import find_reducer
+from feel321.study.folder import StudyFolder
+from feel321.study.provenance import find_changes
+from feel321.study.settings.read import make_recipe, try_recordings
+from feel321.study.settings.schema import Settings
+
+# Rival metrics, for an analysis that compares them with the match metrics.
+
+
+def measure_rivals(
+    recordings: Sequence[Recording], stimuli: StimulusSet, recipe: Recipe
+) -> pd.DataFrame:
+    """Measure every rival metric that the manifest lacks, for every test stimulus.
+
+    Like the manifest's match metrics they are those of the reduction: of the recording conditioned by the recipe, at
+    its own rate, before level, resampling and fades. Index stimulus_id, a column per metric, NaN where there is nothing
+    to compare.
+    """
+    lacking = [name for name in RIVALS if name not in stimuli.to_frame().columns]
+    tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
+
+    def measure(recording: Recording) -> dict[str, dict[str, float]]:
+        ready = condition(recording, recipe.conditioning)
+        names = {one.reducer for one in tests if one.recording == recording.name}
+        return {
+            name: {
+                metric: float(value)
+                for metric, value in measure_batch(
+                    ready.acceleration,
+                    np.asarray(
+                        find_reducer(recipe, name, ready.name)(ready.acceleration, ready.rate_hz)
+                    ),
+                    ready.rate_hz,
+                ).items()
+            }
+            for name in names
+        }
+
+    # Threads: nearly all of the work is done by libraries that release the interpreter.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = dict(
+            zip([one.name for one in recordings], pool.map(measure, recordings), strict=True)
+        )
+    return pd.DataFrame(
+        [found[stimulus.recording][stimulus.reducer] for stimulus in tests],
+        index=pd.Index([stimulus.stimulus_id for stimulus in tests], name="stimulus_id"),
+        columns=lacking,
+    )
+
+
+def add_rivals(
+    study: StudyFolder, settings: Settings | None, manifest: Path, *, further: Further
+) -> Further:
+    """Let all metrics of a manifest be compared, and in a study those too that the manifest lacks."""
+    names, measured, note = list_rivals(manifest), pd.DataFrame(), ""
+    if settings:
+        recordings, recipe, reason = _read_unchanged(study, settings)
+        try:
+            measured = (
+                pd.DataFrame()
+                if reason
+                else measure_rivals(recordings, read_stimuli(study.stimuli), recipe)
+            )
+        except ValueError as error:
+            reason = str(error)
+        note = f"Metrics that the manifest lacks are not compared: {reason}." if reason else ""
+    metrics = further.metrics.join(measured, how="outer") if len(measured) else further.metrics
+    notes = (*further.notes, note) if note else further.notes
+    return replace(
+        further,
+        metrics=metrics,
+        notes=notes,
+        rivals=tuple(dict.fromkeys([*names, *map(str, measured)])),
+    )
+
+
+def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Recording], Recipe, str]:
+    """Read a study's recordings, if the stimuli are still those of them; else give the reason."""
+    recordings, mistakes = try_recordings(settings, study.path)
+    recipe = make_recipe(settings, study.path)
+    try:
+        digests = {recording.name: recording.sha256 for recording in recordings}
+        problems = mistakes or find_changes(study.stimuli, recipe, digests)
+    except (OSError, ValueError) as error:
+        problems = [str(error)]
+    reason = problems[0].splitlines()[0].rstrip(".") if problems else ""
+    return recordings, recipe, reason
+
+
+# How the metrics of a study's stimuli depend on the way the sensor was mounted: explored, or declared as predictors.
+# The manifest has the metrics of each recording as it is. Another orientation of the sensor would have given another
+# signal and other metrics, though people would have felt the same tool: mean and spread over orientations (Park &
+# Kuchenbecker 2019, doi:10.1109/WHC.2019.8816148) belong to the recording and the reducer alone.
+
+MOST, LEAST = 64, 16
+"""Orientations: the mean is then known to 1/8 of their spread, or to 1/4 where there is so much to reduce."""
+
+AFFORDABLE = 400_000_000
+"""Samples, of all orientations, reducers and axes, that are reduced: about five seconds on two cores."""
+
+DECLARED = 4
+"""Times as many orientations, and as much work, for statistics that the analysis declares as predictors: an
+association is weakened by what a predictor is uncertain."""
+
+DIGITS = 9
+"""Decimals: below, a spread that should be zero is rounding error."""
+
+
+def measure_rotations(
+    study: StudyFolder,
+    settings: Settings,
+    stimuli: StimulusSet,
+    *,
+    metrics: Sequence[str] | None = None,
+) -> Further:
+    """Compute mean and spread of the metrics over sensor orientations for every test stimulus.
+
+    metrics: those that the analysis is about; left out, as the study declares them.
+    """
+    recordings, recipe, reason = _read_unchanged(study, settings)
+    if reason:
+        note = f"Rotation statistics of the metrics are left out: {reason}."
+        return Further(pd.DataFrame(), (note,))
+    wanted = settings.analysis.metrics if metrics is None else metrics
+    effort = DECLARED if set(wanted) & set(ROTATIONS) else 1
+    copies, seed = _list_copies(settings), settings.study.seed
+    return compute_rotations(
+        recordings, stimuli, recipe=recipe, seed=seed, effort=effort, copies=copies
+    )
+
+
+def _list_copies(settings: Settings) -> dict[str, str]:
+    """List the recordings with the first entry that differs from each in nothing but how the sensor was mounted."""
+    first: dict[str, str] = {}
+    own = {"name", "sample", "interaction", "picture", "rotation"}
+    return {
+        entry.title: first.setdefault(repr(entry.model_dump(exclude=own)), entry.title)
+        for entry in settings.recordings
+    }
+
+
+def measure_declared(study: StudyFolder, settings: Settings) -> Further | None:
+    """Compute the rotation statistics of a study whose analysis declares any."""
+    if not set(settings.analysis.metrics) & set(ROTATIONS):
+        return None
+    return measure_rotations(study, settings, read_stimuli(study.stimuli))
+
+
+def compute_rotations(
+    recordings: Sequence[Recording],
+    stimuli: StimulusSet,
+    *,
+    recipe: Recipe,
+    seed: int,
+    effort: int = 1,
+    copies: Mapping[str, str] | None = None,
+) -> Further:
+    """Condition recordings, rotate them, reduce them, and describe their metrics; a command would take too long.
+
+    effort: how many times the usual orientations; copies: recording -> the one that it is a turned copy of, or itself.
+    Copies share their statistics: over all orientations these are the same, and only chance would tell them apart.
+    """
+    copies = copies or {}
+    commands = {one.name for one in recipe.methods if not one.is_python}
+    tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
+    reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
+    if not reducers:
+        return Further(
+            pd.DataFrame(), ("Rotation statistics: all reducers are commands or files; left out.",)
+        )
+    own = [find_reducer(recipe, name) for name in reducers]
+    first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
+    size = sum(recording.acceleration.size for recording in first.values()) * len(reducers)
+    n_turns = min(effort * MOST, max(effort * LEAST, effort * AFFORDABLE // size))
+    turns = random_rotations(n_turns, np.random.default_rng(seed))
+
+    def match(recording: Recording) -> np.ndarray:
+        ready = condition(recording, recipe.conditioning)
+        return match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
+
+    # Threads: nearly all of the work is done by libraries that release the interpreter. A lab's own code gets one.
+    with ThreadPoolExecutor(1 if recipe.methods else os.cpu_count()) as pool:
+        of_first = dict(zip(first, pool.map(match, first.values()), strict=True))
+    matches = {one.name: of_first[copies.get(one.name, one.name)] for one in recordings}
+    turned = f"{n_turns} random orientations of the sensor (seed {seed}, the same ones for all)"
+    note = _describe_turns(turned, sorted(commands), shared=len(first) < len(recordings))
+    table = _tabulate_rotations(tests, matches, reducers)
+    return Further(table, (note,), mountings=_tabulate_mountings(matches, reducers))
+
+
+def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> str:
+    return (
+        f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {turned}, reduced and "
+        "matched with itself; level, resampling and fades, which stimuli go through afterwards, are not included."
+        + (" Turned copies of a recording share theirs." if shared else "")
+        + (f" Left out, as commands or files: {', '.join(commands)}." if commands else "")
+    )
+
+
+def _tabulate_rotations(
+    tests: Sequence[Stimulus], matches: Mapping[str, np.ndarray], reducers: Sequence[str]
+) -> pd.DataFrame:
+    """Tabulate mean and spread of every match over orientations, by test stimulus."""
+    found = {
+        name: np.stack([one.mean(axis=-1), one.std(axis=-1, ddof=1)], axis=-1).round(DIGITS)
+        for name, one in matches.items()
+    }
+    return pd.DataFrame(
+        [found[one.recording][reducers.index(one.reducer)].ravel() for one in tests],
+        index=pd.Index([one.stimulus_id for one in tests], name="stimulus_id"),
+        columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
+    )
+
+
+def _tabulate_mountings(matches: Mapping[str, np.ndarray], reducers: Sequence[str]) -> pd.DataFrame:
+    """Tabulate mean and quantiles of every metric over orientations; matches: (reducers, metrics, turns) each."""
+    shares = {"q05": 0.05, "q50": 0.5, "q95": 0.95}
+    rows = []
+    for recording, found in matches.items():
+        for reducer, of_reducer in zip(reducers, found, strict=True):
+            for metric, values in zip(MATCHES, of_reducer, strict=True):
+                ends = {key: float(np.quantile(values, share)) for key, share in shares.items()}
+                names = {"recording": recording, "reducer": reducer, "metric": metric}
+                rows.append(names | {"mounting_mean": float(values.mean()), **ends})
+    return pd.DataFrame(rows)
