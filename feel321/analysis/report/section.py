@@ -249,6 +249,7 @@ class Section:
     figures only. tables: CSV files by name, each a frame or a list of rows (keys that begin with an underscore are for
     the page only, and tuples are joined). notes: what was left out or assumed, and why. how: how it was computed.
     claims: what it concludes, for a program. panels: correlations, to be compared with the claims of other sections.
+    points: of the scatters, as JSON for the page's script.
     """
 
     key: str
@@ -263,6 +264,7 @@ class Section:
     how: Sequence[str] = ()
     claims: Sequence[Claim] = ()
     panels: Sequence[Panel] = ()
+    points: str = ""
 
     def __post_init__(self) -> None:
         """Leave out what is empty, make frames of rows, and tuples of lists."""
