@@ -97,7 +97,8 @@ class _Stage:
     ) -> None:
         last_s = self.shots[-1].at_s if self.shots else 0.0
         self._time_s = max(self._time_s, time_s)
-        limit_s = self._find_limit(view)
+        task = self._tasks.get(view.trial.protocol) if view.trial else None
+        limit_s = task.answer_timeout_s if task else None
         if limit_s is not None and view.state == "answering":
             left_s = ceil(limit_s - time_s + self._possible_s)
             view = replace(view, left_s=max(1, left_s))
@@ -241,10 +242,6 @@ class _Stage:
 
     def _find_place(self) -> Place:
         return Place(self._agenda.done, self._agenda.total)
-
-    def _find_limit(self, view: View) -> float | None:
-        task = self._tasks.get(view.trial.protocol) if view.trial else None
-        return task.answer_timeout_s if task else None
 
     def _end_page(self, began_s: float, ended_s: float) -> None:
         self._time_s = max(self._time_s, ended_s)
