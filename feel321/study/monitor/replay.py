@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.page import render_template
+from feel321.analysis.words import capitalise, format_name
 from feel321.files import is_held
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.texts import make_scales
@@ -120,17 +121,18 @@ def rehearse(study: StudyFolder, *, trials: int, seed: int | None, now: Clock) -
 
 
 def _shorten(plan: Plan, trials: int) -> Plan:
-    """Keep the first trials of each task in each phase."""
+    """Keep the first trials of each task in each phase; however few there are, training is passed."""
     seen: Counter[tuple[str, str]] = Counter()
     kept = []
     for trial in plan.trials:
         seen[trial.protocol, trial.phase] += 1
-        if seen[trial.protocol, trial.phase] <= trials or trial.protocol in {
-            "threshold",
-            "matching",
-        }:
+        if seen[trial.protocol, trial.phase] <= trials:
             kept.append(trial)
-    return replace(plan, trials=tuple(kept))
+    matching = plan.matching
+    if matching is not None:
+        matching = replace(matching, starts_db=matching.starts_db[:trials])
+    flow = replace(plan.flow, training_pass=0.0)
+    return replace(plan, trials=tuple(kept), matching=matching, flow=flow)
 
 
 def _make_cast(study: StudyFolder, settings: Settings, *, plan: Plan, stimuli: StimulusSet) -> Cast:
@@ -248,9 +250,9 @@ def describe_screen(film: Film, shot: Shot) -> str:
     trial = view.trial
     if trial is None:
         return ""
-    phase = "" if trial.phase == "main" else f", {trial.phase}"
+    phase = "" if trial.phase in {"main", trial.protocol} else f", {trial.phase}"
     again = "" if view.place.attempt == 1 else f", attempt {view.place.attempt}"
-    return f"{trial.protocol.replace('_', ' ').capitalize()}{phase}, trial {trial.number}{again}"
+    return f"{capitalise(format_name(trial.protocol))}{phase}, trial {trial.number}{again}"
 
 
 def _draw(film: Film, shot: Shot) -> str:
@@ -277,7 +279,7 @@ def list_answers(film: Film) -> list[dict[str, Any]]:
         {
             "trial": rated.trial,
             "attempt": rated.attempt,
-            "task": trials[rated.trial].protocol.replace("_", " "),
+            "task": format_name(trials[rated.trial].protocol),
             "phase": trials[rated.trial].phase,
             "answer": ", ".join(
                 f"{film.cast.texts.name_part(part)}: {value if isinstance(value, str) else f'{value:g}'}"
