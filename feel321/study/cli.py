@@ -33,6 +33,7 @@ VERBS = {
         "texts",
         "withdraw",
     ),
+    "watch": ("monitor",),
 }
 """Module of `feel321.study.commands` -> its verbs."""
 
