@@ -9,6 +9,7 @@ from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_cei
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate, tabulate_correlations
 from feel321.analysis.association.rivals import rank_metrics
+from feel321.analysis.browser import write_stimulus_page
 from feel321.analysis.choices.embed import embed_triplets
 from feel321.analysis.choices.model import fit_choices
 from feel321.analysis.choices.power import plan_choices
@@ -54,7 +55,7 @@ __all__ = [
     "p1401", "plan_choices", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model", "read_table", "refine_metric",
     "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress", "tabulate_correlations",
-    "write_report",
+    "write_report", "write_stimulus_page",
 ]  # fmt: skip
 
 _RECORDS = (
