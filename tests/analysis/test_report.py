@@ -115,7 +115,19 @@ def test_every_number_says_what_it_is(report: Path) -> None:
     names = [entry["name"] for entry in numbers]
     assert len(names) == len(set(names))
     for entry in numbers:
-        assert list(entry) == ["name", "value", "low", "high", "uncertainty", "method", "n"]
+        first = [
+            "name",
+            "family",
+            "scale",
+            "level",
+            "metric",
+            "statistic",
+            "keys",
+            "value",
+            "low",
+            "high",
+        ]
+        assert list(entry) == [*first, "uncertainty", "method", "n"]
         assert entry["method"]
         assert isinstance(entry["n"], int)
         assert bool(entry["uncertainty"]) == (entry["low"] is not None)

@@ -128,11 +128,17 @@ class Results(Result):
         Returns
         -------
         DataFrame
-            One row per number: its name, value, interval, kind of interval, method and n.
+            One row per number: its name and family, what it is of (scale, level, metric, and a column for each further
+            key, such as reducer), statistic, value, interval, kind of interval, method and n.
         """
         import pandas as pd
 
-        return pd.DataFrame([asdict(number) for number in self.numbers])
+        rows = [number.to_dict() for number in self.numbers]
+        frame = pd.DataFrame([{**row["keys"], **row} for row in rows]).drop(columns="keys")
+        first = list(rows[0]) if rows else []
+        own = [name for name in first if name != "keys"]
+        frame = frame[[*own, *(name for name in frame if name not in own)]]
+        return frame.astype(dict.fromkeys(("value", "low", "high"), float))
 
     def summary(self) -> str:
         """Write the answer, a line per finding.
@@ -158,7 +164,7 @@ class Results(Result):
             "schema_version": SCHEMA_VERSION, "about": dict(self.about), "headline": self.headline,
             "cards": [_without_nan(asdict(card)) for card in self.cards], "verdict": self.verdict,
             "verdicts": [asdict(claim) for claim in self.verdicts], "simulated": self.simulated,
-            "numbers": [_without_nan(asdict(number)) for number in self.numbers],
+            "numbers": [number.to_dict() for number in self.numbers],
             "answers": dict(self.answers), "figures": dict(self.figures),
             **{name: fields[name] for name in ("captions", "notes", "how", "files")},
             "inputs": dict(self.inputs), "versions": dict(self.versions),
