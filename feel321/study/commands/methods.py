@@ -72,6 +72,11 @@ class MethodTask:
         """Gather the recordings, conditioned or as they came from the sensor."""
         from feel321.study.analyze import gather_recordings
 
+        if not (self.scenes or self.extra or self.study.settings.is_file()):
+            where = "the current folder" if self.study.path == Path() else self.study.path
+            raise FileNotFoundError(
+                f"no study.toml in {where}; name a study, or give --scenes or --recordings FILE, which need none"
+            )
         recordings = gather_recordings(
             self.study.path, scenes=self.scenes, extra=self.extra, conditioned=conditioned
         )
@@ -114,7 +119,8 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
             from feel321.study.settings.read import read_settings
 
             if not folder.is_dir():
-                raise NotADirectoryError(f"{folder}: a study must be a folder; check the name")
+                what = "a study must be a folder" if folder.exists() else "no such folder"
+                raise NotADirectoryError(f"{folder}: {what}; check the name")
             study, output_folder = StudyFolder(folder), target or folder / output
             check_target(output_folder)
             if seed is None:
