@@ -15,6 +15,7 @@ from feel321.study.commands.shared import add_loudness
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
 VERBS = {
+    "exports": ("export",),
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
