@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from feel321.study.commands import shared
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
     from feel321.analysis.tradeoff.advise.scene import Rated
@@ -73,10 +73,11 @@ class MethodTask:
         from feel321.study.analyze import gather_recordings
 
         if not (self.scenes or self.extra or self.study.settings.is_file()):
-            where = "the current folder" if self.study.path == Path() else self.study.path
-            raise FileNotFoundError(
-                f"no study.toml in {where}; name a study, or give --scenes or --recordings FILE, which need none"
-            )
+            try:
+                require_study(self.study.path)
+            except OSError as error:
+                need = "or give --scenes or --recordings FILE, which need none"
+                raise type(error)(f"{error}; {need}") from None
         recordings = gather_recordings(
             self.study.path, scenes=self.scenes, extra=self.extra, conditioned=conditioned
         )
