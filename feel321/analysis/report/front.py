@@ -318,6 +318,16 @@ def group_sections(sections: Iterable[Section]) -> tuple[PageBlock, ...]:
     return (*own, *blocks)
 
 
+def list_others(sections: Iterable[Section]) -> list[str]:
+    """List what choices and paired judgements show, which have no card: one sentence for each kind."""
+    own = [
+        section
+        for section in sections
+        if section.key in {"choices", "discrimination", "told_apart"}
+    ]
+    return [str(section.verdict[0]) for section in own if section.verdict]
+
+
 def split_lines(section: Section) -> tuple[list[str], list[str]]:
     """Split what a section says into what stands above its tables and what is folded.
 

@@ -99,7 +99,6 @@ class Measure:
     name: str
     letter: str
     title: str
-    brief: str
     unit: str
     caution: float
     fails: float
@@ -117,32 +116,32 @@ class Measure:
 
 _WEBER = "a change of 22 % of the waveform is the paper's Weber fraction of vibration"
 _MEASURES = (
-    Measure("gain", "G", "Perturbation gain", "gain", "", 3.0, 10.0,
+    Measure("gain", "G", "Perturbation gain", "", 3.0, 10.0,
             "How many times more the output changes than the input, under sensor noise 60 dB below the recording.",
             "sensor noise of 10 mg on a drag of 5 m/s² (2 %) then changes 20 % of the output, a Weber fraction; "
             "from 3 on it changes 6 %."),
-    Measure("rotation", "R", "Change under rotation", "output changes under rotation", "", 0.1, 0.22,
+    Measure("rotation", "R", "Change under rotation", "", 0.1, 0.22,
             "How much the output itself changes if the sensor is mounted in another, random orientation.",
             f"{_WEBER}; the caution is about half of it."),
-    Measure("flip", "F", "Change under a flipped axis", "under a flipped axis", "", 0.1, 0.22,
+    Measure("flip", "F", "Change under a flipped axis", "", 0.1, 0.22,
             "How much the output changes if one axis has the other sign (the worst of the three).",
             f"{_WEBER}; the caution is about half of it."),
-    Measure("shift", "S", "Change under a shift", "under a shift in time", "", 0.1, 0.22,
+    Measure("shift", "S", "Change under a shift", "", 0.1, 0.22,
             "How much the output changes if the same motion begins up to one window later.",
             f"{_WEBER}; the caution is about half of it."),
-    Measure("edge", "W", "Window-edge error", "energy moved across window edges", "", 0.1, 0.2,
+    Measure("edge", "W", "Window-edge error", "", 0.1, 0.2,
             "Which share of the energy the output puts into another half window than the recording has it in.",
             "0.2 is a mean change of the half windows' energy by 40 % (1.5 dB), about a Weber fraction of the "
             "amplitude (1.7 dB)."),
-    Measure("energy", "E", "Energy error", "energy error", "dB", 1.5, 3.0,
+    Measure("energy", "E", "Energy error", "dB", 1.5, 3.0,
             "How much stronger or weaker the output vibrates than the recording does.",
             "from 1.5 dB on it nears a Weber fraction of the amplitude (1.7 dB); 3 dB is nearly two: half or double "
             "the energy."),
-    Measure("spread", "M", "Spread of the metrics", "SD of a metric over rotations", "", 0.05, 0.1,
+    Measure("spread", "M", "Spread of the metrics", "", 0.05, 0.1,
             "Standard deviation of the match metrics over random orientations of the sensor, the larger of the two.",
             "in the paper's Table 1 the better reducers lie 0.1 apart in temporal match (0.40, 0.46, 0.51): "
             "the mounting then decides as much as the reducer."),
-    Measure("fault", "D", "Damage by the fault", "fault amplified", "", 1.5, 2.0,
+    Measure("fault", "D", "Damage by the fault", "", 1.5, 2.0,
             "How many times more the output changes than the input, by the fault of the scene (clipping, steps, gaps, "
             "clocks).",
             "at 2 the reducer does as much harm as the sensor did."),

@@ -6,11 +6,11 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from itertools import product
+from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from feel321.analysis.figures import style
+from feel321.analysis import words
 from feel321.analysis.report.section import PageTable, Picture
 from feel321.analysis.tradeoff.results import PageParts, PageResult
 from feel321.analysis.tradeoff.stress.battery import BATTERY
@@ -20,33 +20,23 @@ from feel321.analysis.tradeoff.stress.diagnosis import (
     find_reason,
     list_warnings,
 )
+from feel321.analysis.tradeoff.stress.heatmap import (
+    CAPTION,
+    FIGURE,
+    build_map,
+    count_failed_scenes,
+    describe_finding,
+    describe_letters,
+    draw_stress,
+    format_value,
+)
 from feel321.analysis.tradeoff.stress.measures import EXPLODED, MEASURES, RANGE_LIMIT, StressCell
-from feel321.analysis.words import ABSENT, MINUS
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from feel321.analysis.tradeoff.stress.diagnosis import Diagnosis
     from feel321.analysis.tradeoff.stress.measures import MetricRow
-
-
-FIGURE = "stress"
-WIDTH_CM = 2 * style.COLUMN_CM + 0.8
-ROW_CM, HEAD_CM, KEY_CM, LABEL_CM, MARGIN_CM = 0.66, 1.2, 1.3, 3.7, 0.1
-FILLS = {"good": "#FFFFFF", "caution": "#F6D68F", "fails": "#D55E00", "undefined": "#E6E6E6"}
-"""White, Okabe and Ito's orange made paler, and their vermilion: three steps of lightness, which a grey print keeps."""
-
-NARROW_CM, UPRIGHT_CM = 1.2, 3.4
-"""Columns narrower than this have upright names, which need so much height."""
-
-VALUE_SIZE, MARK_SIZE, KEY_SIZE, HEAD_LINES = 6.5, 5.5, 6.0, 3
-
-CAPTION = (
-    "Where reducers fail. Each cell: perturbation gain of a reducer (column) on a scene (row) and the letters of the "
-    "other measures that it fails by. A cell in which something fails leads to its explanation."
-)
 
 
 MOVED = MappingProxyType({
@@ -102,9 +92,9 @@ class Stress(PageResult):
     def answers(self) -> tuple[str, ...]:
         """The main findings, in words."""
         return (
-            *_describe_gains(self),
-            *_describe_steady(self),
-            *_describe_invariance(self),
+            describe_finding(count_failed_scenes(self.cells, self.reducers)),
+            _describe_gains(self),
+            _describe_invariance(self),
             _describe_faults(self),
             *describe_metrics(self.metrics),
         )
@@ -153,7 +143,9 @@ class Stress(PageResult):
     def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
         del tables
         content = {
+            "headline": self.answers[0],
             "answers": self.answers,
+            "failed_scenes": count_failed_scenes(self.cells, self.reducers),
             "warnings": self.warnings,
             "measures": list(map(asdict, MEASURES.values())),
             "scenes": {
@@ -169,7 +161,7 @@ class Stress(PageResult):
             "notes": self.notes,
             "inputs": dict(self.inputs),
         }
-        pictures = [Picture(FIGURE, CAPTION, draw_stress(self))]
+        pictures = [Picture(FIGURE, CAPTION, partial(draw_stress, self.cells, self.reducers))]
         return PageParts("stress.html", content, pictures, build_page(self))
 
 
@@ -177,28 +169,21 @@ def _to_row(cell: StressCell) -> dict[str, object]:
     return {**asdict(cell), "grade": cell.grade}
 
 
-def _describe_gains(result: Stress) -> Iterator[str]:
-    """Name the scenes on which noise is amplified; single axes are left out, they ignore motion across themselves."""
-    named: dict[str, list[str]] = {}
-    for cell in result.failures:
-        if cell.measure == "gain" and cell.reducer not in SINGLE_AXES:
-            named.setdefault(cell.recording, []).append(f"{cell.reducer} ({cell.value:.0f})")
-    limit = f"{MEASURES['gain'].fails:g}"
-    for scene, shown in named.items():
-        yield f"{BATTERY[scene].title}: perturbation gain above {limit} for {', '.join(shown)}."
-
-
-def _describe_steady(result: Stress) -> Iterator[str]:
-    """Name the reducers whose gain fails nowhere, and how far it goes: in the median take, in 90 and 95 %, at worst."""
-    for name in result.reducers:
-        own = [cell for cell in result.cells if (cell.reducer, cell.measure) == (name, "gain")]
-        if name not in SINGLE_AXES and all(cell.grade != "fails" for cell in own):
-            keys = ("value", "p90", "p95", "worst")
-            median, p90, p95, worst = (max(getattr(cell, key) for cell in own) for key in keys)
-            yield (
-                f"{name}: perturbation gain at most {median:.1f} in the median take of any scene, {p90:.1f} in 90 % of "
-                f"the takes, {p95:.1f} in 95 % and {worst:.1f} in the worst of {result.inputs['seeds']}."
-            )
+def _describe_gains(result: Stress) -> str:
+    """Describe who amplifies noise; single axes are left out, they ignore motion across themselves."""
+    worst: dict[str, StressCell] = {}
+    for cell in result.cells:
+        known = cell.measure == "gain" and not math.isnan(cell.value)
+        if known and (cell.reducer not in worst or cell.value > worst[cell.reducer].value):
+            worst[cell.reducer] = cell
+    own = [cell for name, cell in worst.items() if name not in SINGLE_AXES] or [*worst.values()]
+    most, limit = max(own, key=lambda cell: cell.value), MEASURES["gain"].fails
+    steady = [f"{cell.reducer} ({cell.value:.1f})" for cell in own if cell.value < limit]
+    return (
+        f"Sensor noise is amplified most by {most.reducer}, {format_value(most.value)} times on the scene "
+        f"“{BATTERY[most.recording].title}”; in no scene {limit:g} times or more by "
+        f"{words.join_words(steady) or 'no reducer'} (median takes)."
+    )
 
 
 def count_failures(result: Stress, measure: str) -> dict[str, int]:
@@ -207,13 +192,14 @@ def count_failures(result: Stress, measure: str) -> dict[str, int]:
     return {name: counts[name] for name in result.reducers}
 
 
-def _describe_invariance(result: Stress) -> Iterator[str]:
-    for key, what in MOVED.items():
-        steady = [name for name, count in count_failures(result, key).items() if not count]
-        yield (
-            f"{what} changes the output by less than {100 * MEASURES[key].fails:.0f} % in every scene for "
-            f"{', '.join(steady) or 'no reducer'} (median takes)."
-        )
+def _describe_invariance(result: Stress) -> str:
+    counts = [count_failures(result, key) for key in MOVED]
+    steady = [name for name in result.reducers if not any(own[name] for own in counts)]
+    moved = words.join_words([what[0].lower() + what[1:] for what in MOVED.values()], "or")
+    return (
+        f"{moved[0].upper()}{moved[1:]} changes the output by less than {100 * MEASURES['rotation'].fails:.0f} % in "
+        f"every scene for {words.join_words(steady) or 'no reducer'} (median takes)."
+    )
 
 
 def _describe_faults(result: Stress) -> str:
@@ -255,107 +241,14 @@ class GradedText(str):
         return made
 
 
-def draw_stress(result: Stress) -> Figure:
-    """Draw the heat map, two columns wide: reducers across, scenes down."""
-    from matplotlib.figure import Figure
-
-    wide = (WIDTH_CM - LABEL_CM - MARGIN_CM) / len(result.reducers)
-    upright, names = wide < NARROW_CM, list(result.reducers)
-    if not upright:
-        names = [style.fit_text(one, wide, lines=HEAD_LINES, size=VALUE_SIZE) for one in names]
-    rows = ROW_CM * len(BATTERY)
-    height = (UPRIGHT_CM if upright else HEAD_CM) + rows + KEY_CM
-    left, right = LABEL_CM / WIDTH_CM, MARGIN_CM / WIDTH_CM
-    cells: dict[tuple[str, str], list[StressCell]] = {}
-    for cell in result.cells:
-        cells.setdefault((cell.recording, cell.reducer), []).append(cell)
-    with style.print_style():
-        figure = Figure(figsize=(WIDTH_CM / style.CM_PER_INCH, height / style.CM_PER_INCH))
-        axes = figure.add_axes((left, KEY_CM / height, 1 - left - right, rows / height))
-        axes.set(xlim=(0, len(names)), ylim=(len(BATTERY), 0))
-        axes.xaxis.tick_top()
-        columns, lines = ([place + 0.5 for place in range(len(own))] for own in (names, BATTERY))
-        axes.set_xticks(columns, names, fontsize=VALUE_SIZE, rotation=90 if upright else 0)
-        axes.set_yticks(lines, [scene.title for scene in BATTERY.values()])
-        axes.tick_params(length=0)
-        axes.spines[:].set_visible(False)
-        for (row, scene), (column, name) in product(enumerate(BATTERY), enumerate(result.reducers)):
-            _draw_cell(axes, cells[scene, name], place=(column, row))
-        key = (
-            style.fit_text(line, WIDTH_CM - 4 * MARGIN_CM, lines=3, size=KEY_SIZE)
-            for line in _describe_key()
-        )
-        place = (right, (KEY_CM - 0.2) / height)
-        figure.text(*place, "\n".join(key), va="top", fontsize=KEY_SIZE, linespacing=1.25)
-    return figure
-
-
-def _draw_cell(axes: Axes, cells: Sequence[StressCell], *, place: tuple[int, int]) -> None:
-    """Draw the gain, the first of the cells, and the letters of what else fails."""
-    from matplotlib.patches import Rectangle
-
-    gain, *further = cells
-    letters = "".join(MEASURES[cell.measure].letter for cell in further if cell.grade == "fails")
-    failing = gain.grade == "fails"
-    look: dict[str, Any] = {"facecolor": FILLS[gain.grade], "edgecolor": style.GREY}
-    box = Rectangle(place, 1, 1, linewidth=style.THIN, **look)
-    if letters or failing:
-        box.set_url(f"#{gain.recording}-{gain.reducer}")
-    axes.add_patch(box)
-    look = {"color": "#FFFFFF" if failing else style.BLACK, "ha": "center", "va": "center"}
-    x, y = place[0] + 0.5, place[1]
-    weight, high = "bold" if failing else "normal", y + (0.32 if letters else 0.5)
-    axes.text(x, high, format_gain(gain.value), size=VALUE_SIZE, weight=weight, **look)
-    axes.text(x, y + 0.74, letters, size=MARK_SIZE, **look)
-
-
-def _describe_key() -> tuple[str, str]:
-    gain, *others = MEASURES.values()
-    marks = (f"{one.letter} {one.brief} ≥ {one.fails:g} {one.unit}".strip() for one in others)
-    return (
-        f"Number and colour: median perturbation gain at −60 dB noise; white below {gain.caution:g}, pale from "
-        f"{gain.caution:g}, dark and bold from {gain.fails:g} (1414: the output is all noise).",
-        f"Letters: what else fails. {'; '.join(marks)}.",
-    )
-
-
-def format_gain(gain: float) -> str:
-    """Write a gain so that it fits a cell.
-
-    Examples
-    --------
-    >>> [format_gain(gain) for gain in (0.578, 3.04, 16.6, 1390.2)]
-    ['0.58', '3.0', '17', '1390']
-    """
-    if math.isnan(gain):
-        return ABSENT
-    digits = 2 if gain < 0.995 else 1 if gain < 9.95 else 0  # noqa: PLR2004 - where rounding adds a digit
-    return f"{gain:.{digits}f}"
-
-
-def format_value(value: float, unit: str = "") -> str:
-    """Write a value for the page, with three digits at most.
-
-    Examples
-    --------
-    >>> format_value(1389.6), format_value(1e-16), format_value(-4.77, "dB"), format_value(0.1234)
-    ('1390', '0', '−4.8 dB', '0.123')
-    """
-    if math.isnan(value):
-        return ABSENT
-    if abs(value) < 5e-4:  # noqa: PLR2004 - less than the last digit shown
-        return "0"
-    if unit:
-        return f"{value:+.1f} {unit}".replace("-", MINUS)
-    text = f"{value:.0f}" if 100 <= abs(value) < 1e6 else f"{value:#.3g}"  # noqa: PLR2004 - where the digits change
-    return text.replace("-", MINUS)
-
-
 def build_page(result: Stress) -> dict[str, object]:
     """Build what the page shows."""
     return {
         "result": result,
         "caption": CAPTION,
+        "key": describe_letters(),
+        "map": build_map(result.cells, result.reducers),
+        "failed": count_failed_scenes(result.cells, result.reducers),
         "battery": BATTERY,
         "measures": MEASURES,
         "counts": _tabulate_counts(result),
@@ -369,7 +262,7 @@ def build_page(result: Stress) -> dict[str, object]:
 
 
 def name_anchor(scene: str, reducer: str) -> str:
-    """Name the place of an explanation; the heat map's links get their picture's name in front, as all its ids do."""
+    """Name the place of an explanation."""
     return f"{FIGURE}-{scene}-{reducer}"
 
 
@@ -462,7 +355,7 @@ def _tabulate_metrics(result: Stress) -> PageTable:
             title, GradedText(span, "fails" if row.moves else "good"),
             f"{format_value(row.invariant_high)} (moves by {moved})",
             GradedText(format_value(row.spectral), "fails" if row.explodes else "good"),
-            row.worst_reducer or ABSENT, format_value(row.spectral_bounded),
+            row.worst_reducer or words.ABSENT, format_value(row.spectral_bounded),
             format_value(row.spectral_energy_weighted),
         ))  # fmt: skip
     head = (
@@ -472,5 +365,5 @@ def _tabulate_metrics(result: Stress) -> PageTable:
     caption = (
         f"Temporal match fails where it varies by more than {RANGE_LIMIT:g} with the mounting; spectral match where it "
         f"falls below {EXPLODED:g}."
-    ).replace("-", MINUS)
+    ).replace("-", words.MINUS)
     return PageTable(caption, head, tuple(rows))
