@@ -75,24 +75,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     )
 
 
-def _gather(
-    study: StudyFolder, settings: Settings, metrics: Sequence[str] | None, *, own: bool
-) -> tuple[Further, About]:
-    """Gather what the report needs beside the tables; of the study's own ratings, derive these and find their day."""
-    further, day, declared = Further(pd.DataFrame(), ()), "", settings.analysis.metrics
-    if own:
-        everybody = list_progress(study)
-        day = max((one.rated_utc[:10] for one in everybody), default="")
-        further = _derive_ratings(study, settings, metrics or declared, everybody=everybody)
-    notes = further.notes
-    if metrics and set(metrics) != set(declared):
-        asked, names = ", ".join(metrics), ", ".join(declared)
-        said = f"{study.settings.name} declares {names}."
-        notes = (*notes, f"Metrics {asked} were asked for with this analysis; {said}")
-    about = About(settings.study.name, day, tuple(settings.session.protocols))
-    return replace(further, notes=notes, labels=list_labels(settings)), about
-
-
 def read_study_table(
     study: StudyFolder,
     *,
@@ -120,6 +102,24 @@ def read_study_table(
         info=list_info(settings) if settings else {},
     )
     return table, settings.study.seed if settings else 0
+
+
+def _gather(
+    study: StudyFolder, settings: Settings, metrics: Sequence[str] | None, *, own: bool
+) -> tuple[Further, About]:
+    """Gather what the report needs beside the tables; of the study's own ratings, derive these and find their day."""
+    further, day, declared = Further(pd.DataFrame(), ()), "", settings.analysis.metrics
+    if own:
+        everybody = list_progress(study)
+        day = max((one.rated_utc[:10] for one in everybody), default="")
+        further = _derive_ratings(study, settings, metrics or declared, everybody=everybody)
+    notes = further.notes
+    if metrics and set(metrics) != set(declared):
+        asked, names = ", ".join(metrics), ", ".join(declared)
+        said = f"{study.settings.name} declares {names}."
+        notes = (*notes, f"Metrics {asked} were asked for with this analysis; {said}")
+    about = About(settings.study.name, day, tuple(settings.session.protocols))
+    return replace(further, notes=notes, labels=list_labels(settings)), about
 
 
 def list_labels(settings: Settings) -> pd.DataFrame:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 Row = dict[Any, Any]
 
 KEY, TITLE = "choices", "Choices between two stimuli"
+ARM = "scale level"
+"""Keys of a number of one arm."""
 ASKED = {
     "triplet": "which of two stimuli feels more like the reference",
     "preference": "which of two stimuli is preferred",
@@ -180,9 +182,11 @@ def _describe_catches(arm: _Arm, unseen: list[words.Number]) -> Iterator[str]:
     wrong = int((np.where(first, one, other)[is_catch] == "anchor").sum())
     unseen += [
         words.count_number(
-            words.name_path(KEY, arm.scale, arm.level, "anchors_chosen"), wrong, n=n
+            words.name_path(KEY, arm.scale, arm.level, "anchors_chosen"), wrong, n=n, keys=ARM
         ),
-        words.count_number(words.name_path(KEY, arm.scale, arm.level, "catch_trials"), n, n=n),
+        words.count_number(
+            words.name_path(KEY, arm.scale, arm.level, "catch_trials"), n, n=n, keys=ARM
+        ),
     ]
     yield f"{arm.scale}, {arm.level}: an anchor was chosen in {wrong} of {n} catch trials."
 
@@ -220,7 +224,9 @@ def _predict(arm: _Arm, choices: Choices) -> page.Section:  # noqa: ARG001 - eve
         KEY, TITLE, answers=(answer,), verdict=(words.Line(answer),),
         grids=(PREDICTED.build(rows), COMPARED.build(differences)),
         unseen=tuple(
-            words.count_number(words.name_path(KEY, arm.scale, arm.level, f"n_{name}"), size, n=found.n_votes)
+            words.count_number(
+                words.name_path(KEY, arm.scale, arm.level, f"n_{name}"), size, n=found.n_votes, keys=ARM,
+            )
             for name, size in sizes.items()
         ),
         tables={"choices_predicted": rows, "choices_differences": differences},

@@ -248,7 +248,9 @@ def _count_flagged(screening: Screening) -> Iterator[words.Number]:
     everyone = screening.table["participant"].nunique()
     for group in GROUPS:
         size = len(_list_flagged(screening, group))
-        yield words.count_number(words.name_path("screening_panel", group), size, n=everyone)
+        yield words.count_number(
+            words.name_path("screening_panel", group), size, n=everyone, keys="panel"
+        )
 
 
 def _list_flagged(screening: Screening, group: str) -> list[Hashable]:

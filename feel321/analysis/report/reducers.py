@@ -368,10 +368,10 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
 
 def _list_numbers(part: RatingsPart, margin: _Margin, pairs: list[_Pair]) -> Iterator[Number]:
     name = words.name_path("margin", *part.place)
-    yield words.make_number(name, margin.points, margin.source, n=margin.n)
+    yield words.make_number(name, margin.points, margin.source, n=margin.n, keys="scale level")
     for what, count in {"n_differ": _count_different(pairs), "n_pairs": len(pairs)}.items():
         name = words.name_path("contrasts", *part.place, what)
-        yield words.count_number(name, count, n=len(pairs))
+        yield words.count_number(name, count, n=len(pairs), keys="scale level")
 
 
 def _find_margin(part: RatingsPart, choices: Choices) -> _Margin:

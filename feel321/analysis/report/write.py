@@ -39,7 +39,7 @@ from feel321.analysis.report import choices as chosen
 from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.front import About
-from feel321.analysis.report.section import Picture, Section, number_pictures
+from feel321.analysis.report.section import Picture, Section, name_pictures
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES, find_rules
 from feel321.analysis.table.items import find_sources, format_recordings
@@ -128,11 +128,17 @@ class Results(Result):
         Returns
         -------
         DataFrame
-            One row per number: its name, value, interval, kind of interval, method and n.
+            One row per number: its name and family, what it is of (scale, level, metric, and a column for each further
+            key, such as reducer), statistic, value, interval, kind of interval, method and n.
         """
         import pandas as pd
 
-        return pd.DataFrame([asdict(number) for number in self.numbers])
+        rows = [number.to_dict() for number in self.numbers]
+        frame = pd.DataFrame([{**row["keys"], **row} for row in rows]).drop(columns="keys")
+        first = list(rows[0]) if rows else []
+        own = [name for name in first if name != "keys"]
+        frame = frame[[*own, *(name for name in frame if name not in own)]]
+        return frame.astype(dict.fromkeys(("value", "low", "high"), float))
 
     def summary(self) -> str:
         """Write the answer, a line per finding.
@@ -158,7 +164,7 @@ class Results(Result):
             "schema_version": SCHEMA_VERSION, "about": dict(self.about), "headline": self.headline,
             "cards": [_without_nan(asdict(card)) for card in self.cards], "verdict": self.verdict,
             "verdicts": [asdict(claim) for claim in self.verdicts], "simulated": self.simulated,
-            "numbers": [_without_nan(asdict(number)) for number in self.numbers],
+            "numbers": [number.to_dict() for number in self.numbers],
             "answers": dict(self.answers), "figures": dict(self.figures),
             **{name: fields[name] for name in ("captions", "notes", "how", "files")},
             "inputs": dict(self.inputs), "versions": dict(self.versions),
@@ -420,7 +426,7 @@ def _open(
 def compute_sections(
     table: Table, choices: Choices, *, progress: Progress | None = False
 ) -> tuple[Section, ...]:
-    """Run the whole analysis; returns its sections in the report's order, figures numbered through."""
+    """Run the whole analysis; returns its sections in the report's order."""
     with follow(progress or False, "report") as move, words.declaring(table.info):
         return tuple(_reconcile(list(_compute(table, choices, move))))
 
@@ -428,20 +434,18 @@ def compute_sections(
 def _compute(
     table: Table, choices: Choices, progress: Callable[[int, int], None]
 ) -> Iterator[Section]:
-    """Compute section after section, figures numbered through."""
+    """Compute section after section."""
     import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
     from threadpoolctl import threadpool_limits
 
     refuse_untested(table)
-    drawn = 0
     # Matrices here are small: threads of the linear algebra wait for each other most of the time, and take nine
     # times as long on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
         for number, compute in enumerate(SECTIONS, start=1):
             section = compute(table, choices)
-            own = number_pictures(section.pictures, start=drawn + 1)
+            own = name_pictures(section.pictures)
             pictures = tuple(_declare(picture, table) for picture in own)
-            drawn += len(pictures)
             yield replace(section, pictures=pictures)
             progress(number, len(SECTIONS))
 
@@ -537,5 +541,6 @@ def render_page(
         },
         drawings=drawings,
         sizes=sizes,
+        points="".join(section.points for section in sections),
         front=front,
     )
