@@ -12,6 +12,7 @@ from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.screening.rules import find_rules
 from feel321.analysis.table.metrics import make_info
 from feel321.analysis.table.reading import Further, Table, read_table
+from feel321.doors import announce
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
@@ -131,6 +132,7 @@ def list_info(settings: Settings) -> dict[str, MetricInfo]:
 
 
 def _derive_ratings(study: StudyFolder, settings: Settings, metrics: Sequence[str]) -> Further:
+    announce("ratings from the journals")
     everybody = list_progress(study)
     write_roster(study, everybody)
     stimuli = read_stimuli(study.stimuli)
@@ -138,6 +140,7 @@ def _derive_ratings(study: StudyFolder, settings: Settings, metrics: Sequence[st
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
     write_answers(study)
+    announce("metrics over orientations of the sensor")
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
     matched = describe_matches(write_matches(study, stimuli))
     notes = (*further.notes, *matched, *note_estimates(everybody), *_note_methods(study))
