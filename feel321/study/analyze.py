@@ -13,6 +13,7 @@ from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.screening.rules import find_rules
 from feel321.analysis.table.metrics import make_info
 from feel321.analysis.table.reading import Further, Table, read_table
+from feel321.doors import announce
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
@@ -145,12 +146,14 @@ def _derive_ratings(
     *,
     everybody: Sequence[Participant],
 ) -> Further:
+    announce("ratings from the journals")
     write_roster(study, everybody)
     stimuli = read_stimuli(study.stimuli)
     if not write_ratings(study, stimuli):
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
     write_answers(study)
+    announce("metrics over orientations of the sensor")
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
     matched = describe_matches(write_matches(study, stimuli))
     notes = (*further.notes, *matched, *note_estimates(everybody), *_note_methods(study))
