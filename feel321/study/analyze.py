@@ -10,8 +10,10 @@ import pandas as pd
 
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.screening.rules import find_rules
+from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.metrics import make_info
 from feel321.analysis.table.reading import Further, Table, read_table
+from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
@@ -138,10 +140,21 @@ def _derive_ratings(study: StudyFolder, settings: Settings, metrics: Sequence[st
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
     write_answers(study)
+    _write_dictionary(study, settings)
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
     matched = describe_matches(write_matches(study, stimuli))
     notes = (*further.notes, *matched, *note_estimates(everybody), *_note_methods(study))
     return replace(further, notes=notes)
+
+
+def _write_dictionary(study: StudyFolder, settings: Settings) -> None:
+    """Describe the columns of the study's own tables, beside them."""
+    paths = [*sorted(study.path.glob("*.csv")), study.manifest]
+    tables = {path.name: pd.read_csv(path) for path in paths if path.name != DICTIONARY}
+    rows = make_dictionary(tables, list_info(settings))
+    groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
+    rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
+    write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
 
 
 def _note_methods(study: StudyFolder) -> Iterator[str]:
