@@ -34,6 +34,9 @@ UNWIELDY = 1e6
 TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SPACE})")
 """Spaces at which no line may break."""
 
+ABBREVIATED = re.compile(r"\b(?:mushra|abx)\b")
+"""Names of scales that are abbreviations."""
+
 PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
 """Suffix of a metric's name in a model -> how it is written."""
 
@@ -67,10 +70,11 @@ def format_name(name: str) -> str:
 
     Examples
     --------
-    >>> format_name("equal_intensity"), format_name("spectral_match_bounded_delivered")
-    ('equal intensity', 'bounded spectral match delivered')
+    >>> format_name("equal_intensity"), format_name("spectral_match_bounded_delivered"), format_name("mushra")
+    ('equal intensity', 'bounded spectral match delivered', 'MUSHRA')
     """
     plain = name.replace("spectral_match_bounded", "bounded_spectral_match").replace("_", " ")
+    plain = ABBREVIATED.sub(lambda match: match[0].upper(), plain)
     info = _DECLARED.get().get(name)
     return plain if info is None or info.label == name else info.label
 
@@ -362,3 +366,4 @@ class Claim:
     hinges_on: tuple[str, ...] = ()
     better_than: tuple[str, ...] = ()
     higher: str = "better"
+    hinge: str = ""

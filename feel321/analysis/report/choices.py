@@ -17,7 +17,7 @@ from feel321.analysis.choices.votes import gather_votes
 from feel321.analysis.contrasts.bradley_terry import BradleyTerry, bradley_terry
 from feel321.analysis.figures.shares import draw_shares
 from feel321.analysis.report import section as page
-from feel321.analysis.report.parts import SIGNIFICANCE
+from feel321.analysis.report.parts import SIGNIFICANCE, split_arms
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table
 from feel321.analysis.table.schema import CHOSEN, HIGHEST
 
@@ -159,9 +159,9 @@ def _split(table: Table) -> Iterator[_Arm]:
     rows = table.rows[table.rows["scale"].isin(CHOSEN)]
     metrics = tuple(dict.fromkeys([*table.metrics, *table.rivals]))
     several = len(rows["level"].unique()) > 1
-    for (scale, level), part in rows.groupby(["scale", "level"], observed=True):
+    for scale, level, part in split_arms(rows):
         own = replace(table, rows=part.reset_index(drop=True))
-        yield _Arm(str(scale), str(level), own, metrics, several)
+        yield _Arm(scale, level, own, metrics, several)
 
 
 def _find_roles(arm: _Arm) -> tuple[Any, Any]:
