@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.report.section import Picture
-    from feel321.types import PathLike
+    from feel321.types import MetricInfo, PathLike
 
 PAGE, RESULTS = "index.html", "results.json"
 OWN = re.compile(r"index\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv")
@@ -133,16 +133,17 @@ class ResultsFolder:
         page: Callable[[Mapping[str, Markup]], str],
         tables: Mapping[str, DataFrame],
         kind: str = "report",
+        info: Mapping[str, MetricInfo] | None = None,
     ) -> Path:
         """Write results, tables and page, and put all in the place of the former files; return the folder.
 
         content: what ``results.json`` holds; its "files" are those of `list_files`. page: renders the page from the
         figures' SVG, by name. tables: by name without suffix; `dictionary.csv` beside them describes their columns, by
-        the kind of results.
+        the kind of results; info: what metrics declare of themselves.
         """
         files = {f"{kind}/{name}.csv": frame for name, frame in tables.items()}
         if tables:
-            files[f"{kind}/{DICTIONARY}"] = make_dictionary(files)
+            files[f"{kind}/{DICTIONARY}"] = make_dictionary(files, info)
         for file, frame in files.items():
             write_flags(frame).to_csv(
                 self._stage("tables") / file.rpartition("/")[2],
