@@ -398,6 +398,7 @@ def _write(
         results.to_dict(),
         page=lambda drawings: render_page(results, sections, drawings=drawings),
         tables={name: rows for section in sections for name, rows in section.tables.items()},
+        info=table.info,
     )
     return results
 
