@@ -8,8 +8,10 @@ HTML file from a template, with its drawings inside.
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tomllib
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -44,6 +46,9 @@ if TYPE_CHECKING:
 
 TEXT, NAME = "text", "name"
 """Kinds of columns that hold no number: words made of a name, and names as they are."""
+
+KEY = r"\{(\w+)\}"
+"""A key of a row in the path of its numbers."""
 
 BOTH, VALUE, INTERVAL = "both", "value", "interval"
 """What of a number the page shows: with an interval, two columns, the second headed "Interval"."""
@@ -80,11 +85,20 @@ class Column:
         return self.head, self.head_interval
 
     def make_number(self, row: Record, *, path: str, n: str) -> Number:
-        """Make the number that a row holds."""
-        name, count = f"{path}.{self.end}" if self.end else path, int(row[self.n or n])
+        """Make the number that a row holds; path: of the table, the row's keys in braces."""
+        own, count = _fill(path, row), int(row[self.n or n])
+        name = f"{own}.{self.end}" if self.end else own
+        # A number has a method of its own: how it was computed.
+        named = {
+            key: "coefficient" if key == "method" else key.lstrip("_")
+            for key in re.findall(KEY, path)
+        }
+        keys = tuple((name, str(row[key])) for key, name in named.items())
         if self.kind == COUNT and not self.method:
-            return count_number(name, row[self.key], n=count)
-        number = make_number(name, row[self.key], self.method.format_map(row), n=count)
+            number = count_number(name, row[self.key], n=count)
+        else:
+            number = make_number(name, row[self.key], self.method.format_map(row), n=count)
+        number = replace(number, statistic=self.end or "value", keys=keys)
         if not self.interval:
             return number
         low, high = row[f"{self.ends}low"], row[f"{self.ends}high"]
@@ -155,13 +169,13 @@ class TableForm:
         shown: list[tuple[str, ...]] = []
         numbers: list[Number] = []
         for row in rows:
-            own, cells = _fill(self.path, row), []
+            cells: list[str] = []
             for column in self.columns:
                 if column.kind in {TEXT, NAME}:
                     value = str(row[column.key])
                     cells.append(format_name(value) if column.kind == TEXT else value)
                     continue
-                numbers.append(column.make_number(row, path=own, n=self.n))
+                numbers.append(column.make_number(row, path=self.path, n=self.n))
                 cells += column.show_number(numbers[-1])
             shown.append(tuple(cells))
         kinds = [column.kind for column in self.columns for _ in column.heads]
@@ -185,7 +199,7 @@ def word_steps(form: TableForm, steps: Mapping[str, Step]) -> TableForm:
 
 def _fill(path: str, row: Record) -> str:
     """Fill a path's keys in; a point in a value is escaped, because points separate."""
-    return re.sub(r"\{(\w+)\}", lambda match: name_path(str(row[match[1]])), path)
+    return re.sub(KEY, lambda match: name_path(str(row[match[1]])), path)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,14 +226,30 @@ SLUG_PART = 40
 
 
 def make_slug(*parts: str) -> str:
-    """Make names readable in a file's name; the number that follows it tells those apart that become alike."""
-    return "_".join(re.sub(r"[^A-Za-z0-9_-]+", "-", part)[:SLUG_PART] for part in parts)
+    """Make names readable in a file's name; a digest follows one that this changes or cuts, to tell it from others."""
+    return "_".join(map(_make_part, parts))
 
 
-def number_pictures(pictures: Iterable[Picture], start: int = 1) -> Iterator[Picture]:
-    """Let the figures' numbers end their names, which makes these unique on any file system."""
-    for number, picture in enumerate(pictures, start=start):
-        yield replace(picture, name=f"{picture.name}_{number}")
+def _make_part(part: str) -> str:
+    short = re.sub(r"[^A-Za-z0-9_-]+", "-", part)[:SLUG_PART]
+    return short if short == part else f"{short}-{_digest(part)}"
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:6]
+
+
+def name_pictures(pictures: Iterable[Picture]) -> Iterator[Picture]:
+    """Make figures' names unique on any file system: those that differ by case only end with a digest.
+
+    A figure keeps its name when others come or go.
+    """
+    pictures = tuple(pictures)
+    times = Counter(picture.name.casefold() for picture in pictures)
+    for picture in pictures:
+        alike = times[picture.name.casefold()] > 1
+        digest = _digest(picture.name + picture.caption)
+        yield replace(picture, name=f"{picture.name}-{digest}") if alike else picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,6 +261,7 @@ class Section:
     figures only. tables: CSV files by name, each a frame or a list of rows (keys that begin with an underscore are for
     the page only, and tuples are joined). notes: what was left out or assumed, and why. how: how it was computed.
     claims: what it concludes, for a program. panels: correlations, to be compared with the claims of other sections.
+    points: of the scatters, as JSON for the page's script.
     """
 
     key: str
@@ -245,6 +276,7 @@ class Section:
     how: Sequence[str] = ()
     claims: Sequence[Claim] = ()
     panels: Sequence[Panel] = ()
+    points: str = ""
 
     def __post_init__(self) -> None:
         """Leave out what is empty, make frames of rows, and tuples of lists."""
