@@ -33,6 +33,9 @@ MEASURES = (
 PAPER = MEASURES[:2]
 """What a method must keep to dominate another: the paper's own metrics."""
 
+ACCURACY = MEASURES[2]
+"""The measure that stands for accuracy where there is room for one: from 0 to 1 whatever the reducer."""
+
 SWEEPS = ("size", "window", "hop", "block", "rate", "bits")
 """What is varied where cost is measured."""
 
