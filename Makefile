@@ -6,7 +6,7 @@ PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.tx
 PACKAGE := feel321
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test coverage realtime computing check lint types floors duplicates guards bench soak constraints clean
+.PHONY: help demo test coverage realtime computing check lint types floors duplicates guards bench docs soak constraints clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 20
@@ -56,6 +56,10 @@ duplicates: .venv/.tests
 guards: .venv/.tests # sizes, docstrings, faces, wheel, pins, exclusions
 	$(PYTHON) -m pytest tests/house
 
+docs: .venv/.tests ## the documentation site, into build/docs; warnings are errors
+	$(PYTHON) -m sphinx -j auto -q -W --keep-going -d build/doctrees docs build/docs
+	@echo "Open build/docs/index.html"
+
 bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor, cost of the session engine, thresholds recovered
 	$(PYTHON) tests/bench/bench.py
 	$(PYTHON) tests/bench/engine.py
@@ -83,5 +87,5 @@ clean: ## remove everything that can be made again
 .venv/.tests: pyproject.toml constraints.txt .ci/packages.txt | .venv/bin/python
 	sed 's/#.*//' .ci/packages.txt | xargs .ci/apt-install
 	@echo "Installing into .venv, PsychoPy included: one to three minutes and 2 GB, once"
-	$(PIP) -e '.[dev,rig,ide]'
+	$(PIP) -e '.[dev,docs,rig,ide,monitor]'
 	touch $@ .venv/.runs

@@ -3,6 +3,7 @@
 import csv
 import io
 import os
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -73,16 +74,22 @@ def hold_lock(path: Path, *, busy: str) -> Iterator[None]:
 
 
 def is_held(path: Path) -> bool:
-    """Check whether a live process holds a lock; yes where nobody may look."""
-    from filelock import FileLock
-
+    """Check whether a live process holds a lock, without writing; yes where nobody may look."""
     if not path.exists():
         return False
     try:
-        with FileLock(path, timeout=0):
-            return False
+        if sys.platform == "win32":
+            from filelock import FileLock
+
+            with FileLock(path, timeout=0):
+                return False
+        import fcntl
+
+        with path.open("rb") as file:  # closing it lets go of the lock
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except OSError:  # a timeout is one
         return True
+    return False
 
 
 @contextmanager

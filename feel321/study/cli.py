@@ -32,6 +32,7 @@ VERBS = {
         "texts",
         "withdraw",
     ),
+    "watch": ("monitor",),
 }
 """Module of `feel321.study.commands` -> its verbs."""
 

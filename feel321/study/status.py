@@ -267,7 +267,7 @@ def read_status(
     entries, dossiers = [], []
     folders = study.participants
     for count, folder in enumerate(folders, start=1):
-        entry, dossier = _read_progress(folder)
+        entry, dossier = read_participant(folder)
         entries.append(entry)
         if dossier is not None:
             dossiers.append(dossier)
@@ -297,8 +297,8 @@ def _add_minutes(
     return list(timed.values()), measure_length(sittings, pace) if sittings else None
 
 
-def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
-    """Read the progress of a participant; the dossier comes too if it counts for the balance."""
+def read_participant(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
+    """Read the status of a participant; the dossier comes too if it counts for the balance."""
     if (folder / TOMBSTONE_FILE).exists():
         return ParticipantStatus(folder.name, state="withdrawn"), None
     try:
@@ -329,6 +329,15 @@ def _read_progress(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
 
 
 def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
+    yield from find_flags(chain)
+    yield from find_warnings(read_thresholds(plan, chain.records))
+    caught = find_catches(plan, chain.records)
+    if missed := sum(not as_expected for as_expected in caught):
+        yield f"{missed} of {len(caught)} catch trials not as expected"
+
+
+def find_flags(chain: Chain) -> Iterator[str]:
+    """List what went wrong in a session, as far as no answer is looked at."""
     if chain.torn:
         yield f"{len(chain.torn)} bytes of an unfinished line, moved aside on resuming"
     counts = Counter(flag for record in chain.records for flag in record.data.get("flags", ()))
@@ -337,10 +346,6 @@ def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
         yield "training not passed"
     if given_up := sum(end.given_up for end in chain.records.find(SessionFinished)):
         yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
-    yield from find_warnings(read_thresholds(plan, chain.records))
-    caught = find_catches(plan, chain.records)
-    if missed := sum(not as_expected for as_expected in caught):
-        yield f"{missed} of {len(caught)} catch trials not as expected"
 
 
 def find_catches(plan: Plan, records: Records) -> list[bool]:

@@ -182,9 +182,10 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     of the values is that of clustering by all three factors, V_P + V_R + V_M - V_PR - V_PM - V_RM + V_PRM, from the
     influence of each rating, each part times G / (G - 1) for G groups, and never less than that of one factor.
     Metrics resemble each other, so instead of Holm's bound the correction is the single-step maximum of t statistics:
-    quantiles of max |t| under a multivariate t with U - 1 degrees of freedom, U the smallest of the three numbers, and
-    the correlations that the variance has. It holds for all metrics together, and is narrower than Bonferroni's or
-    Holm's where metrics agree. Three families, each at 5 %: every value against 0; every metric against the baseline;
+    quantiles of the largest absolute t under a multivariate t with U - 1 degrees of freedom, U the smallest of the
+    three numbers, and the correlations that the variance has. It holds for all metrics together, and is narrower than
+    Bonferroni's or Holm's where metrics agree. Three families, each at 5 %: every value against 0; every metric
+    against the baseline;
     and, for the confidence set of the best metric, each metric as the control of all others, one-sided (multiple
     comparisons with the best): the truly best metric is missing from the set in about 5 % of studies. With fewer than
     5 reducers what holds for others cannot be told: no interval, no p. Where no reducer made stimuli of several

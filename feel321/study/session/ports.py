@@ -283,6 +283,7 @@ class TimedOut:
 
 
 Act = Feel | Move | Confirm | Pause | Abort | TimedOut
+"""What a participant does, as a presenter reports it."""
 
 
 @dataclass(frozen=True, slots=True)
