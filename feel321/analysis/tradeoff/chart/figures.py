@@ -43,6 +43,9 @@ FEW_DECADES = 2.5
 AT_ONCE_MS, OFFLINE_MS = 2.5, 800.0
 """Where, on the axis of latencies, those stand that have none, and those that need the whole signal."""
 
+ROW_CM, WIDE_CM = 0.48, 15.0
+"""Height of a reducer's row, and width, of the picture of accuracy, cost and stability."""
+
 COST_AXIS, DASHED = "Cost of one sample (ns)", (0, (3, 2))
 
 
@@ -97,7 +100,8 @@ def draw_tradeoff(tables: Tables) -> Figure:
     rows = list_records(points.sort_values(["shown", "ns_per_sample"], kind="stable"))
     gains, looks = tables["stability"], choose_looks(tables)
     with style.print_style():
-        figure = style.new_canvas(0.48 * len(rows) + 2.2)
+        figure = style.new_canvas(ROW_CM * len(rows) + 2.2)
+        figure.set_figwidth(WIDE_CM / style.CM_PER_INCH)
         panels = figure.subplots(1, 3, sharey=True)
         front = [
             (point["ns_per_sample"], row) for row, point in enumerate(rows) if point["on_front"]
@@ -124,7 +128,7 @@ def _draw_row(
     """Draw a mark and its span in each panel that has one."""
     for axes, (low, value, high) in zip(panels, spans, strict=False):
         axes.hlines(row, low, high, colors=look.colour, linewidths=1.2)
-        _mark(axes, (value, row), look, size=5.5)
+        _mark(axes, (value, row), look, size=5.5, clip_on=False)
 
 
 def _label_tradeoff(panels: Sequence[Axes], count: int) -> None:

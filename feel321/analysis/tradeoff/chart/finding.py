@@ -155,7 +155,9 @@ def describe_finding(merged: Tables) -> str:
     best, fast = rivals[0], min(rivals, key=lambda one: one.ns_per_sample)
     equal = sum(round(one.accuracy, 2) == round(best.accuracy, 2) for one in rivals)
     match = f"bounded spectral match {best.accuracy:.2f}"
-    place = f"the fastest of the {equal} most accurate" if equal > 1 else "the most accurate"
+    place = (
+        f"the fastest of the {equal} most accurate reducers" if equal > 1 else "the most accurate"
+    )
     said = f"{best.reducer} is {place} ({match})"
     if not math.isnan(best.gain):
         noise = f"{float(f'{best.gain:.2g}'):g} times"
@@ -235,8 +237,11 @@ def _describe_growth(growth: Sequence[Record]) -> str:
     lengths = " to ".join(
         figures.format_plainly(growth[0][name]) for name in ("smallest", "largest")
     )
-    which = f"of {steep} of {len(growth)} reducers" if steep else "of no reducer"
-    return f"Time grows with length n ({lengths} samples) as n^{ends[0]} to n^{ends[1]}, {which} clearly faster than n."
+    which = f"{steep} of {len(growth)} reducers" if steep else "no reducer"
+    return (
+        f"Time grows with length n ({lengths} samples) as n^{ends[0]} to n^{ends[1]}, for {which} clearly faster "
+        "than n."
+    )
 
 
 def _describe_rated(rated: DataFrame) -> Iterator[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
@@ -316,10 +317,14 @@ def list_pictures(tables: Tables, merged: Tables) -> list[Picture]:
 
 def build_page(tables: Tables, merged: Tables) -> dict[str, Any]:
     """Build what the page shows of the tables."""
-    axes = list_axes(tables)
+    axes, candidates = list_axes(tables), choose_candidates(merged)
     return {
         "answers": describe_answers(tables, merged),
-        "candidates": choose_candidates(merged),
+        "candidates": candidates,
+        "speeds": {one.reducer: format_real_time(asdict(one)) for one in candidates},
+        "rated": [
+            section.make_slug("rated", *key) for key, _ in split(tables["rated"], "scale", "level")
+        ],
         "axes": axes,
         "looks": figures.choose_looks(merged),
         "grids": tabulate(tables),
