@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321.analysis.figures.style import PAGE_COLOURS
 from feel321.analysis.words import capitalise, format_name, keep_together
 
 if TYPE_CHECKING:
@@ -37,14 +38,15 @@ def render_template(name: str, *, styles: Sequence[str] = (), **values: object) 
 
 
 def inline_svg(name: str, caption: str, path: Path) -> Markup:
-    """Make a figure's SVG file part of a page; its ids begin with the figure's name."""
+    """Make a figure's SVG file part of a page, in the page's colours; its ids begin with the figure's name."""
     from markupsafe import Markup, escape
 
-    text = path.read_text(encoding="utf-8")
-    body = re.sub(r"<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
+    body = path.read_text(encoding="utf-8")
     body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", body)
     for size in ("width", "height"):
         body = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", body, count=1)
+    for colour, variable in PAGE_COLOURS.items():
+        body = re.sub(rf"(?<=[:\"]){colour}\b", f"var(--{variable})", body, flags=re.IGNORECASE)
     body = body.replace(' target="_blank"', "")  # links lead down the page, not to another one
-    label = f'<svg role="img" aria-label="{escape(caption)}"'
-    return Markup(body.strip().replace("<svg", label, 1))  # noqa: S704 - our own drawing, its caption escaped
+    label = f'<svg role="img" aria-label="{escape(caption)}" fill="currentColor"'
+    return Markup(body.replace("<svg", label, 1))  # noqa: S704 - our own drawing, its caption escaped

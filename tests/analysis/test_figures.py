@@ -1,6 +1,8 @@
 from __future__ import annotations
 
-from itertools import combinations
+import re
+from dataclasses import replace
+from itertools import combinations, product
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
@@ -13,11 +15,16 @@ from matplotlib.image import imread
 from feel321.analysis.association.correlate import make_panel
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers
 from feel321.analysis.figures.estimates import draw_profile
-from feel321.analysis.figures.scatter import draw_scatter
+from feel321.analysis.figures.scatter import (
+    describe_relation,
+    draw_scatter,
+    draw_scatters,
+    group_marks,
+)
 from feel321.analysis.figures.style import (
     CM_PER_INCH,
-    COLUMN_CM,
     PNG_DPI,
+    WIDTH_CM,
     Look,
     assign_looks,
     save_figure,
@@ -29,7 +36,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
     from matplotlib.text import Text
 
 
@@ -97,7 +106,7 @@ def test_text_is_readable_and_inside_the_figure(
     draw: Callable[..., Figure], table: pd.DataFrame
 ) -> None:
     figure = draw(table)
-    assert figure.get_figwidth() * CM_PER_INCH == pytest.approx(COLUMN_CM)
+    assert figure.get_figwidth() * CM_PER_INCH == pytest.approx(WIDTH_CM)
     for text in list_texts(figure):
         assert text.get_fontsize() >= SMALLEST_PT
         box = text.get_window_extent()
@@ -121,39 +130,94 @@ def test_long_names_stay_inside_and_apart(
         assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1, text.get_text()
     axes = figure.axes[0]
     legend = [text for legend in figure.legends for text in legend.get_texts()]
-    boxes = [text.get_window_extent() for text in legend or axes.get_yticklabels()]
+    boxes = [text.get_window_extent() for text in legend or axes.texts or axes.get_yticklabels()]
     assert len(boxes) >= 17
     assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
     assert axes.bbox.height > 100
 
 
+def list_marks(axes: Axes) -> list[Line2D]:
+    """List the stimuli's marks of a scatter: those that stand in data, with a marker."""
+    return [line for line in axes.lines if line.get_transform() == axes.transData]
+
+
 @pytest.mark.parametrize("name", ["_mine", "__", "dft321"])
-def test_the_legend_shows_every_reducer(table: pd.DataFrame, name: str) -> None:
+def test_every_reducer_is_named_once_at_the_height_of_its_mean(
+    table: pd.DataFrame, name: str
+) -> None:
     table["reducer"] = table["reducer"].replace("mag321", name)
-    tests = set(table.loc[table["role"] == "test", "reducer"])
-    (legend,) = scatter(table).legends
-    assert {text.get_text() for text in legend.get_texts()} == tests
-    assert len(legend.legend_handles) == len(tests)
-
-
-def test_scatter_tells_n_and_both_intervals(table: pd.DataFrame) -> None:
+    tests = table[table["role"] == "test"]
+    means = tests.groupby(["reducer", "stimulus_id"])["rating"].mean().groupby("reducer").mean()
     axes = scatter(table).axes[0]
-    title = axes.get_title(loc="left")
-    for part in (
-        "Pearson r = ",
-        "36 stimuli",
-        "4 recordings",
-        "two-way interval",
-        "over 6 participants only",
-    ):
+    places = {text.get_text(): text.get_position()[1] for text in axes.texts}
+    assert set(places) == set(tests["reducer"])
+    # From the highest mean to the lowest, however near they are.
+    assert sorted(places, key=places.get) == list(means.sort_values().index)
+    beside = [line for line in axes.lines if line.get_transform() != axes.transData]
+    leaders = [line.get_ydata()[0] for line in beside[::2]]
+    np.testing.assert_allclose(leaders, means.sort_values(ascending=False))
+
+
+def test_scatter_states_its_finding_with_interval_and_n(table: pd.DataFrame) -> None:
+    figure = scatter(table)
+    title = " ".join(figure.get_suptitle().split())
+    assert title.startswith("Realism ratings rise with spectral match: r = 0.")
+    for part in ("36 stimuli of 4 recordings", "95 % two-way interval", "6 participants"):
         assert part in title
+    axes = figure.axes[0]
     assert axes.get_ylabel() == "Mean realism rating (0–100)"
     assert axes.get_xlabel() == "Spectral match (1 = identical energy)"
 
 
+@pytest.mark.parametrize(
+    ("value", "low", "high", "said"),
+    [
+        (0.8, 0.5, 0.9, "Realism ratings rise with temporal match: r = 0.80"),
+        (-0.8, -0.9, -0.5, "Realism ratings fall with temporal match: r = −0.80"),
+        (0.3, -0.1, 0.6, "Realism ratings show no clear relation with temporal match: r = 0.30"),
+        (0.3, np.nan, np.nan, "Realism ratings and temporal match: r = 0.30, no interval"),
+        (np.nan, np.nan, np.nan, "The correlation of realism ratings with temporal match is not estimable"),
+    ],
+)  # fmt: skip
+def test_a_title_claims_a_direction_only_where_the_interval_does(
+    table: pd.DataFrame, value: float, low: float, high: float, said: str
+) -> None:
+    one = find(table).panels[0].associations[-1]
+    found = replace(one, metric="temporal_match", value=value, low=low, high=high)
+    assert describe_relation("realism", found) == said
+
+
+def test_small_multiples_hold_every_scale_and_metric(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(scales=("realism", "mushra"))
+    panels, metrics = find(table).panels, ("spectral_match", "temporal_match")
+    looks = assign_looks(order_reducers(table["reducer"]))
+    figure = draw_scatters(panels, metrics, "pearson", looks=looks)
+    assert len(figure.axes) == len(panels) * len(metrics) == 4
+    for axes, (panel, metric) in zip(figure.axes, product(panels, metrics), strict=True):
+        drawn = sorted(tuple(point) for line in list_marks(axes) for point in line.get_xydata())
+        assert drawn == sorted(zip(panel.stimuli[metric], panel.stimuli["mean"], strict=True))
+        (one,) = (a for a in panel.associations if (a.metric, a.method) == (metric, "pearson"))
+        assert axes.get_title(loc="left").startswith(f"r = {one.value:.2f} ")
+    title = " ".join(figure.get_suptitle().split())
+    rising = sum(panel.associations[0].low > 0 for panel in panels)
+    assert title.startswith(f"Ratings rise with spectral match on {rising} of 2 scales; they show")
+
+
+def test_every_mark_can_be_found_in_the_file(table: pd.DataFrame, tmp_path: Path) -> None:
+    table.loc[table["stimulus_id"] == "rec1_say321_as_is", "spectral_match"] = -31.4
+    save_figure(scatter(table), tmp_path / "figure")
+    text = (tmp_path / "figure.svg").read_text(encoding="utf-8")
+    groups = list(group_marks(find(table).panels[0].stimuli, "spectral_match", "0-0"))
+    assert sum(len(group.rows) for group in groups) == 36
+    assert [group.reducer for group in groups if group.hollow] == ["say321"]
+    for group in groups:
+        marks = re.search(rf'<g id="{group.name}".*?</g>', text, flags=re.DOTALL)[0]
+        assert marks.count("<use") == len(group.rows)
+
+
 def test_every_stimulus_is_drawn_once(table: pd.DataFrame) -> None:
     axes = scatter(table).axes[0]
-    assert sum(len(line.get_xdata()) for line in axes.lines) == 36
+    assert sum(len(line.get_xdata()) for line in list_marks(axes)) == 36
     assert sum(len(bars.get_segments()) for bars in axes.collections) == 36
 
 
@@ -162,17 +226,13 @@ def test_points_and_bars_stand_where_the_numbers_say(table: pd.DataFrame, number
     panel = find(table).panels[0]
     association, looks = panel.associations[number], assign_looks(order_reducers(table["reducer"]))
     axes = draw_scatter(panel, association, looks=looks).axes[0]
-    drawn = [tuple(point) for line in axes.lines for point in line.get_xydata()]
+    drawn = [tuple(point) for line in list_marks(axes) for point in line.get_xydata()]
     bars = [tuple(segment.ravel()) for part in axes.collections for segment in part.get_segments()]
     stimuli = panel.stimuli
     assert sorted(drawn) == sorted(zip(stimuli[association.metric], stimuli["mean"], strict=True))
     x = stimuli[association.metric]
     assert sorted(bars) == sorted(zip(x, stimuli["low"], x, stimuli["high"], strict=True))
-    by_look = {
-        Look(line.get_color(), line.get_marker()): line
-        for line in axes.lines
-        if len(line.get_xdata())
-    }
+    by_look = {Look(line.get_color(), line.get_marker()): line for line in list_marks(axes)}
     for name, part in stimuli.groupby("reducer"):
         assert set(by_look[looks[name]].get_xdata()) == set(part[association.metric])
 
@@ -196,13 +256,9 @@ def test_far_outliers_stand_hollow_at_the_edge_and_are_counted(table: pd.DataFra
     outlying = table["stimulus_id"] == "rec1_say321_as_is"
     table.loc[outlying, "spectral_match"] = -31.4
     axes = scatter(table).axes[0]
-    points = np.concatenate([line.get_xdata() for line in axes.lines])
+    points = np.concatenate([line.get_xdata() for line in list_marks(axes)])
     assert points.min() == -1
-    hollow = [
-        line
-        for line in axes.lines
-        if line.get_markerfacecolor() == "white" and len(line.get_xdata())
-    ]
+    hollow = [line for line in list_marks(axes) if line.get_markerfacecolor() == "white"]
     assert [list(line.get_xdata()) for line in hollow] == [[-1]]
     assert "1 of 36 stimuli below −1\n    (lowest −31.40)" in axes.texts[0].get_text()
     table.loc[outlying, "spectral_match"] = -1e200
@@ -217,7 +273,7 @@ def test_the_count_stands_where_the_cloud_is_not(table: pd.DataFrame, sign: int,
 
 
 def test_scatter_without_outliers_says_nothing_of_them(table: pd.DataFrame) -> None:
-    assert not scatter(table).axes[0].texts
+    assert not any("hollow" in text.get_text() for text in scatter(table).axes[0].texts)
 
 
 def test_profile_sets_reference_and_anchors_apart(table: pd.DataFrame) -> None:
@@ -287,7 +343,7 @@ def test_files_are_made_for_print_and_repeat_to_the_byte(
     for suffix in (".svg", ".png"):
         assert (tmp_path / f"one{suffix}").read_bytes() == (tmp_path / f"two{suffix}").read_bytes()
     width = imread(tmp_path / "one.png").shape[1]
-    assert width == pytest.approx(COLUMN_CM / CM_PER_INCH * PNG_DPI, abs=1)
+    assert width == pytest.approx(WIDTH_CM / CM_PER_INCH * PNG_DPI, abs=1)
     assert dict(rcParams) == before
 
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from feel321.analysis.report.section import Section
+from feel321.analysis.page import inline_svg
+from feel321.analysis.report.section import Picture, Section, make_slug, name_pictures
 from feel321.analysis.report.write import group_lines
 from feel321.analysis.resampling import METHODS
 from feel321.analysis.screening.rules import RULES
@@ -218,3 +219,32 @@ def test_what_a_reader_meets_first_is_not_folded(report: Path) -> None:
     # What opens the report is not said again.
     assert not any(keep_together(line) in text for line in results["answers"]["primary"])
     assert len(re.findall("<details>", text)) == len(re.findall("<summary>", text)) > 5
+
+
+def test_figures_keep_their_names_when_others_come(report: Path) -> None:
+    def name(*scales: str) -> dict[str, str]:
+        pictures = [Picture(make_slug("scatter", scale, "as_is"), scale, None) for scale in scales]
+        named = list(name_pictures(pictures))
+        assert len({one.name.casefold() for one in named}) == len(scales)
+        return {one.caption: one.name for one in named}
+
+    few = name("realism", "Wie echt?", "Wie echt!", "A" * 50, "A" * 51)
+    more = name("mushra", "realism", "a-b", "A-b", *list(few)[1:])
+    assert few["realism"] == "scatter_realism_as_is"
+    assert few.items() <= more.items()
+    assert not any(re.search(r"_\d+$", name) for name in load(report)["figures"])
+
+
+def test_a_drawing_takes_the_colours_of_its_page(report: Path) -> None:
+    files = sorted((report / "figures").glob("*.svg"))
+    assert files
+    for file in files:
+        text = file.read_text(encoding="utf-8")
+        assert "<text" in text  # words stay words
+        assert "#000000" in text
+        inline = str(inline_svg(file.stem, "a < b", file))
+        assert 'aria-label="a &lt; b"' in inline
+        assert not re.search("#000000|#ffffff", inline)
+        ids = re.findall(r'\bid="([^"]*)"', inline)
+        assert all(one.startswith(f"{file.stem}-") for one in ids)
+        assert set(re.findall(r'(?:href="|url\()#([^")]*)', inline)) <= set(ids)

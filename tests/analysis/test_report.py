@@ -162,7 +162,7 @@ def test_every_figure_has_a_file_of_its_own(
     study = files(scales=scales, recordings=3, anchors=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     drawn = {path.stem.casefold() for path in (tmp_path / "report" / "figures").glob("*.svg")}
-    assert len(drawn) == len(results.figures) == len(set(results.figures.values())) == 10
+    assert len(drawn) == len(results.figures) == len(set(results.figures.values())) == 8
     unknown = [note for note in results.notes if "font has no" in note]
     assert len(unknown) == (scales[0] == "粗さ")
     assert all("さ 硬 粗" in note for note in unknown)
@@ -210,8 +210,8 @@ def test_far_outliers_are_told_in_the_caption(files: Callable[..., object], tmp_
     manifest.loc[[3, 11], "spectral_match"] = [-1.5, -40.0]
     manifest.to_csv(study.manifest, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
-    caption = results.figures["scatter_realism_as_is_spectral_match_1"]
-    assert "left edge: 2 with a spectral match below −1, counted in full" in caption
+    told = "left edge: 2 with spectral match below −1, counted in full"
+    assert told in results.figures["scatter"]
     found = {number.name: number.value for number in results.numbers}
     assert found["scatter.realism.as_is.spectral_match.n_below_edge"] == 2
     assert found["scatter.realism.as_is.temporal_match.n_below_edge"] == 0
@@ -265,8 +265,8 @@ def test_levels_are_kept_apart(files: Callable[..., object], tmp_path: Path) -> 
     study = files(levels=("as_is", "equal_intensity"), scales=("realism",), anchors=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
     assert sum("level equal intensity" in line for line in results.answers["metrics"]) == 1
-    kinds = [path.name.split("_")[0] for path in (tmp_path / "report" / "figures").glob("*.svg")]
-    assert {kind: kinds.count(kind) for kind in kinds} == {"scatter": 4, "mapping": 4, "profile": 2}
+    kinds = [path.stem.split("_")[0] for path in (tmp_path / "report" / "figures").glob("*.svg")]
+    assert {kind: kinds.count(kind) for kind in kinds} == {"scatter": 2, "mapping": 4, "profile": 2}
 
 
 @pytest.mark.usefixtures("short")

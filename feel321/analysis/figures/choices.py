@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 # Specification curve: one estimate under every choice of screening rules.
 
-CURVE_CM, ROW_CM, UNIVERSES_AXIS_CM = 4.0, 0.36, 1.2
-LABEL_CM = 2.9
+CURVE_CM, ROW_CM, UNIVERSES_AXIS_CM = 4.0, 0.41, 1.3
+LABEL_CM = 4.2
 
 
 def draw_multiverse(
@@ -93,13 +93,13 @@ def _describe_sets(counts: tuple[int, int], curve: DataFrame) -> str:
 
 # Raters: what each screening rule found of each of them, against its limit.
 
-STRIP_CM, LINE_CM, GAP_CM, QUALITY_AXIS_CM = 0.45, 0.31, 0.28, 1.5
+STRIP_CM, LINE_CM, GAP_CM, QUALITY_AXIS_CM = 0.45, 0.35, 0.28, 1.6
 """Height of a rule's points, of a line of text, between rules, and of the axis."""
 
 NAMED = 4
 """Flagged raters that are named; the table names all."""
 
-NAME_CM = 1.4
+NAME_CM = 1.6
 GOLDEN = 0.618
 """Steps by this share of a strip keep neighbours as far apart as can be."""
 
@@ -137,7 +137,7 @@ def draw_raters(screening: Screening) -> Figure:
 
 
 def _describe_rule(known: Rule, part: DataFrame, limit: float) -> str:
-    width = style.COLUMN_CM - 3 * style.MARGIN_CM
+    width = style.WIDTH_CM - 3 * style.MARGIN_CM
     says = known.says.format(limit=limit).replace("%", " %").replace(" -", f" {MINUS}")
     source = style.fit_text(f"{says[:1].upper()}{says[1:]} ({known.source})", width, lines=3)
     silent = int(part["share"].isna().sum())

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 # Estimates with intervals, one row each: what forest plots, abilities and equivalence tests have in common.
 
-LABEL_CM = 2.9
-LINE_CM, GAP_CM, MARK_CM = 0.29, 0.1, 0.2
+LABEL_CM = 4.2
+LINE_CM, GAP_CM, MARK_CM = 0.33, 0.12, 0.22
 """Height of a line of text, between rows, and of a mark."""
 
-AXIS_CM = 1.4
+AXIS_CM = 1.5
 """Room for an axis's numbers and its label."""
 
 PAD = 0.06
@@ -276,7 +276,7 @@ def _mark(test: Equivalence) -> Mark:
 
 # Ratings per reducer: every participant, their distribution, the mean and its interval.
 
-LABEL_LETTERS = 20
+LABEL_LETTERS = 24
 """Letters per line of a row's label."""
 
 ROW_CM = 0.8

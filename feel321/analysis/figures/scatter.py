@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,10 +12,18 @@ from feel321.analysis.figures import estimates, style
 from feel321.analysis.figures.style import Look
 from feel321.analysis.table.items import format_recordings
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.analysis.words import format_axis, format_interval, format_number, format_span
+from feel321.analysis.words import (
+    capitalise,
+    format_axis,
+    format_interval,
+    format_measure,
+    format_name,
+    format_number,
+    format_span,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
@@ -27,8 +36,6 @@ if TYPE_CHECKING:
     from feel321.analysis.p1401 import P1401
 
     Values = NDArray[np.float64]
-    from collections.abc import Sequence
-
     from feel321.analysis.contrasts.discrimination import Discrimination
     from feel321.analysis.space import Ellipses
 
@@ -39,37 +46,163 @@ CUT = -1.0
 """Metrics below this are drawn at the edge: one spectral match of -30 would squeeze all others together."""
 
 
-def draw_scatter(panel: Panel, association: Association, *, looks: Mapping[str, Look]) -> Figure:
-    """Draw the mean rating of each test stimulus against a metric."""
-    parts = dict(tuple(panel.stimuli.groupby("reducer", observed=True)))
+SCATTER_CM, CELL_CM, KEYS_CM = 7.4, 3.9, 1.4
+"""Height of a single scatter, of one among several, and of an axis's numbers with its label."""
+
+
+def draw_scatter(
+    panel: Panel, association: Association, *, looks: Mapping[str, Look], place: str = "0-0"
+) -> Figure:
+    """Draw the mean rating of each test stimulus against a metric; reducers are named at the height of their mean.
+
+    place: what the names of marks in the SVG file hold after `KEPT`.
+    """
+    means = panel.stimuli.groupby("reducer", observed=True)["mean"].mean()
     with style.print_style():
-        figure, axes = style.new_figure(height_cm=8.2)
-        shown = {
-            name: scatter_reducer(axes, parts[name], metric=association.metric, look=look)
-            for name, look in looks.items()
-            if name in parts
-        }
-        _mark_clipped(axes, panel.stimuli, association.metric, falling=association.value < 0)
+        figure, axes = style.new_figure(height_cm=SCATTER_CM + KEYS_CM)
+        shown = _draw_stimuli(axes, panel.stimuli, association, looks=looks, place=place)
         axes.set(xlabel=format_axis(association.metric), ylabel=style.label_scale(panel.scale))
-        axes.set_ylim(LOWEST - 3, HIGHEST + 3)
-        axes.locator_params(axis="x", nbins=5)
-        axes.set_title(_describe_association(association))
-        style.add_legend(figure, shown)
+        heights = {str(name): float(mean) for name, mean in means.items()}
+        if not style.label_ends(axes, heights, looks, height_cm=SCATTER_CM):
+            style.add_legend(figure, shown)
+        size = format_recordings(association.n_recordings, association.n_sources)
+        interval = format_interval(association.low, association.high)
+        style.add_title(
+            figure,
+            f"{describe_relation(panel.scale, association)}\n{association.method.capitalize()}; 95 % two-way interval "
+            f"{interval}; {association.n_items} stimuli of {size}, {association.n_participants} participants",
+        )
     return figure
 
 
-def scatter_reducer(
-    axes: Axes, stimuli: DataFrame, *, metric: str, look: Look, size: float = 4.0
-) -> Line2D:
-    """Draw the stimuli of one reducer, with markers of so many points."""
-    true = stimuli[metric].to_numpy(np.float64)
-    mean, low, high = stimuli[["mean", "low", "high"]].to_numpy(np.float64).T
+def draw_scatters(
+    panels: Sequence[Panel], metrics: Sequence[str], method: str, *, looks: Mapping[str, Look]
+) -> Figure:
+    """Draw mean ratings against metrics: a row per scale and level, a column per metric."""
+    with style.print_style():
+        figure = style.new_canvas(CELL_CM * len(panels) + KEYS_CM)
+        grid = figure.subplots(len(panels), len(metrics), sharex="col", sharey=True, squeeze=False)
+        shown: dict[str, Line2D] = {}
+        for row, panel in enumerate(panels):
+            label = style.label_scale(panel.scale, CELL_CM - 0.4)
+            grid[row, 0].set_ylabel(label)
+            for one in (one for one in panel.associations if one.method == method):
+                column = list(metrics).index(one.metric)
+                axes, place = grid[row, column], f"{row}-{column}"
+                shown |= _draw_stimuli(
+                    axes, panel.stimuli, one, looks=looks, place=place, size=SIZE
+                )
+                value, interval = format_number(one.value), format_interval(one.low, one.high)
+                axes.set_title(f"r = {value} ({interval})")
+        for axes, metric in zip(grid[-1], metrics, strict=True):
+            axes.set_xlabel(style.fit_text(format_axis(metric), style.WIDTH_CM / len(metrics) - 1))
+        style.add_title(figure, _summarise(panels, metrics, method))
+        style.add_legend(figure, {name: shown[name] for name in looks if name in shown})
+    return figure
+
+
+def describe_relation(scale: str, one: Association) -> str:
+    """Say what a correlation shows: its direction only where the interval leaves zero out."""
+    ratings, metric = capitalise(format_measure(scale)), format_name(one.metric)
+    if np.isnan(one.value):
+        return f"The correlation of {format_measure(scale)}s with {metric} is not estimable"
+    value = f"r = {format_number(one.value)}"
+    direction = _find_direction(one)
+    if direction is None:
+        return f"{ratings}s and {metric}: {value}, no interval"
+    if not direction:
+        return f"{ratings}s show no clear relation with {metric}: {value}"
+    return f"{ratings}s {direction} with {metric}: {value}"
+
+
+def _find_direction(one: Association) -> str | None:
+    if np.isnan([one.value, one.low, one.high]).any():
+        return None
+    return "rise" if one.low > 0 else "fall" if one.high < 0 else ""
+
+
+def _summarise(panels: Sequence[Panel], metrics: Sequence[str], method: str) -> str:
+    """Say on how many scales ratings rise or fall with each metric."""
+    several = len({panel.level for panel in panels}) > 1
+    scales = f"{len(panels)} scale{'s' * (len(panels) > 1)}{' and levels' * several}"
+    parts = []
+    for metric in metrics:
+        ways = [
+            _find_direction(one)
+            for panel in panels
+            for one in panel.associations
+            if one.metric == metric and one.method == method
+        ]
+        name = f" with {format_name(metric)}"
+        found = [way for way in ("rise", "fall") if way in ways]
+        counts = [f"{way}{name * (way == found[0])} on {ways.count(way)}" for way in found]
+        none = f"show no clear relation{name} on any of {scales}"
+        parts.append(f"{' and '.join(counts)} of {scales}" if counts else none)
+    return f"Ratings {'; they '.join(parts)}\nr with 95 % two-way intervals"
+
+
+def _draw_stimuli(
+    axes: Axes,
+    stimuli: DataFrame,
+    association: Association,
+    *,
+    looks: Mapping[str, Look],
+    place: str,
+    size: float = 4.5,
+) -> dict[str, Line2D]:
+    metric = association.metric
+    shown = scatter_reducers(axes, stimuli, metric=metric, looks=looks, size=size, place=place)
+    _mark_clipped(axes, stimuli, metric, falling=association.value < 0)
+    axes.set(ylim=(LOWEST - 3, HIGHEST + 3), yticks=np.linspace(LOWEST, HIGHEST, 5))
+    axes.locator_params(axis="x", nbins=5)
+    return shown
+
+
+@dataclass(frozen=True, slots=True)
+class MarkGroup:
+    """Marks of a reducer that are drawn together: in their place, or hollow at the edge."""
+
+    reducer: str
+    hollow: bool
+    rows: DataFrame
+    name: str
+
+
+def group_marks(stimuli: DataFrame, metric: str, place: str = "") -> Iterator[MarkGroup]:
+    """Group a scatter's marks as they are drawn; the name of a group leads a page's script to its marks."""
     cut = find_cut(metric)
-    shown, inside = np.maximum(true, cut), true >= cut
-    axes.vlines(shown, low, high, colors=style.GREY, linewidths=0.35, alpha=0.6, zorder=1)
-    hollow: dict[str, Any] = {"filled": False, "markeredgewidth": style.THIN}
-    style.plot_marks(axes, shown[~inside], mean[~inside], look=look, size=size, **hollow)
-    return style.plot_marks(axes, shown[inside], mean[inside], look=look, size=size)
+    for number, (reducer, rows) in enumerate(stimuli.groupby("reducer", observed=True)):
+        inside = rows[metric] >= cut
+        for hollow, chosen in ((True, ~inside), (False, inside)):
+            if chosen.any():
+                name = f"{style.KEPT}{place}-{number}{'h' * hollow}"
+                yield MarkGroup(str(reducer), hollow, rows[chosen], name)
+
+
+def scatter_reducers(
+    axes: Axes,
+    stimuli: DataFrame,
+    *,
+    metric: str,
+    looks: Mapping[str, Look],
+    size: float,
+    place: str = "",
+) -> dict[str, Line2D]:
+    """Draw stimuli, with bars and with markers of so many points."""
+    at = stimuli[metric].clip(lower=find_cut(metric))
+    bars: dict[str, Any] = {"colors": style.GREY, "linewidths": 0.35, "alpha": 0.6, "zorder": 1}
+    axes.vlines(at, stimuli["low"], stimuli["high"], **bars)
+    shown = {}
+    for group in group_marks(stimuli, metric, place):
+        look, x = looks[group.reducer], at[group.rows.index]
+        more: dict[str, Any] = {"gid": group.name} if place else {}
+        more |= {"markeredgewidth": style.THIN} if group.hollow else {}
+        line = style.plot_marks(
+            axes, x, group.rows["mean"], look=look, size=size, filled=not group.hollow, **more
+        )
+        if not (group.hollow and group.reducer in shown):
+            shown[group.reducer] = line
+    return shown
 
 
 def count_clipped(stimuli: DataFrame, metric: str) -> int:
@@ -94,20 +227,10 @@ def _mark_clipped(axes: Axes, stimuli: DataFrame, metric: str, *, falling: bool)
         axes.text(0.02, height, text, transform=axes.transAxes, va=side)
 
 
-def _describe_association(result: Association) -> str:
-    size = f"{result.n_items} stimuli, {format_recordings(result.n_recordings, result.n_sources)}"
-    narrow = format_interval(result.participants_low, result.participants_high)
-    return (
-        f"{result.method.capitalize()} r = {format_number(result.value)}, {size}\n"
-        f"95 % two-way interval {format_interval(result.low, result.high)}\n"
-        f"over {result.n_participants} participants only {narrow}"
-    )
-
-
 # Ratings against a metric, recording by recording, with the P.1401 mapping and the noise ceiling.
 
 COLUMNS = 3
-ROW_CM, LABELS_CM, STRIP_CM = 2.5, 1.6, 1.9
+ROW_CM, LABELS_CM, STRIP_CM = 2.8, 2.3, 1.9
 SIZE = 3.0
 """Of markers, in points."""
 
@@ -155,14 +278,11 @@ def _draw_panels(
     )
     values = stimuli[metric].to_numpy(np.float64)
     x = np.linspace(max(values.min(), find_cut(metric)), values.max(), CURVE_POINTS)
-    width = (style.COLUMN_CM - 1.6) / columns
+    width = (style.WIDTH_CM - 1.6) / columns
     shown: dict[str, Line2D] = {}
     for axes, (name, part) in zip(grid.flat, parts, strict=False):
         axes.plot(x, Polynomial(judged.coefficients)(x), color=style.BLACK, linewidth=1.0, zorder=2)
-        for reducer, own in part.groupby("reducer", observed=True):
-            shown[str(reducer)] = scatter_reducer(
-                axes, own, metric=metric, look=looks[str(reducer)], size=SIZE
-            )
+        shown |= scatter_reducers(axes, part, metric=metric, looks=looks, size=SIZE)
         axes.set_title(style.fit_text(str(name), width - 2 * style.MARGIN_CM, lines=2))
         axes.locator_params(nbins=3)
     grid.flat[0].set_ylim(_find_range(stimuli))

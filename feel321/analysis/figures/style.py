@@ -1,7 +1,9 @@
-"""How figures look: made for print; their text, legends and files.
+"""How figures look: their size, text, legends and files.
 
-Conventions: one column wide (8.5 cm), so that text keeps its size in a paper and on a telephone; every
-reducer has a colour and a marker of its own, the same in all figures, so that colour is never alone.
+Conventions: one and a half columns wide (14 cm), which fills a page of 700 pixels with text of its body's size; every
+reducer has a colour and a marker of its own, the same in all figures, and nothing else has a colour: metrics, scales
+and verdicts are told apart by ink, grey, fill and line style. Files are for print; on a page `PAGE_COLOURS` follow
+the reader's choice of light or dark.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from feel321.doors import check_name
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
+    from xml.etree.ElementTree import Element
 
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
@@ -28,13 +31,17 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from numpy.typing import ArrayLike
 
-# How figures look: made for print.
+COLUMN_CM, WIDTH_CM = 8.5, 14.0
+"""Width of a journal's column, and of figures."""
 
-COLUMN_CM = 8.5
 CM_PER_INCH = 2.54
-THIN, GREY, BLACK = 0.5, "#8A8A8A", "#000000"
-BLUE, RED, PALE = "#0072B2", "#D55E00", "#D6E6F2"
-"""For figures of two kinds: Okabe and Ito's blue and vermilion, and a background."""
+THIN, GREY, BLACK, PALE = 0.5, "#757575", "#000000", "#DEDEDE"
+BLUE, RED = "#0072B2", "#D55E00"
+
+PAGE_COLOURS: Mapping[str, str] = MappingProxyType({
+    BLACK: "ink", GREY: "faint", PALE: "line", "#FFFFFF": "paper",
+})  # fmt: skip
+"""What ink, grey, fill and paper are on a page: names of its style sheet's variables."""
 
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Colour-blind safe; its yellow is left out because it fades on white paper."""
@@ -43,12 +50,12 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
 """As many as can be told apart in print; a pair of colour and marker comes again only after 77 reducers."""
 
 PRINT: Any = {
-    "font.family": "DejaVu Sans", "font.size": 7, "axes.labelsize": 7.5, "axes.titlesize": 7,
-    "figure.titlesize": 7, "figure.labelsize": 7.5,
-    "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7, "axes.linewidth": 0.6,
+    "font.family": "DejaVu Sans", "font.size": 8, "axes.labelsize": 8, "axes.titlesize": 8,
+    "figure.titlesize": 8.5, "figure.labelsize": 8,
+    "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 8, "axes.linewidth": 0.6,
     "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left",
     "lines.markersize": 4, "lines.linewidth": 0.8, "text.parse_math": False,
-    "svg.fonttype": "path", "svg.hashsalt": "feel321",
+    "svg.fonttype": "none", "svg.hashsalt": "feel321",
 }  # fmt: skip
 
 
@@ -97,14 +104,14 @@ def list_undrawable(names: Iterable[str]) -> str:
 
 
 def new_canvas(height_cm: float) -> Figure:
-    """Make a figure without axes, one column wide."""
+    """Make a figure without axes."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(COLUMN_CM / CM_PER_INCH, height_cm / CM_PER_INCH), layout="constrained")
+    return Figure(figsize=(WIDTH_CM / CM_PER_INCH, height_cm / CM_PER_INCH), layout="constrained")
 
 
 def new_figure(height_cm: float) -> tuple[Figure, Axes]:
-    """Make an empty figure, one column wide."""
+    """Make a figure with one pair of axes."""
     figure = new_canvas(height_cm)
     return figure, figure.add_subplot()
 
@@ -129,24 +136,25 @@ def plot_marks(
 
 # Words in figures: broken by measured width, so that no name runs off or into another.
 
-AXIS_LETTERS, SCALE_LETTERS = 30, 60
-"""Letters per line of an axis's label, and of a scale's name within it."""
+AXIS_CM, SCALE_LETTERS = 6.0, 60
+"""Length of an axis's label, and letters of a scale's name within it."""
 
 SIZE = float(PRINT["font.size"])
 POINTS_PER_CM = 72 / CM_PER_INCH
 MARGIN_CM = 0.2
+SNUG = 0.96
+"""Share of its place that a line may take by measure: on a screen letters are up to 4 % wider."""
+
 LONGEST = 200
 """Letters of a name that are looked at, from its start and from its end."""
 
 TITLE_LINES = 10
 
 
-def label_scale(scale: str) -> str:
-    """Label an axis by the scale that was rated."""
+def label_scale(scale: str, length_cm: float = AXIS_CM) -> str:
+    """Label an axis of that length by the scale that was rated."""
     name = wrap_name(format_name(scale), SCALE_LETTERS, lines=1)
-    return wrap_name(
-        f"Mean {format_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", AXIS_LETTERS, lines=3
-    )
+    return fit_text(f"Mean {format_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", length_cm, lines=3)
 
 
 def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) -> str:
@@ -161,7 +169,7 @@ def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) 
     """
     if len(text) > 2 * LONGEST:
         text = f"{text[:LONGEST]}…{text[-LONGEST:]}"
-    room = width_cm * POINTS_PER_CM
+    room = SNUG * width_cm * POINTS_PER_CM
     found, parts = [""], _split(text)
     while parts:
         part = parts.pop(0)
@@ -181,9 +189,10 @@ def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) 
 
 
 def add_title(figure: Figure, text: str) -> None:
-    """Write what a figure shows above it, and give the figure the height that this takes."""
-    fitted = fit_text(text, COLUMN_CM - 2 * MARGIN_CM, lines=TITLE_LINES)
-    title = figure.suptitle(fitted, x=MARGIN_CM / COLUMN_CM, ha="left")
+    """Write above a figure what it finds, then what it shows, and give it the height that this takes."""
+    size = PRINT["figure.titlesize"]
+    fitted = fit_text(text, WIDTH_CM - 2 * MARGIN_CM, lines=TITLE_LINES, size=size)
+    title = figure.suptitle(fitted, x=MARGIN_CM / WIDTH_CM, ha="left")
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + title.get_window_extent().height / figure.dpi)
 
@@ -222,9 +231,46 @@ def _measure(text: str, size: float) -> float:
     return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0])
 
 
+# Names beside the axes, and legends below a figure.
+
+END_CM, ROW_CM = 3.6, 0.38
+"""Width of a name beside the axes, and the least distance between two."""
+
+
+def label_ends(
+    axes: Axes, heights: Mapping[str, float], looks: Mapping[str, Look], *, height_cm: float
+) -> bool:
+    """Name reducers at the right of axes of that height, each at its own; return False if there are too many."""
+    if not heights or len(heights) * ROW_CM > height_cm:
+        return False
+    order = sorted(heights, key=lambda name: -heights[name])
+    low, high = axes.get_ylim()
+    places = spread([heights[name] for name in order], (high - low) * ROW_CM / height_cm, low=low)
+    of_axes = axes.get_yaxis_transform()
+    for name, place in zip(order, places, strict=True):
+        strokes: dict[str, Any] = {"transform": of_axes, "clip_on": False, "linewidth": THIN}
+        axes.plot([1.0, 1.025], [heights[name], place], color=GREY, **strokes)
+        mark: dict[str, Any] = {"transform": of_axes, "clip_on": False, "size": 5.0}
+        plot_marks(axes, [1.04], [place], look=looks[name], **mark)
+        axes.text(1.055, place, fit_text(name, END_CM, lines=1), transform=of_axes, va="center")
+    return True
+
+
+def spread(falling: Sequence[float], apart: float, *, low: float) -> list[float]:
+    """Move heights, from the highest down, until each is so far below the one before, and the last not below low."""
+    places: list[float] = []
+    for height in falling:
+        places.append(min(height, places[-1] - apart) if places else height)
+    floor = low
+    for number in range(len(places) - 1, -1, -1):
+        places[number] = max(places[number], floor)
+        floor = places[number] + apart
+    return places
+
+
 # Legends below a figure.
 
-COLUMNS, LETTERS = 3, 30
+COLUMNS, LETTERS = 5, 30
 
 
 def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
@@ -278,3 +324,90 @@ def save_figure(figure: Figure, stem: Path, *, formats: Sequence[str] = ("svg", 
             # A name may end in what looks like a suffix: dft_v1.5.
             path = stem.with_name(f"{stem.name}.{name}")
             figure.savefig(path, dpi=PNG_DPI, metadata=dict.fromkeys(STAMPS[name]))
+            if name == "svg":
+                shorten_svg(path)
+
+
+SVG, LINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
+INHERITED = {
+    "font-family": f"'{PRINT['font.family']}', Verdana, sans-serif", "stroke-linejoin": "round",
+    "stroke-linecap": "butt",
+}  # fmt: skip
+"""What all parts of a drawing inherit. Fonts of the same widths: text is kept as text, for search, screen readers and
+small files."""
+
+KEPT = "points-"
+"""Marks whose group has a name that begins like this keep it in the SVG file, for a page's script."""
+
+
+def shorten_svg(path: Path) -> None:
+    """Leave out of an SVG file what a browser does not need: groups, names, repeated styles, precision, white space."""
+    from xml.etree import ElementTree as ET
+
+    for prefix, space in (("", SVG), ("xlink", LINK)):
+        ET.register_namespace(prefix, space)
+    text = path.read_text(encoding="utf-8")
+    root = ET.fromstring(text)  # noqa: S314 - matplotlib's own file
+    for name, value in INHERITED.items():
+        root.set(name, value)
+    used = set(re.findall(r"#([\w-]+)", text))
+    for node in root.iter():
+        _shorten_node(node, used)
+    _unwrap(root)
+    path.write_text(ET.tostring(root, encoding="unicode"), encoding="utf-8", newline="")
+
+
+def _shorten_node(node: Element, used: set[str]) -> None:
+    for key, value in list(node.attrib.items()):
+        if key != "id":
+            short = _round(value) if key != "style" else _round(value.replace(FAMILY, ""))
+            node.set(key, short)
+        elif value not in used and not value.startswith(KEPT):
+            del node.attrib["id"]
+    if node.get("transform", "").startswith("rotate(-0 "):
+        del node.attrib["transform"]
+    node.text = node.text if node.text and node.text.strip() else None
+    node.tail = None
+
+
+FAMILY = f"font-family: '{PRINT['font.family']}'; "
+
+
+def _round(value: str) -> str:
+    """Round to a hundredth of a point, and leave needless white space out."""
+    short = re.sub(
+        r"-?\d+\.\d{3,}", lambda found: f"{float(found[0]):.2f}".rstrip("0").rstrip("."), value
+    )
+    return re.sub(r"\s+", " ", re.sub(r"(?<=[:;]) |\s*\n\s*(?=[A-Za-z])", "", short)).strip()
+
+
+def _unwrap(node: Element) -> None:
+    """Put what is in groups without a meaning in their place; style sheets of a drawing would style its whole page."""
+    children: list[Element] = []
+    for child in node:
+        _unwrap(child)
+        bare = child.tag == f"{{{SVG}}}g" and not child.attrib
+        empty = child.tag in {f"{{{SVG}}}{name}" for name in ("metadata", "style")} or (
+            child.tag == f"{{{SVG}}}defs" and not len(child)
+        )
+        for one in list(child) if bare else [] if empty else [child]:
+            if not (children and _join(children[-1], one)):
+                children.append(one)
+    node[:] = children
+    styles = {child.get("style") for child in children}
+    if len(children) > 1 and len(styles) == 1 and None not in styles and node.get("style") is None:
+        node.set("style", str(styles.pop()))
+        for child in children:
+            del child.attrib["style"]
+
+
+def _join(first: Element, second: Element) -> bool:
+    """Join open lines of the same look, such as bars, into one path; return whether that was done."""
+    own, other = dict(first.attrib), dict(second.attrib)
+    one, more = own.pop("d", ""), other.pop("d", "")
+    if not (
+        one and more and own == other and "id" not in own and "fill:none" in own.get("style", "")
+    ):
+        return False
+    first.set("d", f"{one} {more}")
+    return True

@@ -21,7 +21,13 @@ from feel321.analysis.association.correlate import (
     correlate_items,
     make_panel,
 )
-from feel321.analysis.figures.scatter import CUT, count_clipped, draw_mapping, draw_scatter
+from feel321.analysis.figures.scatter import (
+    CUT,
+    count_clipped,
+    draw_mapping,
+    draw_scatter,
+    draw_scatters,
+)
 from feel321.analysis.figures.style import Look, assign_looks
 from feel321.analysis.p1401 import p1401
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
@@ -156,10 +162,9 @@ def compute_association(table: Table, choices: Choices) -> Section:
         answered = table.rows["scale"].isin(CHOSEN).any()
         return Section(key, title, notes=notes, verdict=() if answered else verdict)
     looks = assign_looks(order_reducers(table.rows["reducer"]))
-    pictures, coefficients = [], []
+    pictures, coefficients = list(_picture_scatters(panels, looks)), []
     for part, panel in zip(parts, panels, strict=True):
         leading = [one for one in panel.associations if one.method == LEADING]
-        pictures += [_picture_scatter(panel, one, looks) for one in leading]
         for picture, rows in _map_panel(part, panel, leading=leading, looks=looks, info=table.info):
             pictures.append(picture)
             coefficients += rows
@@ -237,7 +242,7 @@ def _map_panel(
                 f"Mean {words.format_name(panel.scale)} rating of each test stimulus against its "
                 f"{words.format_name(one.metric)}, recording by recording (level {words.format_name(panel.level)}), "
                 "with the mapping of ITU-T P.1401 that was fitted to all of them. "
-                f"{_describe_bars(panel)} Below: the correlation with its 95 % two-way "
+                f"{_describe_bars([panel])} Below: the correlation with its 95 % two-way "
                 "interval, and the highest correlation that the noise in the ratings allows."
             )
             draw = partial(draw_mapping, panel.stimuli, judged, one, scale=panel.scale, looks=looks)
@@ -251,22 +256,56 @@ def _map_panel(
             ]  # fmt: skip
 
 
-def _picture_scatter(panel: Panel, one: Association, looks: Mapping[str, Look]) -> Picture:
-    metric = words.format_name(one.metric)
+def _picture_scatters(panels: Sequence[Panel], looks: Mapping[str, Look]) -> Iterator[Picture]:
+    """Show the first scale's strongest metric at its full size, then every metric on every scale."""
+    first = [one for one in panels[0].associations if one.method == LEADING]
+    strongest = max(first, key=lambda one: abs(one.value) if one.value == one.value else -1.0)
+    panel, one = panels[0], strongest
+    place = f"0-{first.index(one)}"
+    name, metric = words.format_name(panel.scale), words.format_name(one.metric)
     caption = (
-        f"Mean {words.format_name(panel.scale)} rating of each test stimulus against its {metric} "
-        f"(level {words.format_name(panel.level)}). {_describe_bars(panel)}"
+        f"Mean {name} rating of each test stimulus against its {metric}. Names stand at the reducers' means. "
+        f"{_describe_bars([panel])}{_describe_clipped([panel], [one.metric])}"
     )
-    if clipped := count_clipped(panel.stimuli, one.metric):
-        below = f"{clipped} with a {metric} below {words.format_number(CUT, kind='count')}"
-        caption += f" Hollow symbols at the left edge: {below}, counted in full in r."
     slug = make_slug("scatter", panel.scale, panel.level, one.metric)
-    return Picture(slug, caption, partial(draw_scatter, panel, one, looks=looks))
+    yield Picture(slug, caption, partial(draw_scatter, panel, one, looks=looks, place=place))
+    metrics = [one.metric for one in first]
+    if len(panels) * len(metrics) > 1:
+        caption = (
+            "Mean rating of each test stimulus against each metric, a row per scale"
+            f"{' and level' * (len({panel.level for panel in panels}) > 1)}: "
+            f"{words.join_words([_name_panel(panel, panels) for panel in panels])}. "
+            f"{_describe_bars(panels)}"
+            f"{_describe_clipped(panels, metrics)}"
+        )
+        yield Picture(
+            "scatter", caption, partial(draw_scatters, panels, metrics, LEADING, looks=looks)
+        )
 
 
-def _describe_bars(panel: Panel) -> str:
-    counts = panel.stimuli["n_participants"]
-    if counts.max() < SMALLEST:
+def _name_panel(panel: Panel, panels: Sequence[Panel]) -> str:
+    several = len({panel.level for panel in panels}) > 1
+    level = f" ({words.format_name(panel.level)})" if several else ""
+    return f"{words.format_name(panel.scale)}{level}"
+
+
+def _describe_clipped(panels: Sequence[Panel], metrics: Sequence[str]) -> str:
+    counts = {
+        metric: sum(count_clipped(panel.stimuli, metric) for panel in panels)
+        for metric in metrics if metric in panels[0].stimuli
+    }  # fmt: skip
+    told = [
+        f"{count} with {words.format_name(metric)} below {words.format_number(CUT, kind='count')}"
+        for metric, count in counts.items() if count
+    ]  # fmt: skip
+    return (
+        f" Hollow at the left edge: {words.join_words(told)}, counted in full in r." if told else ""
+    )
+
+
+def _describe_bars(panels: Sequence[Panel]) -> str:
+    counts = [int(count) for panel in panels for count in panel.stimuli["n_participants"]]
+    if max(counts) < SMALLEST:
         return "One participant each, so no intervals."
     who = f"{words.format_span(counts)} participants who rated it"
     return f"Thin grey bars: 95 % t intervals over the {who}."

@@ -8,8 +8,10 @@ HTML file from a template, with its drawings inside.
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tomllib
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -212,14 +214,30 @@ SLUG_PART = 40
 
 
 def make_slug(*parts: str) -> str:
-    """Make names readable in a file's name; the number that follows it tells those apart that become alike."""
-    return "_".join(re.sub(r"[^A-Za-z0-9_-]+", "-", part)[:SLUG_PART] for part in parts)
+    """Make names readable in a file's name; a digest follows one that this changes or cuts, to tell it from others."""
+    return "_".join(map(_make_part, parts))
 
 
-def number_pictures(pictures: Iterable[Picture], start: int = 1) -> Iterator[Picture]:
-    """Let the figures' numbers end their names, which makes these unique on any file system."""
-    for number, picture in enumerate(pictures, start=start):
-        yield replace(picture, name=f"{picture.name}_{number}")
+def _make_part(part: str) -> str:
+    short = re.sub(r"[^A-Za-z0-9_-]+", "-", part)[:SLUG_PART]
+    return short if short == part else f"{short}-{_digest(part)}"
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:6]
+
+
+def name_pictures(pictures: Iterable[Picture]) -> Iterator[Picture]:
+    """Make figures' names unique on any file system: those that differ by case only end with a digest.
+
+    A figure keeps its name when others come or go.
+    """
+    pictures = tuple(pictures)
+    times = Counter(picture.name.casefold() for picture in pictures)
+    for picture in pictures:
+        alike = times[picture.name.casefold()] > 1
+        digest = _digest(picture.name + picture.caption)
+        yield replace(picture, name=f"{picture.name}-{digest}") if alike else picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)

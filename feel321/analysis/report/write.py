@@ -36,7 +36,7 @@ from feel321.analysis.report import (
 from feel321.analysis.report import choices as chosen
 from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
-from feel321.analysis.report.section import Picture, Section, number_pictures
+from feel321.analysis.report.section import Picture, Section, name_pictures
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES, find_rules
 from feel321.analysis.table.items import find_sources, format_recordings
@@ -402,7 +402,7 @@ def _open(
 def compute_sections(
     table: Table, choices: Choices, *, progress: Progress | None = False
 ) -> tuple[Section, ...]:
-    """Run the whole analysis; returns its sections in the report's order, figures numbered through."""
+    """Run the whole analysis; returns its sections in the report's order."""
     with follow(progress or False, "report") as move, words.declaring(table.info):
         return tuple(_reconcile(list(_compute(table, choices, move))))
 
@@ -410,20 +410,18 @@ def compute_sections(
 def _compute(
     table: Table, choices: Choices, progress: Callable[[int, int], None]
 ) -> Iterator[Section]:
-    """Compute section after section, figures numbered through."""
+    """Compute section after section."""
     import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
     from threadpoolctl import threadpool_limits
 
     refuse_untested(table)
-    drawn = 0
     # Matrices here are small: threads of the linear algebra wait for each other most of the time, and take nine
     # times as long on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
         for number, compute in enumerate(SECTIONS, start=1):
             section = compute(table, choices)
-            own = number_pictures(section.pictures, start=drawn + 1)
+            own = name_pictures(section.pictures)
             pictures = tuple(_declare(picture, table) for picture in own)
-            drawn += len(pictures)
             yield replace(section, pictures=pictures)
             progress(number, len(SECTIONS))
 

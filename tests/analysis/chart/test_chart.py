@@ -348,7 +348,7 @@ def test_a_former_chart_is_replaced_and_nothing_else(
     before = set(json.loads((target / "results.json").read_text(encoding="utf-8"))["files"])
     (target / "notes.txt").write_text("mine")
     gone = before - set(write_chart(tiny, target))
-    assert gone == {"figures/rated_realism_as_is_7.svg", "figures/rated_realism_as_is_7.png"}
+    assert gone == {"figures/rated_realism_as_is.svg", "figures/rated_realism_as_is.png"}
     assert not any((target / name).exists() for name in gone)
     assert (target / "notes.txt").read_text() == "mine"
     (tmp_path / "other").mkdir()

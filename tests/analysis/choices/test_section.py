@@ -144,7 +144,7 @@ def test_a_report_of_choices_alone_opens_with_them_and_holds_its_numbers(
     )
     table = pd.read_csv(tmp_path / "report" / "tables" / "choices_predicted.csv")
     assert table["metric"].tolist()[-2:] == ["majority_of_others", "majority_of_all"]
-    assert (tmp_path / "report" / "figures" / "choices_triplet_as_is_1.svg").is_file()
+    assert (tmp_path / "report" / "figures" / "choices_triplet_as_is.svg").is_file()
 
 
 def test_choices_beside_ratings_change_no_association(tidy: Callable[..., pd.DataFrame]) -> None:

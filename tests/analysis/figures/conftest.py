@@ -1,4 +1,4 @@
-"""What every figure must keep: one column wide, readable, nothing outside, no words over words."""
+"""What every figure must keep: as wide as all, readable, nothing outside, no words over words."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from matplotlib.axis import Tick
 from matplotlib.text import Text
 
-from feel321.analysis.figures.style import CM_PER_INCH, COLUMN_CM, print_style
+from feel321.analysis.figures.style import CM_PER_INCH, WIDTH_CM, print_style
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -39,7 +39,7 @@ def list_texts(figure: Figure) -> list[Text]:
 
 def find_faults(figure: Figure) -> list[str]:
     faults = []
-    if abs(figure.get_figwidth() * CM_PER_INCH - COLUMN_CM) > 1e-6:
+    if abs(figure.get_figwidth() * CM_PER_INCH - WIDTH_CM) > 1e-6:
         faults.append(f"{figure.get_figwidth() * CM_PER_INCH} cm wide")
     texts = list_texts(figure)
     boxes = [text.get_window_extent() for text in texts]

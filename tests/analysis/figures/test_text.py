@@ -54,10 +54,10 @@ def test_a_title_adds_its_own_height() -> None:
     with print_style():
         figure, _ = new_figure(4.0)
         before = figure.get_figheight()
-        add_title(figure, "word " * 40)
+        add_title(figure, "word " * 80)
     lines = 1 + figure.get_suptitle().count("\n")
     assert lines > 2
-    assert figure.get_figheight() - before == pytest.approx(lines * 7 * 1.2 / 72, rel=0.15)
+    assert figure.get_figheight() - before == pytest.approx(lines * 8 * 1.2 / 72, rel=0.15)
 
 
 def test_a_place_too_narrow_for_any_letter_holds_one() -> None:

@@ -99,7 +99,7 @@ def test_ratings_recordings_seed_and_folder_are_taken_as_told(
         "soc321": 41.5,
         "dft321": 51.5,
     }
-    assert "figures/rated_realism_as_is_7.svg" in content["files"]
+    assert "figures/rated_realism_as_is.svg" in content["files"]
 
 
 def test_ratings_are_found_once_there_are_any(study: Path) -> None:

@@ -312,7 +312,7 @@ def list_pictures(tables: Tables, merged: Tables) -> list[Picture]:
         )
         drawing = figures.draw_rated(tables, scale, level)
         pictures.append(Picture(section.make_slug("rated", scale, level), caption, drawing))
-    return list(section.number_pictures(pictures))
+    return list(section.name_pictures(pictures))
 
 
 def build_page(tables: Tables, merged: Tables) -> dict[str, Any]:
