@@ -258,10 +258,10 @@ def test_few_reducers_and_an_unsteady_one_are_described_truly(tiny: Chart) -> No
 
 def test_the_middle_lies_on_the_front_above_the_line(tiny: Chart) -> None:
     every = list_candidates(merge_equal(tiny.to_frames()))
-    best, fast = (replace(every[0], ns_per_sample=cost, accuracy=value, on_front=True)
-                  for cost, value in ((100.0, 1.0), (1.0, 0.2)))  # fmt: skip
-    high, low, off = (replace(every[0], reducer=name, ns_per_sample=10.0, accuracy=value, on_front=on)
-                      for name, value, on in (("high", 0.7, True), ("low", 0.5, True), ("off", 0.9, False)))  # fmt: skip
+    one = replace(every[0], on_front=True)
+    best, fast = (replace(one, ns_per_sample=x, accuracy=y) for x, y in ((100.0, 1.0), (1.0, 0.2)))
+    high, low = (replace(one, ns_per_sample=10.0, accuracy=value) for value in (0.7, 0.5))
+    off = replace(high, accuracy=0.9, on_front=False)
     assert find_middle([best, off, high, low, fast]) == high
     assert find_middle([best, off, low, fast]) is None
     assert find_middle([best]) is None

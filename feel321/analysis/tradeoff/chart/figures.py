@@ -21,6 +21,7 @@ from feel321.analysis.tradeoff.chart.points import (
     Tables,
     find_front,
     find_latency,
+    format_plainly,
     list_records,
     split,
 )
@@ -67,17 +68,6 @@ def describe_measure(measure: str) -> str:
     metric, _, kind = measure.partition("_match")
     kind = kind.strip("_").replace("_", "-")
     return capitalise(f"{metric} match") + (f", {kind}" if kind else "")
-
-
-def format_plainly(value: float) -> str:
-    """Write a number of any size without powers.
-
-    Examples
-    --------
-    >>> format_plainly(0.001), format_plainly(20_000)
-    ('0.001', '20\u202f000')
-    """
-    return f"{value:,.0f}".replace(",", "\u202f") if value >= 1 else f"{value:.10f}".rstrip("0")
 
 
 def limit_accuracy(values: Iterable[float]) -> tuple[float, float]:

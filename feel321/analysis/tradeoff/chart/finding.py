@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from feel321.analysis import words
 from feel321.analysis.table.schema import APART
-from feel321.analysis.tradeoff.chart import figures
 from feel321.analysis.tradeoff.chart.cost import NS, RATE_HZ, REFERENCE_N
 from feel321.analysis.tradeoff.chart.points import (
     ACCURACY,
@@ -21,6 +20,7 @@ from feel321.analysis.tradeoff.chart.points import (
     Record,
     Tables,
     find_latency,
+    format_plainly,
     list_records,
     split,
 )
@@ -188,7 +188,7 @@ def describe_answers(tables: Tables, merged: Tables) -> tuple[str, ...]:
 
 def format_real_time(point: Record) -> str:
     """Write how many times faster than real time a point is."""
-    return figures.format_plainly(float(f"{NS / RATE_HZ / point['ns_per_sample']:.2g}"))
+    return format_plainly(float(f"{NS / RATE_HZ / point['ns_per_sample']:.2g}"))
 
 
 def _describe_speed(points: Sequence[Record]) -> str:
@@ -197,7 +197,7 @@ def _describe_speed(points: Sequence[Record]) -> str:
         f"{one['reducer']} ({one['ns_per_sample']:.3g} ns per sample, {format_real_time(one)} × real time)"
         for one in (ordered[0], ordered[-1])
     ]
-    return f"Fastest: {shown[0]}; slowest: {shown[1]}, at {figures.format_plainly(REFERENCE_N)} samples and {KHZ}."
+    return f"Fastest: {shown[0]}; slowest: {shown[1]}, at {format_plainly(REFERENCE_N)} samples and {KHZ}."
 
 
 def _describe_front(points: DataFrame) -> str:
@@ -234,9 +234,7 @@ def _describe_growth(growth: Sequence[Record]) -> str:
     ordered = sorted(growth, key=lambda row: row["exponent"])
     ends = [f"{row['exponent']:.2f} ({row['reducer']})" for row in (ordered[0], ordered[-1])]
     steep = sum(row["low"] > 1 for row in growth)
-    lengths = " to ".join(
-        figures.format_plainly(growth[0][name]) for name in ("smallest", "largest")
-    )
+    lengths = " to ".join(format_plainly(growth[0][name]) for name in ("smallest", "largest"))
     which = f"{steep} of {len(growth)} reducers" if steep else "no reducer"
     return (
         f"Time grows with length n ({lengths} samples) as n^{ends[0]} to n^{ends[1]}, for {which} clearly faster "

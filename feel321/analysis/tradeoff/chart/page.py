@@ -29,6 +29,7 @@ from feel321.analysis.tradeoff.chart.points import (
     Tables,
     find_latency,
     find_reference,
+    format_plainly,
     list_records,
     name_point,
     split,
@@ -64,7 +65,7 @@ _TIMES_VARY = (
     "same recordings and seed."
 )
 _COMPARED = (
-    f"Methods are compared at {figures.format_plainly(REFERENCE_N)} samples; × real time is for {KHZ}. The timed "
+    f"Methods are compared at {format_plainly(REFERENCE_N)} samples; × real time is for {KHZ}. The timed "
     "signals are white noise.",
     "Over scenes the median is reported and compared, not the mean: spectral match has no lower bound, so that one "
     "scene with a band nearly without energy would decide. The means are in tables/points.csv.",
@@ -188,7 +189,7 @@ def _tabulate_running(tables: Tables) -> PageTable:
             "Reducer": name, "Block: median (µs)": shown[0] if own else "whole signal",
             "99 % (µs)": shown[1], "Worst (µs)": shown[2],
             "Worst, share of the deadline (%)": f"{100 * times[2] / own['deadline_us']:.0f}" if own else words.ABSENT,
-            "State (bytes)": _format_known(row["state_bytes"], figures.format_plainly),
+            "State (bytes)": _format_known(row["state_bytes"], format_plainly),
             "Operations per sample": _format_known(row["operations"], "{:.0f}".format),
             "Perturbation gain, median": words.ABSENT if gain is None else f"{gain.median():.2g}",
             "Worst scene": words.ABSENT if gain is None else f"{gain.max():.3g}",
@@ -197,7 +198,7 @@ def _tabulate_running(tables: Tables) -> PageTable:
     caption = (
         f"While a reducer runs. Time per block of 64 samples at 48 kHz (deadline {deadline}): median, 99th percentile "
         "and worst; the block that completes half a window does the work of all of it. State of reducers that need the "
-        f"whole signal: {figures.format_plainly(REFERENCE_N)} samples. Stability: perturbation gain under sensor noise "
+        f"whole signal: {format_plainly(REFERENCE_N)} samples. Stability: perturbation gain under sensor noise "
         "of -60 dB, median and worst scene (1: noise passes as it is)."
     )
     return _build(caption, rows)
@@ -226,7 +227,7 @@ def _tabulate_growth(tables: Tables) -> PageTable:
     memory = {
         row["reducer"]: row for row in list_records(tables["memory"])
     }  # the longest stands last
-    longest = figures.format_plainly(tables["memory"]["n_samples"].max())
+    longest = format_plainly(tables["memory"]["n_samples"].max())
     rows = (
         {
             "Reducer": row["reducer"], "Exponent": f"{row['exponent']:.2f}",

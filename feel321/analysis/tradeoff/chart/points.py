@@ -210,6 +210,17 @@ def name_point(reducer: str) -> str:
     return _GROUP_OF.get(reducer, reducer)
 
 
+def format_plainly(value: float) -> str:
+    """Write a number of any size without powers.
+
+    Examples
+    --------
+    >>> format_plainly(0.001), format_plainly(20_000)
+    ('0.001', '20\u202f000')
+    """
+    return f"{value:,.0f}".replace(",", "\u202f") if value >= 1 else f"{value:.10f}".rstrip("0")
+
+
 def merge_rows(frame: DataFrame) -> DataFrame:
     """Average the rows of reducers that are equal by construction; all others stay as they are, in their order."""
     names = [name for name in ("method", "reducer") if name in frame]
