@@ -9,6 +9,7 @@ from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_cei
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate, tabulate_correlations
 from feel321.analysis.association.rivals import rank_metrics
+from feel321.analysis.browser import write_stimulus_page
 from feel321.analysis.choices.embed import embed_triplets
 from feel321.analysis.choices.model import fit_choices
 from feel321.analysis.choices.power import plan_choices
@@ -21,6 +22,7 @@ from feel321.analysis.contrasts.compare import (
     profile_reducers,
 )
 from feel321.analysis.contrasts.discrimination import discriminate
+from feel321.analysis.export import export_r
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.p1401 import compare_p1401, p1401
 from feel321.analysis.plots import (
@@ -48,12 +50,12 @@ from feel321.doors import forward_old_names as _forward_old_names
 __all__ = [
     "RULES", "Table", "advise", "align_spaces", "benchmark", "bradley_terry", "chart", "compare_dependent",
     "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate", "correlate_published",
-    "discriminate", "embed_triplets", "equivalence", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary",
-    "fit_space", "intraclass", "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority", "p1401",
-    "plan_choices", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
+    "discriminate", "embed_triplets", "equivalence", "export_r", "fit_attributes", "fit_choices", "fit_mixed",
+    "fit_primary", "fit_space", "intraclass", "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority",
+    "p1401", "plan_choices", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model", "read_table", "refine_metric",
     "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress", "tabulate_correlations",
-    "write_report",
+    "write_report", "write_stimulus_page",
 ]  # fmt: skip
 
 _RECORDS = (

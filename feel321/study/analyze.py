@@ -21,7 +21,7 @@ from feel321.study.answers import write_answers
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import describe_matches, write_matches
-from feel321.study.metrics import add_rivals, measure_rotations
+from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
 from feel321.study.paper import make_paper
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
@@ -74,6 +74,35 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
+
+
+def read_study_table(
+    study: StudyFolder,
+    *,
+    ratings: Path | None = None,
+    manifest: Path | None = None,
+    metrics: Sequence[str] | None = None,
+) -> tuple[Table, int]:
+    """Read the ratings that a report would be about, and the seed of that report."""
+    if ratings is None or manifest is None:
+        require_study(study.path)
+    settings = read_settings(study.settings) if study.settings.is_file() else None
+    further = None
+    if settings and ratings is None:
+        stimuli = read_stimuli(study.stimuli)
+        if not write_ratings(study, stimuli):
+            raise ValueError(f"{study.path}: no ratings yet; run sessions first")
+        further = measure_declared(study, settings)
+    chosen = settings.analysis if settings else AnalysisTable()
+    table = read_table(
+        ratings or study.ratings,
+        manifest or study.manifest,
+        metrics=metrics or chosen.metrics,
+        sources=list_origins(settings) if settings else {},
+        further=further,
+        info=list_info(settings) if settings else {},
+    )
+    return table, settings.study.seed if settings else 0
 
 
 def _note_asked(

@@ -291,13 +291,15 @@ class Study(Contents):
         with follow(self.progress, "check") as step:
             return check_study(self.folder, progress=step)
 
-    def build(self, workers: int = 1) -> StimulusSet:
+    def build(self, workers: int = 1, *, page: bool = True) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
 
         Parameters
         ----------
         workers : int
             Number of processes.
+        page : bool
+            Whether the set gets a page on which stimuli are seen, measured and heard, `stimuli/index.html`.
 
         Returns
         -------
@@ -307,7 +309,9 @@ class Study(Contents):
         from feel321.study.workflow import build_study
 
         with follow(self.progress, "build") as step:
-            recordings, stimuli = build_study(self.folder, workers=workers, progress=step)
+            recordings, stimuli = build_study(
+                self.folder, workers=workers, page=page, progress=step
+            )
         for recording in recordings:
             for text in recording.warnings:
                 self._warn(f"{recording.name}: {text}")

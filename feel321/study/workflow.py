@@ -26,7 +26,6 @@ from feel321.study.paper import compare_with_paper
 from feel321.study.provenance import find_changes
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
-from feel321.study.sessions import list_rig_problems
 from feel321.study.settings.read import (
     find_language,
     list_remarks,
@@ -43,9 +42,9 @@ Progress = Callable[[int, int], None]
 
 
 def build_study(
-    study: StudyFolder, *, workers: int = 1, progress: Progress | None = None
+    study: StudyFolder, *, workers: int = 1, page: bool = True, progress: Progress | None = None
 ) -> tuple[list[Recording], StimulusSet]:
-    """Build the stimulus set of a study."""
+    """Build the stimulus set of a study, and its page."""
     settings = read_settings(study.settings)
     recordings = open_recordings(settings, study.path)
     recipe = make_recipe(settings, study.path)
@@ -53,6 +52,14 @@ def build_study(
     stimuli = build_stimuli(
         recordings, study.stimuli, recipe=recipe, workers=workers, progress=progress
     )
+    if page:
+        from feel321.analysis.browser import write_stimulus_page
+
+        write_stimulus_page(study.stimuli)
+    elif (study.stimuli / "index.html").exists():
+        from feel321.analysis.browser import remove_stimulus_page
+
+        remove_stimulus_page(study.stimuli)
     return recordings, stimuli
 
 
@@ -327,6 +334,8 @@ def _check_rig(
     study: StudyFolder, settings: Settings, *, now: Clock
 ) -> tuple[Rig | None, Problems]:
     """Check the rig, where there is one, and its certificate. An unusable rig is None."""
+    from feel321.study.sessions import list_rig_problems  # brings the ledger's database
+
     if not study.rig.is_file():
         return None, Problems()
     try:

@@ -196,7 +196,7 @@ def test_papers_and_r_get_the_model_that_was_fitted(rows: pd.DataFrame, tmp_path
     primary = analysis.fit_primary(rows, METRICS)
     assert primary.to_latex().startswith(r"\begin{tabular}")
     text = primary.to_r(tmp_path / "new")
-    assert f"lmer({primary.formula}, data = model" in text
+    assert f'lmer_penalised({primary.formula}, model, "reducer")' in text
     assert (tmp_path / "new" / "model.R").read_text(encoding="utf-8") == text
     frame = pd.read_csv(tmp_path / "new" / "model.csv")
     again = analysis.fit_mixed(primary.formula, frame, penalty=["reducer"])

@@ -10,12 +10,15 @@ import pytest
 
 from feel321 import study as face
 from feel321.study import Study
+from feel321.study.audit import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import read_template
 from feel321.study.settings.edit import change_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from feel321.study.folder import StudyFolder
 
 SHORT = """\
 [study]  # a pilot
@@ -206,3 +209,13 @@ def test_draws_are_as_declared_unless_asked_for_and_the_seed_is_the_studys(
     pilot.analyze()
     pilot.analyze(draws=7)
     assert [(how["draws"], how["seed"]) for how in chosen] == [(2000, 5), (7, 5)]
+
+
+def test_a_built_set_has_a_page_unless_none_is_wanted(smallest: StudyFolder) -> None:
+    page, manifest = smallest.stimuli / "index.html", smallest.manifest.read_bytes()
+    assert 'id="bumps__mag321__as_is"' in page.read_text(encoding="utf-8")
+    assert main(["build", str(smallest.path), "--no-page"]) == 0
+    assert not page.exists()
+    assert main(["build", str(smallest.path)]) == 0
+    assert page.exists()
+    assert (smallest.manifest.read_bytes(), audit_study(smallest)) == (manifest, [])

@@ -18,6 +18,7 @@ import numpy as np
 
 from feel321.analysis.mixed.design import build_design
 from feel321.analysis.mixed.model import MixedFit, Solved, list_spreads, report_fit, solve_design
+from feel321.analysis.primary import rcode
 from feel321.analysis.primary.plan import (
     ALIKE,
     ITEM,
@@ -102,6 +103,8 @@ class Primary(Result):
         (``_b``), reducer and source.
     notes : tuple of str
         What is unusual, one sentence each; singular fits among it.
+    penalty : tuple of str
+        Factors whose spread gets a penalty that keeps it from being estimated as zero.
     """
 
     formula: str
@@ -122,6 +125,7 @@ class Primary(Result):
     reductions: tuple[str, ...]
     model_frame: DataFrame
     notes: tuple[str, ...]
+    penalty: tuple[str, ...] = ()
 
     def to_frame(self) -> DataFrame:
         """Return the slopes.
@@ -175,17 +179,14 @@ class Primary(Result):
             The content of ``model.R``, which reads ``model.csv``.
         """
         groups = [name for name in (WHO, SCENE, ITEM, REDUCER, SOURCE) if name in self.model_frame]
-        code = [f"model${name} <- factor(model${name})" for name in groups]
-        if self.n_reducers and "(1 | reducer)" in self.formula:
-            code.append(
-                "# with fewer than 8 reducers, feel321 adds -2 log(SD of reducer); lme4 has no such penalty"
-            )
+        fit = rcode.write_fit(self.formula, "model", penalty=self.penalty)
         text = "\n".join([
             "library(lmerTest)",
             'model <- read.csv("model.csv", check.names = FALSE)',
-            *code,
-            f"fit <- lmer({self.formula}, data = model, REML = TRUE)",
-            'print(summary(fit, ddf = "Satterthwaite"))',
+            *(f"model${name} <- factor(model${name})" for name in groups),
+            *([rcode.PENALISED.rstrip()] if self.penalty else []),
+            f"fit <- {fit}",
+            "print(summary(fit))",
             "",
         ])
         if folder is not None:
@@ -369,6 +370,7 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
         n_reducers=cells.count(REDUCER) if REDUCER in cells.table else 0, reductions=terms.reductions,
         model_frame=cells.table,
         notes=(*cells.notes, *fit.notes, *why, *why_not, *_warn_few(cells), *_note_lacks(found.table, lack)),
+        penalty=terms.penalty,
     )  # fmt: skip
 
 

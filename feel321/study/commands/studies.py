@@ -119,14 +119,20 @@ def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -
     show_default=True,
     help="Number of processes.",
 )
+@shared.flag("--no-page", "Do not write stimuli/index.html, the page of the set.")
 @shared.json_option
-def build(*, study: Study, workers: int, as_json: bool) -> None:
-    """Build the stimulus set; only what changed is made again."""
+def build(*, study: Study, workers: int, no_page: bool, as_json: bool) -> None:
+    """Build the stimulus set; only what changed is made again.
+
+    Open stimuli/index.html in a browser to see, measure and hear every stimulus.
+    """
     from feel321.study.strength import describe_built
     from feel321.study.workflow import build_study
 
     with shared.show_progress("build") as progress:
-        recordings, stimuli = build_study(study.folder, workers=workers, progress=progress)
+        recordings, stimuli = build_study(
+            study.folder, workers=workers, page=not no_page, progress=progress
+        )
     shared.report_warnings(recordings)
     notes = describe_built(study.settings, recordings, stimuli)
     count, sha256 = len(stimuli.stimuli), stimuli.sha256
