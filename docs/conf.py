@@ -6,7 +6,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
-from docsite import reference  # noqa: E402 - found through the path above
+from docsite import methods, reference, settings  # noqa: E402 - found through the path above
 
 from feel321 import __version__  # noqa: E402
 from feel321.study.cli import feel321  # noqa: E402
@@ -16,7 +16,14 @@ author = "the feel321 authors"
 copyright = "2026, the feel321 authors"  # noqa: A001 - Sphinx's name
 version = release = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "numpydoc", "docsite.mathml"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "numpydoc",
+    "docsite.mathml",
+    "docsite.plot",
+    "docsite.accessible",
+]
 myst_heading_anchors = 4
 numpydoc_show_class_members = False
 autodoc_typehints = "none"  # the docstrings give types, shapes and units
@@ -38,3 +45,6 @@ pygments_style, pygments_dark_style = "a11y-high-contrast-light", "a11y-high-con
 GENERATED = HERE / "reference"
 reference.write_faces(GENERATED / "python")
 reference.write_commands(GENERATED / "commands.rst", feel321)
+methods.write_reducers(GENERATED / "reducers")
+methods.write_metrics(GENERATED / "metrics")
+settings.write_settings(GENERATED / "settings.rst")

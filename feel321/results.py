@@ -21,6 +21,7 @@ from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.published import Published
 from feel321.analysis.refined.refine import Refined
 from feel321.analysis.replication.claims import Paper, PaperClaim
+from feel321.analysis.report.front import About
 from feel321.analysis.report.write import Results
 from feel321.analysis.screening.consistency import RaterModel
 from feel321.analysis.screening.screen import Screening
@@ -42,6 +43,7 @@ from feel321.study.status import Status
 
 __all__ = [
     "P1401",
+    "About",
     "Act",
     "Advice",
     "Alignment",

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from feel321.types import MetricInfo
@@ -33,6 +33,9 @@ UNWIELDY = 1e6
 
 TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SPACE})")
 """Spaces at which no line may break."""
+
+ABBREVIATED = re.compile(r"\b(?:mushra|abx)\b")
+"""Names of scales that are abbreviations."""
 
 PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
 """Suffix of a metric's name in a model -> how it is written."""
@@ -67,10 +70,11 @@ def format_name(name: str) -> str:
 
     Examples
     --------
-    >>> format_name("equal_intensity"), format_name("spectral_match_bounded_delivered")
-    ('equal intensity', 'bounded spectral match delivered')
+    >>> format_name("equal_intensity"), format_name("spectral_match_bounded_delivered"), format_name("mushra")
+    ('equal intensity', 'bounded spectral match delivered', 'MUSHRA')
     """
     plain = name.replace("spectral_match_bounded", "bounded_spectral_match").replace("_", " ")
+    plain = ABBREVIATED.sub(lambda match: match[0].upper(), plain)
     info = _DECLARED.get().get(name)
     return plain if info is None or info.label == name else info.label
 
@@ -270,7 +274,8 @@ def format_estimate(
 class Number:
     """A number of a report, by its dotted path; NaN where it or an end of its interval is not defined.
 
-    uncertainty: kind of interval; n: how many stimuli, participants or judgements the value rests on.
+    uncertainty: kind of interval; n: how many stimuli, participants or judgements the value rests on. statistic: what
+    of its family it is; keys: what it is of (scale, level, metric, reducer, ...), in the order of the path.
     """
 
     name: str
@@ -280,6 +285,23 @@ class Number:
     uncertainty: str
     method: str
     n: int
+    statistic: str
+    keys: tuple[tuple[str, str], ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``results.json`` holds of it: addressable without taking its name apart; NaN as None."""
+        keys, family = dict(self.keys), self.name.split(".")[0]
+        told = {name: keys.pop(name, None) for name in TIDY}
+        numbers = {name: getattr(self, name) for name in ("value", "low", "high")}
+        return {
+            "name": self.name, "family": family, **told, "statistic": self.statistic, "keys": keys,
+            **{name: None if math.isnan(value) else value for name, value in numbers.items()},
+            "uncertainty": self.uncertainty, "method": self.method, "n": self.n,
+        }  # fmt: skip
+
+
+TIDY = ("scale", "level", "metric")
+"""Keys of numbers that have a field of their own in ``results.json``; null for a number that is not of one."""
 
 
 def name_path(*parts: str) -> str:
@@ -293,10 +315,16 @@ def name_path(*parts: str) -> str:
     return ".".join(part.replace("%", "%25").replace(".", "%2E") for part in parts)
 
 
-def make_number(name: str, value: float, method: str, *, n: int) -> Number:
-    """Name a number that has no interval; an infinite one counts as not defined."""
+def make_number(name: str, value: float, method: str, *, n: int, keys: str = "") -> Number:
+    """Name a number that has no interval; an infinite one counts as not defined.
+
+    keys: what the parts of the name after its family are, such as "scale level"; the rest of it is the statistic.
+    """
     known = float(value) if math.isfinite(value) else math.nan
-    return Number(name, known, math.nan, math.nan, NONE, method, int(n))
+    parts = [part.replace("%2E", ".").replace("%25", "%") for part in name.split(".")[1:]]
+    own = tuple(zip(keys.split(), parts, strict=False))
+    statistic = ".".join(parts[len(own) :]) or "value"
+    return Number(name, known, math.nan, math.nan, NONE, method, int(n), statistic, own)
 
 
 def make_interval(number: Number, low: float, high: float, *, uncertainty: str) -> Number:
@@ -306,9 +334,9 @@ def make_interval(number: Number, low: float, high: float, *, uncertainty: str) 
     return replace(number, low=float(low), high=float(high), uncertainty=uncertainty)
 
 
-def count_number(name: str, value: int, *, n: int) -> Number:
+def count_number(name: str, value: int, *, n: int, keys: str = "") -> Number:
     """Name a count."""
-    return Number(name, int(value), math.nan, math.nan, NONE, COUNT, int(n))
+    return replace(make_number(name, value, COUNT, n=n, keys=keys), value=int(value))
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,3 +366,4 @@ class Claim:
     hinges_on: tuple[str, ...] = ()
     better_than: tuple[str, ...] = ()
     higher: str = "better"
+    hinge: str = ""

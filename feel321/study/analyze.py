@@ -8,6 +8,7 @@ from shlex import quote
 
 import pandas as pd
 
+from feel321.analysis.report.front import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.screening.rules import find_rules
 from feel321.analysis.table.metrics import make_info
@@ -19,6 +20,7 @@ from feel321.stimuli.sets.manifest import find_methods, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.answers import write_answers
 from feel321.study.folder import StudyFolder, require_study
+from feel321.study.ledger.progress import Progress as Participant
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import describe_matches, write_matches
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
@@ -49,13 +51,9 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         require_study(study.path)
     settings = read_settings(study.settings) if study.settings.is_file() else None
     chosen = settings.analysis if settings else AnalysisTable()
-    further = Further(pd.DataFrame(), ())
-    if settings and ratings is None:
-        further = _derive_ratings(study, settings, metrics or chosen.metrics)
+    further, about = Further(pd.DataFrame(), ()), About()
     if settings:
-        asked = _note_asked(study, chosen, metrics)
-        labels = list_labels(settings)
-        further = replace(further, notes=(*further.notes, *asked), labels=labels)
+        further, about = _gather(study, settings, metrics, own=ratings is None)
     if rivals:
         listed = manifest or study.manifest
         further = add_rivals(study, None if manifest else settings, listed, further=further)
@@ -71,6 +69,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         info=list_info(settings) if settings else {},
         rules=find_rules(chosen.screening, study.path),
         paper=make_paper(settings, further.mountings) if settings else None,
+        about=about,
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
@@ -105,13 +104,22 @@ def read_study_table(
     return table, settings.study.seed if settings else 0
 
 
-def _note_asked(
-    study: StudyFolder, chosen: AnalysisTable, metrics: Sequence[str] | None
-) -> Iterator[str]:
-    """Note metrics that were asked for on the command line and that the study does not declare."""
-    if metrics and set(metrics) != set(chosen.metrics):
-        asked, declared = ", ".join(metrics), ", ".join(chosen.metrics)
-        yield f"Metrics {asked} were asked for with this analysis; {study.settings.name} declares {declared}."
+def _gather(
+    study: StudyFolder, settings: Settings, metrics: Sequence[str] | None, *, own: bool
+) -> tuple[Further, About]:
+    """Gather what the report needs beside the tables; of the study's own ratings, derive these and find their day."""
+    further, day, declared = Further(pd.DataFrame(), ()), "", settings.analysis.metrics
+    if own:
+        everybody = list_progress(study)
+        day = max((one.rated_utc[:10] for one in everybody), default="")
+        further = _derive_ratings(study, settings, metrics or declared, everybody=everybody)
+    notes = further.notes
+    if metrics and set(metrics) != set(declared):
+        asked, names = ", ".join(metrics), ", ".join(declared)
+        said = f"{study.settings.name} declares {names}."
+        notes = (*notes, f"Metrics {asked} were asked for with this analysis; {said}")
+    about = About(settings.study.name, day, tuple(settings.session.protocols))
+    return replace(further, notes=notes, labels=list_labels(settings)), about
 
 
 def list_labels(settings: Settings) -> pd.DataFrame:
@@ -130,8 +138,13 @@ def list_info(settings: Settings) -> dict[str, MetricInfo]:
     return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
 
 
-def _derive_ratings(study: StudyFolder, settings: Settings, metrics: Sequence[str]) -> Further:
-    everybody = list_progress(study)
+def _derive_ratings(
+    study: StudyFolder,
+    settings: Settings,
+    metrics: Sequence[str],
+    *,
+    everybody: Sequence[Participant],
+) -> Further:
     write_roster(study, everybody)
     stimuli = read_stimuli(study.stimuli)
     if not write_ratings(study, stimuli):

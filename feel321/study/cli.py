@@ -33,7 +33,7 @@ VERBS = {
         "texts",
         "withdraw",
     ),
-    "watch": ("monitor",),
+    "watch": ("monitor", "rehearse", "replay"),
 }
 """Module of `feel321.study.commands` -> its verbs."""
 

@@ -21,7 +21,7 @@ from feel321.analysis.report import primary
 from feel321.analysis.report.association import reconcile
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
-from feel321.analysis.words import Claim
+from feel321.analysis.words import Claim, name_path
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
 if TYPE_CHECKING:
@@ -280,6 +280,13 @@ def test_results_follow_their_schema(report: Path) -> None:
     assert check(results, schema) == []
     assert len(results["verdicts"]) == 4
     named = {number["name"] for number in results["numbers"]}
+    for one in results["numbers"]:  # whatever is in a name is in a field too
+        own = [one[key] for key in ("scale", "level", "metric") if one[key] is not None]
+        keys = [name_path(key) for key in (*own, *one["keys"].values())]
+        rest = [] if one["statistic"] == "value" else one["statistic"].split(".")
+        assert sorted([one["family"], *keys, *rest]) == sorted(
+            one["name"].replace("order_", "").split(".")
+        )
     assert all(claim["number"] in named for claim in results["verdicts"])
     assert check(results | {"schema_version": 0}, schema)
     assert check(results | {"more": 1}, schema)

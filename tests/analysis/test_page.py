@@ -12,8 +12,8 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.page import inline_svg
+from feel321.analysis.report.front import split_lines
 from feel321.analysis.report.section import Picture, Section, make_slug, name_pictures
-from feel321.analysis.report.write import group_lines
 from feel321.analysis.resampling import METHODS
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.words import (
@@ -184,41 +184,34 @@ def test_notes_hold_words_instead_of_raw_names(report: Path) -> None:
     )
 
 
-def test_the_answer_stands_by_subject_and_the_rest_last() -> None:
-    first = Section(
-        "a",
-        "A",
-        verdict=(Line("x", "Realism", "over 36 stimuli"), Line("all"), Line("y", "Similarity")),
-    )
-    second = Section("b", "B", verdict=(Line("z", "Realism"), Line("all")))
-    told = {
-        subject: [str(line) for line in lines]
-        for subject, lines in group_lines([first, second]).items()
-    }
-    assert list(told.items()) == [
-        ("Realism", ["Realism, over 36 stimuli: x", "Realism: z"]),
-        ("Similarity", ["Similarity: y"]),
-        ("", ["all"]),
-    ]
+def test_what_scales_share_is_said_once_and_nothing_is_lost() -> None:
+    same = [Line("x", "Realism", "evidence"), Line("x", "MUSHRA", "evidence"), Line("all")]
+    own = [Line(f"{number}", f"Scale {number}", "pooled") for number in range(4)]
+    section = Section("a", "A", answers=("in words",), verdict=(*same, *own))
+    shown, folded = split_lines(section)
+    assert shown == ["Realism and MUSHRA, evidence: x", "All"]
+    # A sentence of their own for each of four scales gives way to tables.
+    assert folded == [*map(str, own), "in words"]
+    assert split_lines(Section("paper", "A", verdict=own)) == ([*map(str, own)], [])
 
 
-def test_what_a_reader_meets_first_is_not_folded(report: Path) -> None:
+def test_every_sentence_of_the_results_is_on_the_page(report: Path) -> None:
     results = load(report)
-    text = re.sub(
-        r"<svg.*?</svg>", "", (report / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL
-    )
-    met = html.unescape(re.sub(r"<details>.*?</details>", "", text, flags=re.DOTALL))
-    # Whose ratings a line is about stands above it, once.
-    lines = [keep_together(line.split(": ", 1)[-1]) for line in results["verdict"]]
-    assert all(line.casefold() in met.casefold() for line in lines)
-    assert (
-        met.index(lines[0])
-        < met.index("Points per +0.1")
-        < met.index("Correlations of mean ratings with metrics")
-    )
-    # What opens the report is not said again.
-    assert not any(keep_together(line) in text for line in results["answers"]["primary"])
-    assert len(re.findall("<details>", text)) == len(re.findall("<summary>", text)) > 5
+    page = (report / "index.html").read_text(encoding="utf-8")
+    text = html.unescape(re.sub(r"<svg.*?</svg>", "", page, flags=re.DOTALL)).casefold()
+    met = re.sub(r"<details.*?</details>", "", text, flags=re.DOTALL)
+    for line in [*results["verdict"], *(one for own in results["answers"].values() for one in own)]:
+        assert keep_together(line.split(": ", 1)[-1]).casefold() in text
+    # Met first, and not folded: the sentence, the cards, the slopes; then the correlations.
+    order = [
+        keep_together(results["headline"]).casefold(), 'class="card"', "points per +0.1",
+        "correlations of mean ratings with metrics", 'id="computed"',
+    ]  # fmt: skip
+    places = [met.index(one) for one in order]
+    assert places == sorted(places)
+    # Every fold is named by what is in it.
+    folds = re.findall(r"<details[^>]*>\s*<summary>(.*?)</summary>", text)
+    assert len(folds) == len(set(folds)) > 5
 
 
 def test_figures_keep_their_names_when_others_come(report: Path) -> None:

@@ -7,7 +7,7 @@ import re
 import shutil
 from functools import partial
 from html.parser import HTMLParser
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -115,7 +115,19 @@ def test_every_number_says_what_it_is(report: Path) -> None:
     names = [entry["name"] for entry in numbers]
     assert len(names) == len(set(names))
     for entry in numbers:
-        assert list(entry) == ["name", "value", "low", "high", "uncertainty", "method", "n"]
+        first = [
+            "name",
+            "family",
+            "scale",
+            "level",
+            "metric",
+            "statistic",
+            "keys",
+            "value",
+            "low",
+            "high",
+        ]
+        assert list(entry) == [*first, "uncertainty", "method", "n"]
         assert entry["method"]
         assert isinstance(entry["n"], int)
         assert bool(entry["uncertainty"]) == (entry["low"] is not None)
@@ -187,7 +199,7 @@ def test_the_page_stands_alone(report: Path) -> None:
     namespaces = {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
     assert set(re.findall(r"https?://[^\s\"'<>]+", text)) <= namespaces
     assert not page.find("script")
-    assert not page.find("link")
+    assert [link["href"] for link in page.find("link")] == ["data:,"]  # no icon is asked for
     assert not page.find("img")
     assert len(page.ids) == len(set(page.ids))
 
@@ -196,11 +208,18 @@ def test_the_page_reads_well_without_eyes(report: Path) -> None:
     page = Page(report / "index.html")
     assert page.find("html")[0]["lang"] == "en"
     results = load(report)
-    assert len(page.find("svg")) == len(page.find("figcaption")) == len(results["figures"])
+    strips = [svg for svg in page.find("svg") if svg.get("class") == "strip"]
+    drawn = len(page.find("svg")) - len(strips)
+    assert drawn == len(page.find("figcaption")) == len(results["figures"])
+    assert len(strips) == len(results["cards"])
     assert all(svg["role"] == "img" and svg["aria-label"] for svg in page.find("svg"))
     assert len(page.find("table")) == len(page.find("caption")) == len(results["captions"])
     assert all(cell.get("scope") for cell in page.find("th"))
-    assert [tag for tag, _ in page.tags if tag in {"h1", "h2"}] == ["h1", *["h2"] * 11]
+    levels = [int(tag[1]) for tag, _ in page.tags if tag in {"h1", "h2", "h3", "h4"}]
+    assert levels.count(1) == 1 == levels[0]
+    assert all(below <= above + 1 for above, below in pairwise(levels))
+    links = [link["href"].removeprefix("#") for link in page.find("a") if "class" not in link]
+    assert len(links) == len(set(links) & set(page.ids)) > 4
 
 
 @pytest.mark.usefixtures("short")

@@ -59,3 +59,53 @@ def test_a_page_is_written_only_where_it_changes(site: Any, tmp_path: Path) -> N
     assert page.stat().st_mtime_ns == before
     site("text").write(page, "Other words.")
     assert page.read_text() == "Other words.\n"
+
+
+@pytest.mark.parametrize("file", ["study.toml", "rig.toml"])
+def test_every_setting_is_in_the_reference_and_explained(site: Any, file: str) -> None:
+    """The templates, which other tests hold against the schema, name every key."""
+    settings = site("settings")
+    listed = {each.place: each for each in settings.list_settings(file)}
+    template = (settings.TEMPLATES / settings.FILES[file][1]).read_text(encoding="utf-8")
+    named = set(settings.read_comments(template))
+    tables = {"between", "formats", "scales.NAME", "reducers.NAME", "observer.reducers"}
+    assert {
+        key for key in named if key not in listed and key.rpartition(".")[0] not in tables
+    } == set()
+    assert [place for place, each in listed.items() if not each.meaning or not each.allowed] == []
+
+
+def test_what_a_setting_may_be_is_what_it_is_refused_with(site: Any) -> None:
+    listed = {each.place: each for each in site("settings").list_settings("study.toml")}
+    assert listed["session.order"].allowed == "williams, blocked, random"
+    assert listed["stimuli.levels"].allowed == "a list of as_is, equal_intensity"
+    assert listed["session.repeats"].allowed == "whole number from 1 to 1000"
+    assert listed["rig.headroom"][3:] == ("0.9", "largest share of full scale that is used")
+    assert listed["session.threshold.frequencies_hz"].default == "required"
+
+
+def test_every_reducer_and_metric_has_a_page(site: Any, tmp_path: Path) -> None:
+    methods = site("methods")
+    methods.write_reducers(tmp_path / "reducers")
+    methods.write_metrics(tmp_path / "metrics")
+    for kind, names in (("reducers", methods.REDUCERS), ("metrics", methods.METRICS)):
+        assert {page.stem for page in (tmp_path / kind).glob("*.rst")} == {*names, "index"}
+        assert set(methods.WORDS[kind]) == set(names)
+        for name in names:
+            text = (tmp_path / kind / f"{name}.rst").read_text(encoding="utf-8")
+            _, _, formula = text.partition("Formula\n-------\n")
+            assert len(formula.partition("\nWhen it")[0].split()) > 4, name
+            assert "]_" not in text
+
+
+POOR = 0.75
+"""A match that is poor: where a page says that a reducer fails, one of the two is not above."""
+
+
+def test_each_reducer_fails_where_its_page_says(site: Any) -> None:
+    methods = site("methods")
+    found = {
+        name: methods.measure(name, methods.BATTERY[words["scene"]].make(1))[1:]
+        for name, words in methods.WORDS["reducers"].items()
+    }
+    assert {name: pair for name, pair in found.items() if min(pair) > POOR} == {}

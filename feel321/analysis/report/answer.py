@@ -232,7 +232,13 @@ class Finding:
         place, found = self.part.place, (self.verdict, self.direction)
         number = words.name_path("slope", *place, self.metric)
         higher = "better" if self.expected == HIGHER else "worse"
-        return Claim(*place, self.metric, *found, number, turns, tuple(worse), higher)
+        return Claim(*place, self.metric, *found, number, turns, tuple(worse), higher, self.hinge)
+
+    @property
+    def hinge(self) -> str:
+        """What the verdict hinges on, in a few words."""
+        rows, more = self.hinges.to_dict("records"), len(self.hinges) - 1
+        return f"the {_name_unit(rows[0])}" + f" and {more} more" * (more > 0) if rows else ""
 
 
 def describe_findings(found: Sequence[Finding], needs: Sequence[str]) -> Iterator[Line]:

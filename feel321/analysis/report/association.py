@@ -31,6 +31,7 @@ from feel321.analysis.figures.scatter import (
 from feel321.analysis.figures.style import Look, assign_looks
 from feel321.analysis.p1401 import p1401
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
+from feel321.analysis.report import explore
 from feel321.analysis.report.parts import RatingsPart, split_parts
 from feel321.analysis.report.section import (
     INTERVAL,
@@ -173,6 +174,7 @@ def compute_association(table: Table, choices: Choices) -> Section:
     )
     return Section(
         key=key, title=title, answers=(*sum_up_panels(panels), UNADJUSTED), panels=tuple(panels),
+        points=explore.write_points(panels, LEADING, table.info),
         grids=(
             ASSOCIATIONS.build(associations), DIFFERENCES.build(differences), _turn_round(associations),
         ),

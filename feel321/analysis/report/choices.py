@@ -17,7 +17,7 @@ from feel321.analysis.choices.votes import gather_votes
 from feel321.analysis.contrasts.bradley_terry import BradleyTerry, bradley_terry
 from feel321.analysis.figures.shares import draw_shares
 from feel321.analysis.report import section as page
-from feel321.analysis.report.parts import SIGNIFICANCE
+from feel321.analysis.report.parts import SIGNIFICANCE, split_arms
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table
 from feel321.analysis.table.schema import CHOSEN, HIGHEST
 
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 Row = dict[Any, Any]
 
 KEY, TITLE = "choices", "Choices between two stimuli"
+ARM = "scale level"
+"""Keys of a number of one arm."""
 ASKED = {
     "triplet": "which of two stimuli feels more like the reference",
     "preference": "which of two stimuli is preferred",
@@ -157,9 +159,9 @@ def _split(table: Table) -> Iterator[_Arm]:
     rows = table.rows[table.rows["scale"].isin(CHOSEN)]
     metrics = tuple(dict.fromkeys([*table.metrics, *table.rivals]))
     several = len(rows["level"].unique()) > 1
-    for (scale, level), part in rows.groupby(["scale", "level"], observed=True):
+    for scale, level, part in split_arms(rows):
         own = replace(table, rows=part.reset_index(drop=True))
-        yield _Arm(str(scale), str(level), own, metrics, several)
+        yield _Arm(scale, level, own, metrics, several)
 
 
 def _find_roles(arm: _Arm) -> tuple[Any, Any]:
@@ -180,9 +182,11 @@ def _describe_catches(arm: _Arm, unseen: list[words.Number]) -> Iterator[str]:
     wrong = int((np.where(first, one, other)[is_catch] == "anchor").sum())
     unseen += [
         words.count_number(
-            words.name_path(KEY, arm.scale, arm.level, "anchors_chosen"), wrong, n=n
+            words.name_path(KEY, arm.scale, arm.level, "anchors_chosen"), wrong, n=n, keys=ARM
         ),
-        words.count_number(words.name_path(KEY, arm.scale, arm.level, "catch_trials"), n, n=n),
+        words.count_number(
+            words.name_path(KEY, arm.scale, arm.level, "catch_trials"), n, n=n, keys=ARM
+        ),
     ]
     yield f"{arm.scale}, {arm.level}: an anchor was chosen in {wrong} of {n} catch trials."
 
@@ -220,7 +224,9 @@ def _predict(arm: _Arm, choices: Choices) -> page.Section:  # noqa: ARG001 - eve
         KEY, TITLE, answers=(answer,), verdict=(words.Line(answer),),
         grids=(PREDICTED.build(rows), COMPARED.build(differences)),
         unseen=tuple(
-            words.count_number(words.name_path(KEY, arm.scale, arm.level, f"n_{name}"), size, n=found.n_votes)
+            words.count_number(
+                words.name_path(KEY, arm.scale, arm.level, f"n_{name}"), size, n=found.n_votes, keys=ARM,
+            )
             for name, size in sizes.items()
         ),
         tables={"choices_predicted": rows, "choices_differences": differences},

@@ -190,7 +190,7 @@ def _list_numbers(answers: Sequence[PaperAnswer]) -> Iterator[Number]:
         for end, found in (("", one.found), (".without", one.without)):
             if found is not None:
                 path = words.name_path("claim", one.claim.name) + end
-                number = make_number(path, found.value, found.method, n=found.n)
+                number = make_number(path, found.value, found.method, n=found.n, keys="claim")
                 yield make_interval(number, found.low, found.high, uncertainty=found.interval)
 
 

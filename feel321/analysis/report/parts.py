@@ -59,12 +59,18 @@ def split_parts(table: Table, *, matched: bool = True) -> Iterator[RatingsPart]:
     """Split the ratings of test stimuli by scale and level."""
     rated = select_tests(table, matched=matched)
     several = len(rated["level"].unique()) > 1
-    for (scale, level), part in rated.groupby(["scale", "level"], observed=True):
-        subject = format_name(str(scale)) + (
-            f" (level {format_name(str(level))})" if several else ""
-        )
+    for scale, level, part in split_arms(rated):
+        subject = format_name(scale) + (f" (level {format_name(level)})" if several else "")
         rows = part.assign(**{ITEM: part["stimulus_id"]})
-        yield RatingsPart(str(scale), str(level), rows, subject)
+        yield RatingsPart(scale, level, rows, subject)
+
+
+def split_arms(rows: DataFrame) -> Iterator[tuple[str, str, DataFrame]]:
+    """Split rows by scale, in their order, and level, by name."""
+    arms = dict(tuple(rows.groupby(["scale", "level"], observed=True)))
+    order = {scale: place for place, scale in enumerate(rows["scale"].unique())}
+    for scale, level in sorted(arms, key=lambda arm: (order[arm[0]], arm[1])):
+        yield str(scale), str(level), arms[scale, level]
 
 
 def select_tests(table: Table, *, matched: bool = True) -> DataFrame:

@@ -330,7 +330,7 @@ PAPER = TableForm(
         estimate("Raw slope", "raw", OF_RAW, end="raw", ends="raw_", n="raw_n"), Column("Without", "item", NAME),
         estimate("Raw slope", "rest", OF_RAW, end="raw_without", ends="rest_", n="rest_n"),
     ),
-    path=f"paper.{{scale}}.{{level}}.{RAW}",
+    path="paper.{scale}.{level}.{metric}",
 )  # fmt: skip
 
 
@@ -353,8 +353,8 @@ def _compare_paper(part: parts.RatingsPart, metrics: list[str], choices: Choices
     cells = make_cells(part.rows, metrics)
     item = find_candidates(cells, count=1)[0]
     row: Row = {
-        **part.keys, "item": item, "ranks": ranks.value, "ranks_low": ranks.low, "ranks_high": ranks.high,
-        "n_items": ranks.n_items,
+        **part.keys, "metric": RAW, "item": item, "ranks": ranks.value, "ranks_low": ranks.low,
+        "ranks_high": ranks.high, "n_items": ranks.n_items,
     }  # fmt: skip
     for name, some in (("raw", cells), ("rest", cells.leave_out(parts.ITEM, item))):
         slope = fit_slopes(some).table.loc[RAW]

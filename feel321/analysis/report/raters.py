@@ -177,14 +177,14 @@ def _fit_models(single: DataFrame) -> tuple[Models, list[str]]:
     """Fit the rater model to each scale and level, hidden references and anchors included."""
     models: Models = []
     notes = []
-    for (scale, level), rows in single.groupby(["scale", "level"], observed=True):
+    for scale, level, rows in parts.split_arms(single):
         lead = f"{scale}, {level}"
         try:
             model = rater_model(rows)
         except ValueError as error:
             notes.append(f"{lead}, rater model: none. {error}")
             continue
-        models.append(({"scale": str(scale), "level": str(level), "_ratings": lead}, model))
+        models.append(({"scale": scale, "level": level, "_ratings": lead}, model))
         notes += [f"{lead}, rater model: {note}" for note in model.notes]
     return models, notes
 
@@ -246,7 +246,9 @@ def _count_flagged(screening: Screening) -> Iterator[words.Number]:
     everyone = screening.table["participant"].nunique()
     for group in GROUPS:
         size = len(_list_flagged(screening, group))
-        yield words.count_number(words.name_path("screening_panel", group), size, n=everyone)
+        yield words.count_number(
+            words.name_path("screening_panel", group), size, n=everyone, keys="panel"
+        )
 
 
 def _list_flagged(screening: Screening, group: str) -> list[Hashable]:

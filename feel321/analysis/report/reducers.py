@@ -37,6 +37,7 @@ from feel321.analysis.report.parts import (
     format_p,
     join_steps,
     select_tests,
+    split_arms,
     thin_parts,
     thin_rows,
 )
@@ -93,11 +94,11 @@ def compute_profile(table: Table, choices: Choices) -> Section:  # noqa: ARG001 
     if profile.empty:
         why = "Only pairs of two test stimuli were rated: no ratings per reducer."
         return Section(key, title, notes=(why,))
-    order = order_reducers(profile["reducer"])
+    order, scales = order_reducers(profile["reducer"]), list(single["scale"].unique())
     rows = sorted(
         ({**row, "_ratings": f"{row['scale']}, {row['level']}"} for row in profile.to_dict("records")),
         key=lambda row: (
-            row["scale"], row["level"], ROLES.index(row["role"]), order.index(row["reducer"])
+            scales.index(row["scale"]), row["level"], ROLES.index(row["role"]), order.index(row["reducer"]),
         ),
     )  # fmt: skip
     return Section(
@@ -105,16 +106,16 @@ def compute_profile(table: Table, choices: Choices) -> Section:  # noqa: ARG001 
         title=title,
         grids=(PROFILE.build(rows),),
         tables={"profiles": profile, "participants": people},
-        pictures=tuple(_picture_profiles(profile, people, order_reducers(table.rows["reducer"]))),
+        pictures=tuple(_picture_profiles(table.rows, profile, people)),
         how=read_methods(key),
     )
 
 
 def _picture_profiles(
-    profile: DataFrame, people: DataFrame, reducers: list[str]
+    ratings: DataFrame, profile: DataFrame, people: DataFrame
 ) -> Iterator[Picture]:
-    looks, tests = assign_looks(reducers), profile[profile["role"] == ROLES[0]]
-    for scale, level in sorted(set(zip(tests["scale"], tests["level"], strict=True))):
+    looks = assign_looks(order_reducers(ratings["reducer"]))
+    for scale, level, _ in split_arms(ratings[ratings["role"] == ROLES[0]]):
         rows, chosen = (
             frame[(frame["scale"] == scale) & (frame["level"] == level)]
             for frame in (profile, people)
@@ -178,7 +179,8 @@ def compute_levels(table: Table, choices: Choices) -> Section:
 def _compare_scales(
     tests: DataFrame, steps: Mapping[str, Step], *, choices: Choices, notes: list[str]
 ) -> Iterator[Row]:
-    for name, rows in tests.assign(**{ITEM: tests["stimulus_id"]}).groupby("scale", observed=True):
+    tests = tests.assign(**{ITEM: tests["stimulus_id"]})
+    for name, rows in tests.groupby("scale", observed=True, sort=False):
         rng = choices.make_rng(KEY_LEVELS, scale := str(name))
         part, thinned = thin_rows(rows, n_slopes=len(steps), rng=rng)
         notes += [f"{scale}, levels compared: {thinned}"] if thinned else []
@@ -366,10 +368,10 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
 
 def _list_numbers(part: RatingsPart, margin: _Margin, pairs: list[_Pair]) -> Iterator[Number]:
     name = words.name_path("margin", *part.place)
-    yield words.make_number(name, margin.points, margin.source, n=margin.n)
+    yield words.make_number(name, margin.points, margin.source, n=margin.n, keys="scale level")
     for what, count in {"n_differ": _count_different(pairs), "n_pairs": len(pairs)}.items():
         name = words.name_path("contrasts", *part.place, what)
-        yield words.count_number(name, count, n=len(pairs))
+        yield words.count_number(name, count, n=len(pairs), keys="scale level")
 
 
 def _find_margin(part: RatingsPart, choices: Choices) -> _Margin:

@@ -47,6 +47,9 @@ if TYPE_CHECKING:
 TEXT, NAME = "text", "name"
 """Kinds of columns that hold no number: words made of a name, and names as they are."""
 
+KEY = r"\{(\w+)\}"
+"""A key of a row in the path of its numbers."""
+
 BOTH, VALUE, INTERVAL = "both", "value", "interval"
 """What of a number the page shows: with an interval, two columns, the second headed "Interval"."""
 
@@ -82,11 +85,20 @@ class Column:
         return self.head, self.head_interval
 
     def make_number(self, row: Record, *, path: str, n: str) -> Number:
-        """Make the number that a row holds."""
-        name, count = f"{path}.{self.end}" if self.end else path, int(row[self.n or n])
+        """Make the number that a row holds; path: of the table, the row's keys in braces."""
+        own, count = _fill(path, row), int(row[self.n or n])
+        name = f"{own}.{self.end}" if self.end else own
+        # A number has a method of its own: how it was computed.
+        named = {
+            key: "coefficient" if key == "method" else key.lstrip("_")
+            for key in re.findall(KEY, path)
+        }
+        keys = tuple((name, str(row[key])) for key, name in named.items())
         if self.kind == COUNT and not self.method:
-            return count_number(name, row[self.key], n=count)
-        number = make_number(name, row[self.key], self.method.format_map(row), n=count)
+            number = count_number(name, row[self.key], n=count)
+        else:
+            number = make_number(name, row[self.key], self.method.format_map(row), n=count)
+        number = replace(number, statistic=self.end or "value", keys=keys)
         if not self.interval:
             return number
         low, high = row[f"{self.ends}low"], row[f"{self.ends}high"]
@@ -157,13 +169,13 @@ class TableForm:
         shown: list[tuple[str, ...]] = []
         numbers: list[Number] = []
         for row in rows:
-            own, cells = _fill(self.path, row), []
+            cells: list[str] = []
             for column in self.columns:
                 if column.kind in {TEXT, NAME}:
                     value = str(row[column.key])
                     cells.append(format_name(value) if column.kind == TEXT else value)
                     continue
-                numbers.append(column.make_number(row, path=own, n=self.n))
+                numbers.append(column.make_number(row, path=self.path, n=self.n))
                 cells += column.show_number(numbers[-1])
             shown.append(tuple(cells))
         kinds = [column.kind for column in self.columns for _ in column.heads]
@@ -187,7 +199,7 @@ def word_steps(form: TableForm, steps: Mapping[str, Step]) -> TableForm:
 
 def _fill(path: str, row: Record) -> str:
     """Fill a path's keys in; a point in a value is escaped, because points separate."""
-    return re.sub(r"\{(\w+)\}", lambda match: name_path(str(row[match[1]])), path)
+    return re.sub(KEY, lambda match: name_path(str(row[match[1]])), path)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,6 +261,7 @@ class Section:
     figures only. tables: CSV files by name, each a frame or a list of rows (keys that begin with an underscore are for
     the page only, and tuples are joined). notes: what was left out or assumed, and why. how: how it was computed.
     claims: what it concludes, for a program. panels: correlations, to be compared with the claims of other sections.
+    points: of the scatters, as JSON for the page's script.
     """
 
     key: str
@@ -263,6 +276,7 @@ class Section:
     how: Sequence[str] = ()
     claims: Sequence[Claim] = ()
     panels: Sequence[Panel] = ()
+    points: str = ""
 
     def __post_init__(self) -> None:
         """Leave out what is empty, make frames of rows, and tuples of lists."""

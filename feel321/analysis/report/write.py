@@ -9,10 +9,11 @@ import os
 import platform
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
-from itertools import chain
+from itertools import chain, groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from feel321.analysis.page import render_template
 from feel321.analysis.report import (
     association,
     delivered,
+    front,
     maps,
     pairs,
     primary,
@@ -36,6 +38,7 @@ from feel321.analysis.report import (
 from feel321.analysis.report import choices as chosen
 from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
+from feel321.analysis.report.front import About
 from feel321.analysis.report.section import Picture, Section, name_pictures
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES, find_rules
@@ -93,6 +96,12 @@ class Results(Result):
         The report's folder.
     paper_claims : tuple of Mapping
         Where a paper is replicated, each of its claims with the verdict: a row of ``tables/paper_claims.csv``.
+    about : Mapping of str to str
+        Name of the study, and the day of the last rating, if known.
+    headline : str
+        The finding in one sentence.
+    cards : tuple of MetricCard
+        What the page opens with: effect, correlation and verdict of every metric on every scale.
     """
 
     verdict: tuple[str, ...]
@@ -109,6 +118,9 @@ class Results(Result):
     versions: Mapping[str, str]
     path: Path = Path()
     paper_claims: tuple[Mapping[str, Any], ...] = ()
+    about: Mapping[str, str] = field(default_factory=dict)
+    headline: str = ""
+    cards: tuple[front.MetricCard, ...] = ()
 
     def to_frame(self) -> DataFrame:
         """Return every number of the report.
@@ -116,11 +128,17 @@ class Results(Result):
         Returns
         -------
         DataFrame
-            One row per number: its name, value, interval, kind of interval, method and n.
+            One row per number: its name and family, what it is of (scale, level, metric, and a column for each further
+            key, such as reducer), statistic, value, interval, kind of interval, method and n.
         """
         import pandas as pd
 
-        return pd.DataFrame([asdict(number) for number in self.numbers])
+        rows = [number.to_dict() for number in self.numbers]
+        frame = pd.DataFrame([{**row["keys"], **row} for row in rows]).drop(columns="keys")
+        first = list(rows[0]) if rows else []
+        own = [name for name in first if name != "keys"]
+        frame = frame[[*own, *(name for name in frame if name not in own)]]
+        return frame.astype(dict.fromkeys(("value", "low", "high"), float))
 
     def summary(self) -> str:
         """Write the answer, a line per finding.
@@ -143,9 +161,10 @@ class Results(Result):
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "path"}
         claims = [_without_nan(dict(one)) for one in self.paper_claims]
         return {
-            "schema_version": SCHEMA_VERSION, "verdict": self.verdict,
+            "schema_version": SCHEMA_VERSION, "about": dict(self.about), "headline": self.headline,
+            "cards": [_without_nan(asdict(card)) for card in self.cards], "verdict": self.verdict,
             "verdicts": [asdict(claim) for claim in self.verdicts], "simulated": self.simulated,
-            "numbers": [_without_nan(asdict(number)) for number in self.numbers],
+            "numbers": [number.to_dict() for number in self.numbers],
             "answers": dict(self.answers), "figures": dict(self.figures),
             **{name: fields[name] for name in ("captions", "notes", "how", "files")},
             "inputs": dict(self.inputs), "versions": dict(self.versions),
@@ -275,6 +294,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     info: Mapping[str, MetricInfo] | None = None,
     rules: Sequence[object] = (),
     paper: Paper | None = None,
+    about: About | None = None,
     rng: Rng = 0,
     seed: int | None = None,
     progress: Progress | None = False,
@@ -310,6 +330,8 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         The lab's own screening rules, beside feel321's (`screen_raters`).
     paper : Paper, optional
         The paper that is replicated: its claims are answered first.
+    about : About, optional
+        The study's name, the day of its last rating, and the order of its protocols.
     rng : int or Generator
         Seed of all randomness; the same files, choices and seed give the same bytes.
     seed : int, optional
@@ -343,11 +365,13 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     ):
         choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
         table, given = _open(ratings_path, manifest_path, **choice)
+        about = about or About()
+        table = front.order_scales(table, about.protocols)
         inputs = describe_inputs(given, table=table, further=further, choices=choices)
         if paper is not None:
             inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
         with words.declaring(table.info):
-            results = _write(table, choices, target, move=move, given=(inputs, paper))
+            results = _write(table, choices, target, move=move, given=(inputs, paper, about))
     return replace(results, path=target.path)
 
 
@@ -357,10 +381,10 @@ def _write(
     target: ResultsFolder,
     *,
     move: Callable[[int, int], None],
-    given: tuple[Mapping[str, str], Paper | None],
+    given: tuple[Mapping[str, str], Paper | None, About],
 ) -> Results:
-    """Compute all sections, and draw the figures of each meanwhile; given: inputs, and the paper that is replicated."""
-    inputs, paper = given
+    """Compute all sections, and draw the figures of each meanwhile; given: inputs, paper and what the study is."""
+    inputs, paper, about = given
     sections = []
     for section in _compute(table, choices, move):
         sections.append(section)
@@ -368,7 +392,7 @@ def _write(
     sections = _reconcile(sections)
     if paper is not None:
         sections = [paper_section.compute(table, choices, paper, sections=sections), *sections]
-    results = gather_results(table, sections, inputs=inputs)
+    results = gather_results(table, sections, inputs=inputs, about=about)
     target.write(
         results.to_dict(),
         page=lambda drawings: render_page(results, sections, drawings=drawings),
@@ -451,10 +475,12 @@ def _reconcile(sections: Sequence[Section]) -> list[Section]:
 
 
 def gather_results(
-    table: Table, sections: Sequence[Section], *, inputs: Mapping[str, str]
+    table: Table, sections: Sequence[Section], *, inputs: Mapping[str, str], about: About
 ) -> Results:
     """Gather what ``results.json`` holds."""
     rows = table.rows
+    numbers = collect_numbers(table, _gather(sections, "numbers"))
+    cards = front.make_cards(table, sections, numbers)
     names = [*rows["scale"].unique(), RECAST, *rows["level"].unique()]
     names += [*table.metrics, *table.further, *table.rivals]
     own = [words.format_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
@@ -462,7 +488,7 @@ def gather_results(
     return Results(
         verdict=tuple(dict.fromkeys(map(str, _gather(sections, "verdict")))),
         verdicts=tuple(_gather(sections, "claims")),
-        numbers=collect_numbers(table, _gather(sections, "numbers")),
+        numbers=numbers,
         answers={section.key: tuple(section.answers) for section in sections if section.answers},
         figures={picture.name: picture.caption for picture in pictures},
         captions=tuple(grid.caption for grid in _gather(sections, "grids")),
@@ -473,6 +499,9 @@ def gather_results(
         simulated=bool(rows["simulated"].any()),
         inputs=inputs,
         versions=list_versions(),
+        about={"name": about.name, "date": about.date},
+        headline=front.write_headline(cards, sections, numbers),
+        cards=cards,
     )
 
 
@@ -500,18 +529,14 @@ def render_page(
     return render_template(
         "report.html",
         results=results,
-        sections=sections,
-        answer=group_lines(sections),
+        subjects={
+            subject: list(own) for subject, own in groupby(results.cards, attrgetter("subject"))
+        },
+        lead=front.choose_picture(results.cards, sections),
+        blocks=front.group_sections(sections),
+        lines={section.key: front.split_lines(section) for section in sections},
         drawings=drawings,
         sizes=sizes,
+        points="".join(section.points for section in sections),
+        front=front,
     )
-
-
-def group_lines(sections: Iterable[Section]) -> dict[str, list[words.Line]]:
-    """Put together what opens the page about the same ratings; what is about all of them comes last."""
-    lines = dict.fromkeys(_gather(sections, "verdict"))
-    subjects = dict.fromkeys(line.subject for line in lines)
-    return {
-        subject: [line for line in lines if line.subject == subject]
-        for subject in sorted(subjects, key=lambda subject: not subject)
-    }

@@ -32,6 +32,10 @@ class PageParts(NamedTuple):
     values: Mapping[str, Any]
 
 
+SCHEMA_VERSION = 1
+"""Version of what ``results.json`` of chart, stress and advise holds: raised when a field changes or goes."""
+
+
 class PageResult(Result):
     """A result that has a page."""
 
@@ -61,7 +65,7 @@ class PageResult(Result):
         with ResultsFolder(folder) as results:
             results.draw(pictures)
             results.write(
-                to_json_value({**content, "files": files}),
+                to_json_value({"schema_version": SCHEMA_VERSION, **content, "files": files}),
                 page=lambda drawings: render_template(
                     name, pictures=pictures, drawings=drawings, **values
                 ),

@@ -1,18 +1,23 @@
-"""Verbs to look at sessions: monitor."""
+"""Verbs to look at sessions: monitor, replay, rehearse."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from feel321.files import write_text
 from feel321.study.commands import shared
 from feel321.study.folder import require_study
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from feel321.study.study import Study
 
 
 @click.command(
@@ -45,7 +50,100 @@ def monitor(folders: Sequence[Path], *, port: int, host: str, rehearsals: bool) 
     studies = [
         replace(require_study(folder), is_rehearsal=rehearsals) for folder in folders or (Path(),)
     ]
-    try:
+    with _quiet_end("monitor"):
         serve_monitor(studies, host=host, port=port, now=utc_now, announce=click.echo)
-    except KeyboardInterrupt:  # the usual end
-        click.echo("monitor: ended", err=True)
+
+
+@click.command(
+    epilog="""\b
+Example: feel321 replay my-study --participant p07 --speed 8
+         feel321 replay my-study --participant p07 --out p07.html
+"""
+)
+@shared.study_argument
+@shared.participant_option
+@click.option("--session", type=click.IntRange(min=1), help="Number.  [default: the newest]")
+@click.option(
+    "--speed",
+    type=click.FloatRange(0.1, 1000),
+    default=1.0,
+    show_default=True,
+    help="Speed in the window.",
+)
+@shared.flag("--browser", "On a page at an address of this machine, with sound.")
+@click.option(
+    "--out", type=shared.FILE, metavar="FILE", help="Write that page, which opens offline."
+)
+@shared.flag("--windowed", "A window instead of the whole screen.")
+@shared.flag("--while-running", "Even while the session runs.")
+@shared.rehearsals_option
+def replay(  # noqa: PLR0913 - one parameter per option
+    *,
+    study: Study,
+    participant: str,
+    session: int | None,
+    speed: float,
+    browser: bool,
+    out: Path | None,
+    windowed: bool,
+    while_running: bool,
+    rehearsals: bool,
+) -> None:
+    """Show a session again from its journal, at speed.
+
+    It comes on the participant's own screens (without sound; Space pauses, arrows go from screen to screen, Esc ends
+    it), or on a page. Nothing is written into the study. A replay shows the answers: it is not blind.
+    """
+    from feel321.study.monitor import replay as replays
+
+    folder = replace(study.folder, is_rehearsal=rehearsals)
+    film = replays.read_film(folder, participant, session=session, while_running=while_running)
+    if out is not None:
+        write_text(out, replays.write_page(film))
+        click.echo(out)
+    elif browser:
+        from feel321.study.monitor.server import serve_pages
+
+        pages = {"/": lambda nonce: ("text/html", replays.write_page(film, nonce))}
+        with _quiet_end("replay"):
+            serve_pages("127.0.0.1", 0, pages, announce=click.echo)
+    else:
+        from feel321.study.lab import start_clock
+        from feel321.study.screen.window import open_screen
+
+        clock = start_clock(0.0)
+        with open_screen(clock=clock, windowed=windowed) as window:
+            replays.play_in_window(film, window, clock=clock, speed=speed)
+
+
+@click.command(epilog="Example: feel321 rehearse my-study --out rehearsal.html")
+@shared.study_argument
+@click.option("--out", type=shared.FILE, metavar="FILE", required=True, help="The page to write.")
+@click.option(
+    "--trials",
+    type=click.IntRange(min=1),
+    default=2,
+    show_default=True,
+    help="Trials of each task in training, in practice and in the main phase.",
+)
+@shared.seed_option(" of the simulated participant")
+def rehearse(*, study: Study, out: Path, trials: int, seed: int | None) -> None:
+    """Write a page that shows a session without the lab.
+
+    One file that opens offline, for co-authors and ethics boards: every screen in the participant's words, with scales
+    and keys, vibrations as sound, answered by a simulated participant. Each screen says that it is a rehearsal.
+    """
+    from feel321.study.monitor import replay as replays
+
+    film = replays.rehearse(study.folder, trials=trials, seed=seed, now=study.now)
+    write_text(out, replays.write_page(film))
+    click.echo(out)
+
+
+@contextmanager
+def _quiet_end(verb: str) -> Iterator[None]:
+    """Take Ctrl-C as the usual end."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        click.echo(f"{verb}: ended", err=True)

@@ -15,7 +15,13 @@ from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.rigs import find_rig_use
 from feel321.study.session import plan as plans
-from feel321.study.session.events import NoteTaken, PageRead, SessionFinished, SessionReleased
+from feel321.study.session.events import (
+    NoteTaken,
+    PageRead,
+    SessionFinished,
+    SessionReleased,
+    TrialRated,
+)
 from feel321.study.session.journal import START, Chain, Records, digest, list_journals
 from feel321.study.thresholds import list_columns, read_thresholds
 
@@ -167,6 +173,7 @@ class Progress:
     anchors: tuple[Anchor, ...] = ()
     first_utc: str = ""
     last_utc: str = ""
+    rated_utc: str = ""
     training_passed: bool | None = None
     rig: str = ""
     calibration: str = ""
@@ -213,6 +220,9 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             anchors=tuple(read_anchor(path) for path in list_journals(dossier.folder)),
             first_utc=times[0] if times else "",
             last_utc=times[-1] if times else "",
+            rated_utc=max(
+                (one.utc for one in records if one.event == TrialRated.event), default=""
+            ),
             training_passed=_find_training(newest),
             rig=use.rig,
             calibration=use.calibration,

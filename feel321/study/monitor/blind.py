@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
+from feel321.analysis.words import format_name
 from feel321.files import is_held
 from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import read_stimuli
@@ -237,7 +238,7 @@ def _describe_step(dossier: Dossier) -> str:
         return "paused"
     step = replay(dossier.plan, dossier.records).ask()
     if isinstance(step, Trial):
-        return f"{step.protocol.replace('_', ' ')}, {PHASES.get(step.phase, step.phase)}"
+        return f"{format_name(step.protocol)}, {PHASES.get(step.phase, step.phase)}"
     return "" if step is None else f"page: {step.key.replace('_', ' ').replace('.', ', ')}"
 
 

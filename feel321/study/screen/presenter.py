@@ -300,15 +300,7 @@ class ScreenPresenter:
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
         """Explain to the participant why an act was not accepted, until the next one."""
-        trial = self._screen.view.trial
-        if trial is not None and any(judgement.scale for judgement in trial.judgements):
-            # Where there are several scales, they are numbered.
-            judged = trial.judged
-            parts = tuple(
-                str(judged.index(part) + 1) if reason == "not_answered" else part for part in parts
-            )
-        names = ", ".join(self._texts.name_part(part) for part in parts)
-        self._screen.notice = self._texts.refusals[reason].format(parts=names)
+        self._screen.notice = self._texts.explain(reason, parts, self._screen.view.trial)
 
     def _begin_exploring(self) -> Explorer | None:
         """Make what plays the next stimulus as the hand moves, where the task explores."""

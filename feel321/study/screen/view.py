@@ -107,6 +107,15 @@ class ScreenTexts:
         """Find the word for a part."""
         return self.parts.get(name, name)
 
+    def explain(self, reason: str, parts: Sequence[str], trial: Trial | None) -> str:
+        """Explain why an act was not accepted."""
+        if trial is not None and any(judgement.scale for judgement in trial.judgements):
+            # Where there are several scales, they are numbered.
+            judged = trial.judged
+            is_numbered = reason == "not_answered"
+            parts = [str(judged.index(part) + 1) if is_numbered else part for part in parts]
+        return self.refusals[reason].format(parts=", ".join(map(self.name_part, parts)))
+
 
 def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> ScreenTexts:
     """Pick the screen's texts from those of a language, with the names of the lab's own keys."""

@@ -162,7 +162,8 @@ def test_the_face_says_the_same(study: Advice) -> None:
 
 def test_files_hold_the_same_as_the_json(study: Advice, written: Path) -> None:
     read = json.loads((written / "results.json").read_text(encoding="utf-8"))
-    files = read.pop("files")
+    files, version = read.pop("files"), read.pop("schema_version")
+    assert version == 1
     assert read == json.loads(json.dumps(build_content(study)))
     assert all((written / name).is_file() for name in files)
     with (written / "tables" / "advice.csv").open(encoding="utf-8", newline="") as file:

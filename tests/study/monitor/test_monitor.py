@@ -24,26 +24,12 @@ from feel321.study.monitor.blind import HIDDEN, StudyWatch, list_names
 from feel321.study.monitor.live import Monitor
 from feel321.study.session import journal as journals
 from feel321.study.session.plan import PLAN_FILE, require_plan
-from feel321.study.simulation import simulate_study
-from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 STATION = Path(__file__).with_name("station.py")
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
-STUDY = """
-[study]
-name = "Pilot"
-seed = 5
-[[recordings]]
-scene = "bumps"
-duration_s = 0.3
-[stimuli]
-reducers = ["sax321", "mag321"]
-[session.rehearsal]
-practice = 0
-"""
 GUARDED = """
 import os, sys
 def guard(event, given):
@@ -57,16 +43,6 @@ from feel321.study.cli import main
 sys.exit(main(["monitor", {path!r}]))
 """
 """Runs the verb in a process that says whenever it opens a file of the study for anything but reading."""
-
-
-@pytest.fixture(scope="module")
-def made(make_once: Callable[..., Path]) -> Path:
-    def fill(folder: Path) -> None:
-        (folder / "study.toml").write_text(STUDY, encoding="utf-8")
-        build_study(StudyFolder(folder))
-        simulate_study(StudyFolder(folder), participants=2, seed=1, now=journals.utc_now)
-
-    return make_once("monitor", fill)
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from feel321.analysis.tradeoff.chart.points import (
     ACCURACY,
     GROUPS,
     PAPER,
+    Record,
     Tables,
     find_front,
     find_latency,
@@ -101,10 +102,7 @@ def draw_tradeoff(tables: Tables) -> Figure:
         )
         for row, point in enumerate(rows):
             own = gains[gains["reducer"] == point["reducer"]]["gain"]
-            spans = [[point["lowest"], point["median"], point["highest"]],
-                     [point["low"], point["ns_per_sample"], point["high"]]]  # fmt: skip
-            spans += [[own.median(), own.median(), own.max()]] if len(own) else []
-            _draw_row(panels, row, spans, look=looks[point["reducer"]])
+            _draw_row(panels, row, point, gains=own, look=looks[point["reducer"]])
         names = panels[0].set_yticks(range(len(rows)), [point["reducer"] for point in rows])
         for label, point in zip(panels[0].get_yticklabels(), rows, strict=True):
             label.set_fontweight("bold" if point["on_front"] else "normal")
@@ -113,9 +111,14 @@ def draw_tradeoff(tables: Tables) -> Figure:
 
 
 def _draw_row(
-    panels: Sequence[Axes], row: int, spans: Sequence[Sequence[float]], *, look: style.Look
+    panels: Sequence[Axes], row: int, point: Record, *, gains: Series, look: style.Look
 ) -> None:
-    """Draw a mark and its span in each panel that has one."""
+    """Draw a mark and its span in each panel; no gain is known where no scene has motion."""
+    spans = [
+        (point["lowest"], point["median"], point["highest"]),
+        (point["low"], point["ns_per_sample"], point["high"]),
+        *([(gains.median(), gains.median(), gains.max())] if len(gains) else []),
+    ]
     for axes, (low, value, high) in zip(panels, spans, strict=False):
         axes.hlines(row, low, high, colors=look.colour, linewidths=1.2)
         _mark(axes, (value, row), look, size=5.5, clip_on=False)

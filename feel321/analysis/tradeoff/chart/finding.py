@@ -153,16 +153,7 @@ def describe_finding(merged: Tables) -> str:
     every = list_candidates(merged)
     rivals = [one for one in every if one.reducer not in COMPARISONS] or list(every)
     best, fast = rivals[0], min(rivals, key=lambda one: one.ns_per_sample)
-    equal = sum(round(one.accuracy, 2) == round(best.accuracy, 2) for one in rivals)
-    match = f"bounded spectral match {best.accuracy:.2f}"
-    place = (
-        f"the fastest of the {equal} most accurate reducers" if equal > 1 else "the most accurate"
-    )
-    said = f"{best.reducer} is {place} ({match})"
-    if not math.isnan(best.gain):
-        noise = f"{float(f'{best.gain:.2g}'):g} times"
-        said += " and steady" if best.steady else f" but amplifies sensor noise up to {noise}"
-    other = find_middle(rivals) or fast
+    said, other = _describe_best(rivals), find_middle(rivals) or fast
     if len(rivals) == 1:
         return f"{said}."
     if other.cost_high >= best.cost_low:
@@ -171,6 +162,19 @@ def describe_finding(merged: Tables) -> str:
     times = f"{ratio:.0f}" if ratio >= 9.95 else f"{ratio:.1f}"  # noqa: PLR2004 - where rounding adds a digit
     lost = best.accuracy - other.accuracy
     return f"{said}; {other.reducer} is {times} times faster and loses {lost:.2f}."
+
+
+def _describe_best(rivals: Sequence[Candidate]) -> str:
+    best = rivals[0]
+    equal = sum(round(one.accuracy, 2) == round(best.accuracy, 2) for one in rivals)
+    place = (
+        f"the fastest of the {equal} most accurate reducers" if equal > 1 else "the most accurate"
+    )
+    said = f"{best.reducer} is {place} (bounded spectral match {best.accuracy:.2f})"
+    if math.isnan(best.gain):
+        return said
+    noise = f"{float(f'{best.gain:.2g}'):g} times"
+    return f"{said} {'and steady' if best.steady else f'but amplifies sensor noise up to {noise}'}"
 
 
 def describe_answers(tables: Tables, merged: Tables) -> tuple[str, ...]:

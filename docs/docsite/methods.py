@@ -1,0 +1,245 @@
+"""A page for each reducer and each metric: formula, figure, and when it fails."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from docsite.plot import FAINT, INK
+from docsite.text import ASIDE, table, title, write
+from feel321.analysis.tradeoff.stress.battery import BATTERY
+from feel321.names import METRIC_INFO, REDUCER_NAMES
+from feel321.stimuli import INVARIANTS, METRICS, REDUCERS, psd, spectral_match_bounded
+from feel321.stimuli.recording import Reduced
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, WHY_NOT_STREAMING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.axes import Axes
+
+    from feel321.stimuli import Recording
+
+WORDS = tomllib.loads((Path(__file__).parent / "methods.toml").read_text(encoding="utf-8"))
+"""What registries and docstrings do not say: in a sentence, what a method does, and when it fails."""
+
+CONTROL = "ordinary_drag"
+
+
+def write_reducers(folder: Path) -> None:
+    """Write a page for each reducer and their list."""
+    rows = []
+    for name in REDUCER_NAMES:
+        words = WORDS["reducers"][name]
+        scene = BATTERY[words["scene"]]
+        rows.append((f":doc:`{name} <{name}>`", words["does"], words["fails"]))
+        code = f"from docsite.methods import draw_reducer\n\ndraw_reducer('{name}', '{scene.name}')"
+        notes, sources = _take_notes(REDUCERS[name], words.get("formula", ""))
+        label = f"{name} in the ordinary drag and where it fails: waveforms above, spectra below"
+        write(
+            folder / f"{name}.rst",
+            ASIDE,
+            title(name),
+            words["does"],
+            _list_facts(name),
+            title("Formula", "-"),
+            notes,
+            title("When it fails", "-"),
+            words["fails"],
+            _plot(label, code),
+            f"Left: {BATTERY[CONTROL].title.lower()}. Right: {scene.title[0].lower()}{scene.title[1:]}. {scene.reason}"
+            " Grey: the recording, its three axes above and the sum of their spectra below. Black or white: the"
+            " reduced signal. Both matches are at best 1: the bounded spectral match, and the temporal match that"
+            " does not depend on how the sensor is mounted.",
+            sources,
+            _link(f"feel321.stimuli.REDUCERS.{name}", "/tradeoff", "/metrics"),
+        )
+    write(
+        folder / "index.rst",
+        title("Reducers"),
+        "Three axes in, one out: ``REDUCERS[name](acceleration, rate_hz)``. :doc:`/metrics` compares them by the"
+        " paper's two metrics, :doc:`/tradeoff` by speed and stability.",
+        table(("reducer", "keeps", "fails"), rows, widths="24 38 38"),
+    )
+
+
+def write_metrics(folder: Path) -> None:
+    """Write a page for each metric and their list."""
+    rows = []
+    for name, metric in METRICS.items():
+        words, info = WORDS["metrics"][name], METRIC_INFO[name]
+        best = "higher is better" if info.higher == "better" else "0 is best"
+        ends = f"{info.low:g} to {info.high:g}".replace("-inf to", "at most").replace(
+            " to inf", " or more"
+        )
+        reach = f"{ends} {info.unit}".strip()
+        rows.append((f":doc:`{name} <{name}>`", words["does"], f"{reach}; {best}"))
+        code = f"from docsite.methods import draw_metric\n\ndraw_metric('{name}')"
+        notes, sources = _take_notes(metric, words.get("formula", ""))
+        label = f"{info.label}, over the gain and over the delay of the reduced signal"
+        write(
+            folder / f"{name}.rst",
+            ASIDE,
+            title(name),
+            words["does"],
+            f"Range: {reach}; {best}.",
+            title("Formula", "-"),
+            notes,
+            title("When it misleads", "-"),
+            words["fails"],
+            _plot(label, code),
+            "One second of an ordinary drag, reduced by ``dft321``, then made stronger or weaker (left) or delayed"
+            " (right).",
+            sources,
+            _link(f"feel321.stimuli.METRICS.{name}", "/rivals", "/metrics"),
+        )
+    write(
+        folder / "index.rst",
+        title("Metrics"),
+        "How well one axis stands for three: ``METRICS[name](acceleration, reduced, rate_hz)``. The first three are the"
+        " match metrics; the others are their rivals (:doc:`/rivals`).",
+        table(("metric", "compares", "range"), rows, widths="30 45 25"),
+    )
+
+
+def _list_facts(name: str) -> str:
+    streams = "yes" if name not in WHY_NOT_STREAMING else f"no: {WHY_NOT_STREAMING[name]}"
+    default = "yes" if name in DEFAULT_REDUCERS else "no; name it in ``[stimuli] reducers``"
+    return table(("streams", "in a study by default"), [(streams, default)])
+
+
+def _take_notes(function: Callable[..., object], formula: str) -> tuple[str, str]:
+    """Take notes and sources of a docstring, and the formula where it has none."""
+    lines = inspect.cleandoc(function.__doc__ or "").splitlines()[1:]
+    below: dict[str, list[str]] = {}
+    part = below.setdefault("Summary", [])
+    for line, rule in zip(lines, [*lines, ""][1:], strict=True):
+        if rule and set(rule) == {"-"}:
+            part = below.setdefault(line, [])
+        elif set(line) != {"-"}:
+            part.append(line)
+    said = (
+        formula and f".. math:: {formula}\n",
+        *("\n".join(below.get(key, [])) for key in ("Summary", "Notes")),
+    )
+    sources = below.get("References") or _find_sources(function, "\n".join(lines))
+    heading = title("Source", "-") + "\n" if sources else ""
+    return (
+        _drop_footnotes("\n".join(each.strip("\n") + "\n" for each in said if each)),
+        heading + _drop_footnotes("\n".join(sources)),
+    )
+
+
+def _drop_footnotes(text: str) -> str:
+    """Make a list of footnotes: some are cited in lines that a page leaves out."""
+    text = re.sub(r"\s*\[\d+\]_", "", text)
+    return re.sub(r"^\.\. \[\d+\]", "-", text, flags=re.MULTILINE).replace("\n   ", "\n  ")
+
+
+def _find_sources(function: Callable[..., object], text: str) -> list[str]:
+    """Find in a module's docstring the sources that one of its functions cites."""
+    _, _, listed = (inspect.getdoc(inspect.getmodule(function)) or "").partition(
+        "References\n----------\n"
+    )
+    cited = set(re.findall(r"(\[\d+\])_", text))
+    each = re.findall(r"^\.\. (\[\d+\]) (.*(?:\n   .*)*)", listed, re.MULTILINE)
+    return [f".. {number} {source}" for number, source in each if number in cited]
+
+
+def _plot(label: str, code: str) -> str:
+    lines = "".join(f"   {line}".rstrip() + "\n" for line in code.splitlines())
+    return f".. plot:: {label}\n   :hide:\n\n{lines}"
+
+
+def _link(call: str, *pages: str) -> str:
+    return f"In Python: ``{call}``. More: {', '.join(f':doc:`{page}`' for page in pages)}, :doc:`index`."
+
+
+def measure(name: str, scene: Recording) -> tuple[Reduced, float, float]:
+    """Reduce a scene; give the bounded spectral match, and the temporal match that no mounting changes."""
+    samples, rate = scene.acceleration, scene.rate_hz
+    reduced = REDUCERS[name](samples, rate)
+    found = Reduced(reduced, rate, name, scene.name)
+    temporal = INVARIANTS["temporal_match"](samples, reduced, rate)
+    return found, spectral_match_bounded(samples, reduced, rate), temporal
+
+
+def draw_reducer(name: str, failing: str) -> None:
+    """Draw waveforms and spectra of the ordinary scene, and of one in which a reducer fails."""
+    import matplotlib.pyplot as plt
+
+    _, axes = plt.subplots(2, 2, figsize=(8.0, 4.6), sharex="row")
+    for (above, below), key in zip(axes.T, (CONTROL, failing), strict=True):
+        scene = BATTERY[key].make(1)
+        reduced, spectral, temporal = measure(name, scene)
+        above.set_title(
+            f"{BATTERY[key].title}\nspectral match {spectral:.2f}, temporal match {temporal:.2f}"
+        )
+        _draw_waveforms(above, scene, reduced)
+        _draw_spectra(below, scene, reduced)
+    axes[0, 0].set_ylabel("m/s²")
+    axes[1, 0].set_ylabel("Power (dB)")
+
+
+def _draw_spectra(ax: Axes, scene: Recording, reduced: Reduced) -> None:
+    """Draw power spectral densities, 60 dB of them; ticks are plain text, which is ten times as fast as powers."""
+    window_s = min(0.1, scene.n_samples / scene.rate_hz)
+    given, found = (psd(signal, window_s=window_s) for signal in (scene, reduced))
+    for one, look in ((given, {"color": FAINT, "lw": 2.5}), (found, {"color": INK})):
+        level = 10 * np.log10(np.maximum(one.density / given.density.max(), 1e-12))
+        ax.plot(np.log2(np.maximum(one.frequencies_hz, 1)), level, **look)
+    ticks = (20, 50, 100, 200, 500, 1000)
+    ax.set_xticks(np.log2(ticks), [str(tick) for tick in ticks])
+    ax.set(xlim=np.log2((20, 1000)), ylim=(-60, 10), xlabel="Frequency (Hz)")
+
+
+def _draw_waveforms(ax: Axes, scene: Recording, reduced: Reduced) -> None:
+    """Draw 60 ms, from a little before the strongest sample."""
+    middle = int(np.argmax(np.abs(scene.acceleration).max(axis=0)))
+    first = min(
+        max(middle - round(0.02 * scene.rate_hz), 0), scene.n_samples - round(0.06 * scene.rate_hz)
+    )
+    part = slice(first, first + round(0.06 * scene.rate_hz))
+    time_ms = 1000 * np.arange(part.stop - part.start) / scene.rate_hz
+    ax.plot(time_ms, scene.acceleration[:, part].T, color=FAINT, lw=0.8)
+    ax.plot(time_ms, reduced.samples[part], color=INK, lw=1.1)
+    ax.set(xlabel="Time (ms)", xlim=(0, 60))
+
+
+def draw_metric(name: str) -> None:
+    """Draw a metric over the gain, and over the delay, of a good reduced signal."""
+    import matplotlib.pyplot as plt
+
+    scene = BATTERY[CONTROL].make(1)
+    reduced = REDUCERS["dft321"](scene.acceleration, scene.rate_hz)
+    gains_db, delays = np.linspace(-12, 12, 13), np.arange(0, 21, 2)
+
+    def value(signal: np.ndarray) -> float:
+        return METRICS[name](scene.acceleration, signal, scene.rate_hz)
+
+    _, (left, right) = plt.subplots(1, 2, figsize=(8.0, 2.8), sharey=True)
+    left.plot(
+        gains_db,
+        [value(reduced * 10 ** (gain / 20)) for gain in gains_db],
+        color=INK,
+        marker="o",
+        ms=3,
+    )
+    left.set(
+        xlabel="Gain (dB)",
+        ylabel=METRIC_INFO[name].label
+        + (f" ({METRIC_INFO[name].unit})" if METRIC_INFO[name].unit else ""),
+    )
+    right.plot(
+        1000 * delays / scene.rate_hz,
+        [value(np.roll(reduced, int(k))) for k in delays],
+        color=INK,
+        marker="o",
+        ms=3,
+    )
+    right.set_xlabel("Delay (ms)")

@@ -1,0 +1,346 @@
+"""The report's first screen: one sentence, a card per scale, one figure; and the sections by the question they answer.
+
+Whatever a card shows is looked up among the numbers and verdicts of ``results.json``, which lists the cards too. The
+sentence follows from the cards and claims nothing that no verdict does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from feel321.analysis import words
+from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
+from feel321.analysis.report.parts import split_parts
+from feel321.analysis.report.section import Picture, Section, make_slug
+
+if TYPE_CHECKING:
+    from feel321.analysis.table.items import Table
+
+TITLE = "Do the metrics predict the ratings?"
+QUESTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "predict": (TITLE, ("rate", "primary", "rivals", "metrics", "refined", "further")),
+    "differ": ("How do the reducers differ?", ("reducers", "contrasts", "choices", "levels")),
+    "apart": (
+        "Can people tell them apart?", ("discrimination", "told_apart", "space", "maps"),
+    ),
+    "trust": ("Can the raters be trusted?", ("raters", "delivered")),
+    "hinge": ("How much does it hinge on choices?", ("robustness",)),
+    "computed": ("How was it computed?", ("standard",)),
+}  # fmt: skip
+"""Anchor of each question -> how it is put, and the sections that answer it, by their keys."""
+
+COUNTED = 3
+"""Sentences of one kind that a section shows; more of them are folded, and its tables and figures speak."""
+
+IN_TABLES = frozenset({"", "comparison", "sample size"})
+"""What the primary model's lines say of each metric, each pair and each sample size: its cards and tables show it."""
+
+VERDICTS = {PREDICTS: "predicts", OPEN: "open", NOT_ESTIMABLE: "not estimable"}
+OPPOSITE = "opposite"
+FEW = 5
+"""Participants or recordings below which a finding is a hint."""
+
+NAMED = 2
+"""Exceptional reducers that the sentence names before it only counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a report's first screen says of the study.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    date : str
+        Day of the last rating, as 2026-03-01; empty if unknown.
+    protocols : tuple of str
+        Its protocols, in the order in which the report shows their scales.
+
+    Examples
+    --------
+    >>> from feel321.results import About
+    >>> About("pilot", "2026-03-01").date
+    '2026-03-01'
+    """
+
+    name: str = ""
+    date: str = ""
+    protocols: tuple[str, ...] = ()
+
+
+def order_scales(table: Table, protocols: Sequence[str]) -> Table:
+    """Put the ratings of protocols in the study's order, where the first participant had another."""
+    rows = table.rows
+    if "protocol" not in rows or not protocols:
+        return table
+    place = {name: number for number, name in enumerate(protocols)}
+    ranks = rows["protocol"].map(place).fillna(len(place))
+    if ranks.drop_duplicates().is_monotonic_increasing:
+        return table
+    order = ranks.sort_values(kind="stable").index
+    return replace(table, rows=rows.loc[order].reset_index(drop=True))
+
+
+@dataclass(frozen=True, slots=True)
+class MetricCard:
+    """What the first screen shows of one metric on one scale and level; a row of ``cards`` in ``results.json``.
+
+    effect: points of rating from the metric's lower to its upper quartile within recordings. correlation: Pearson's,
+    within recordings; its ceiling: the highest that the noise in the ratings allows. hinge: in a few words.
+    """
+
+    scale: str
+    level: str
+    subject: str
+    metric: str
+    verdict: str
+    direction: str
+    higher: str
+    hinge: str
+    effect: float
+    effect_low: float
+    effect_high: float
+    correlation: float
+    correlation_low: float
+    correlation_high: float
+    ceiling: float
+    better_than: tuple[str, ...] = ()
+
+    @property
+    def status(self) -> str:
+        """The verdict, or that the metric predicts against the direction that it declares."""
+        as_declared = (self.direction == "higher") == (self.higher == "better")
+        return self.verdict if self.verdict != PREDICTS or as_declared else OPPOSITE
+
+    @property
+    def points(self) -> str:
+        """The effect with its interval, for the page; empty where there is none."""
+        ends = (self.effect, self.effect_low, self.effect_high)
+        value, interval = words.format_estimate(*ends, kind="rating")
+        sign = "+" if self.effect > 0 and value[0].isdigit() else ""
+        return f"{sign}{value} points ({interval})" if math.isfinite(self.effect) else ""
+
+    @property
+    def r(self) -> str:
+        """The correlation with its interval, for the page; empty where there is none."""
+        value, interval = words.format_estimate(
+            self.correlation, self.correlation_low, self.correlation_high
+        )
+        known = math.isfinite(self.correlation)
+        return f"r = {value} ({interval})" if known else ""
+
+    @property
+    def described(self) -> str:
+        """What the strip draws, for who does not see it."""
+        limit = f"; noise ceiling {words.format_number(self.ceiling)}"
+        return self.r + (limit if math.isfinite(self.ceiling) else "")
+
+
+def make_cards(
+    table: Table, sections: Iterable[Section], numbers: Iterable[words.Number]
+) -> tuple[MetricCard, ...]:
+    """Make a card of every metric of the primary analysis, scale by scale in the study's order."""
+    sections, found = list(sections), {number.name: number for number in numbers}
+    claims = {
+        (one.scale, one.level, one.metric): one for section in sections for one in section.claims
+    }
+    cards = []
+    for part in split_parts(table):
+        subject = words.capitalise(part.subject)
+        for metric in table.metrics:
+            place = (*part.place, metric)
+            if (claim := claims.get(place)) is None:
+                continue
+            effect = _find_ends(found.get(words.name_path("slope", *place) + ".quartile_effect"))
+            r = found.get(words.name_path("association", *place, "within"))
+            ceiling = found.get(words.name_path("association", *place, "within", "ceiling"))
+            found_here = *effect, *_find_ends(r), _find_ends(ceiling)[0]
+            said = claim.verdict, claim.direction, claim.higher, claim.hinge
+            cards.append(
+                MetricCard(*part.place, subject, metric, *said, *found_here, claim.better_than)
+            )
+    return tuple(cards)
+
+
+def _find_ends(number: words.Number | None) -> tuple[float, float, float]:
+    return (number.value, number.low, number.high) if number else (math.nan, math.nan, math.nan)
+
+
+# The sentence.
+
+
+def write_headline(
+    cards: Sequence[MetricCard], sections: Iterable[Section], numbers: Iterable[words.Number]
+) -> str:
+    """State the finding in one sentence; where nothing was rated that metrics describe, what there is instead."""
+    sections = list(sections)
+    if not cards:
+        lines = [line.text for section in sections for line in section.verdict]
+        return words.capitalise(lines[0]) if lines else "These ratings do not answer the question."
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for metric in dict.fromkeys(card.metric for card in cards):
+        own = tuple(card.status for card in cards if card.metric == metric)
+        alike.setdefault(own, []).append(metric)
+    clauses = [part for group in alike.values() for part in _describe_group(cards, group)]
+    clauses += _describe_exceptions(sections)
+    hint = _describe_hint(cards, numbers)
+    return words.capitalise("; ".join(clauses)) + hint + "."
+
+
+def _describe_group(cards: Sequence[MetricCard], metrics: Sequence[str]) -> Iterator[str]:
+    """Say what metrics have in common that have the same verdicts on all scales."""
+    subjects = list(dict.fromkeys(card.subject for card in cards))
+    one = [card for card in cards if card.metric == metrics[0]]
+    names = [words.format_name(name) for name in metrics]
+    verb = "predict" if len(metrics) > 1 else "predicts"
+    for status in (PREDICTS, OPPOSITE, OPEN, NOT_ESTIMABLE):
+        own = [card.subject for card in one if card.status == status]
+        if not own:
+            continue
+        what = _name_ratings(own, subjects)
+        if status in {PREDICTS, OPPOSITE}:
+            same = [card for card in cards if card.metric in metrics and card.subject in own]
+            text = f"{words.join_words(names)} {verb} {what}"
+            text += ", but in the opposite direction" * (status == OPPOSITE)
+            yield text + _describe_best(same, metrics) + _describe_hinges(same)
+        else:
+            is_open = "is open" if status == OPEN else "cannot be estimated"
+            yield f"whether {what} follow {words.join_words(names, 'or')} {is_open}"
+
+
+def _name_ratings(own: Sequence[str], subjects: Sequence[str]) -> str:
+    """Name the ratings of some scales, or say that it is all of them."""
+    if len(own) == len(subjects) > 1:
+        every = {2: "both"}.get(len(own), f"all {len(own)}")
+        return f"the ratings on {every} scales"
+    names = _list_subjects(own)
+    return f"ratings of {names}" if "(" in names else f"{names} ratings"
+
+
+def _list_subjects(subjects: Sequence[str]) -> str:
+    """List scales within a sentence, in lower case but for abbreviations."""
+    names = [name[:1].lower() + name[1:] if name[1:2].islower() else name for name in subjects]
+    return words.join_words(names)
+
+
+def _describe_best(same: Sequence[MetricCard], metrics: Sequence[str]) -> str:
+    """Name the metric that predicts better than each other one of its group on all of these scales."""
+    for metric in metrics if len(metrics) > 1 else ():
+        others = set(metrics) - {metric}
+        if all(others <= set(card.better_than) for card in same if card.metric == metric):
+            return f", {words.format_name(metric)} more strongly"
+    return ""
+
+
+def _describe_hinges(same: Sequence[MetricCard]) -> str:
+    """Say on what a finding hinges, or on how many cards it does."""
+    hinges = dict.fromkeys(card.hinge for card in same if card.hinge)
+    if not hinges:
+        return ""
+    some = "" if all(card.hinge for card in same) else "in part "
+    which = next(iter(hinges)) if len(hinges) == 1 else "single stimuli, recordings or reducers"
+    return f", which {some}hinges on {which}"
+
+
+def _describe_exceptions(sections: Iterable[Section]) -> Iterator[str]:
+    """Name the reducers that were rated otherwise than the metrics predict."""
+    tables = [one.tables["exceptions"] for one in sections if "exceptions" in one.tables]
+    rows = [row for table in tables for row in table.to_dict("records") if row["exceptional"]]
+    ways: dict[tuple[str, bool], list[float]] = {}
+    for row in rows:
+        ways.setdefault((str(row["reducer"]), row["excess"] > 0), []).append(abs(row["excess"]))
+    if len(ways) > NAMED:
+        reducers = words.join_words(list(dict.fromkeys(name for name, _ in ways)))
+        yield f"{reducers} were rated otherwise than the metrics predict"
+        return
+    for (name, above), points in ways.items():
+        ends = [words.format_number(end, kind="rating") for end in (min(points), max(points))]
+        size = ends[0] if ends[0] == ends[1] else " to ".join(ends)
+        yield f"{name} was rated {size} points {'higher' if above else 'lower'} than the metrics predict"
+
+
+def _describe_hint(cards: Sequence[MetricCard], numbers: Iterable[words.Number]) -> str:
+    """Say that a finding with few people or recordings is a hint."""
+    if not any(card.verdict == PREDICTS for card in cards):
+        return ""
+    sizes = {
+        number.name: int(number.value) for number in numbers if number.name.startswith("size.")
+    }
+    few = {
+        f"{name}s": sizes[f"size.{name}"]
+        for name in ("participant", "source" if sizes["size.source"] < sizes["size.recording"] else "recording")
+        if sizes[f"size.{name}"] < FEW
+    }  # fmt: skip
+    told = words.join_words([f"{size} {name}" for name, size in few.items()]) if few else ""
+    return f" (with {told}, a hint rather than a result)" if told else ""
+
+
+# What stands where on the page.
+
+
+def choose_picture(cards: Sequence[MetricCard], sections: Iterable[Section]) -> Picture | None:
+    """Choose the figure beside the cards: the first scale's ratings over the metric that correlates most with them."""
+    pictures = [one for section in sections for one in section.pictures if not one.detail]
+    own = [card for card in cards if card.subject == cards[0].subject]
+    known = [card for card in own if math.isfinite(card.correlation)] or own
+    for card in sorted(known, key=lambda card: -abs(card.correlation)):
+        slug = make_slug("scatter", card.scale, card.level, card.metric)
+        if chosen := [one for one in pictures if one.name.startswith(slug)]:
+            return chosen[0]
+    return pictures[0] if pictures else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PageBlock:
+    """A question of the page and the sections that answer it."""
+
+    key: str
+    title: str
+    sections: tuple[Section, ...]
+
+
+def group_sections(sections: Iterable[Section]) -> tuple[PageBlock, ...]:
+    """Put sections under the questions that they answer; one that no question names has a block of its own."""
+    left = {section.key: section for section in sections if not section.is_empty or section.verdict}
+    asked = {key for _, keys in QUESTIONS.values() for key in keys}
+    own = [
+        PageBlock(f"on-{key}", one.title, (one,)) for key, one in left.items() if key not in asked
+    ]
+    blocks = [
+        PageBlock(anchor, title, tuple(left[key] for key in keys if key in left))
+        for anchor, (title, keys) in QUESTIONS.items()
+    ]
+    return (*own, *blocks)
+
+
+def split_lines(section: Section) -> tuple[list[str], list[str]]:
+    """Split what a section says into what stands above its tables and what is folded.
+
+    What several scales have in common is said once. Where every scale has its own sentence, tables go first.
+    """
+    primary, merged = section.key == "primary", dict[tuple[str, str], list[words.Line]]()
+    for line in dict.fromkeys(section.verdict or map(words.Line, section.answers)):
+        merged.setdefault((line.lead, line.text), []).append(line)
+    kinds = Counter(lead for lead, _ in merged)
+    shown, told = [], set[str]()
+    for (lead, text), lines in merged.items():
+        if section.key != "paper" and ((primary and lead in IN_TABLES) or kinds[lead] > COUNTED):
+            continue
+        subjects = [line.subject for line in lines if line.subject not in {"", section.title}]
+        subject = words.capitalise(_list_subjects(subjects)) if subjects else ""
+        shown.append(words.capitalise(str(words.Line(text, subject, lead))))
+        told |= set(map(str, lines))
+    every = dict.fromkeys([*map(str, section.verdict), *section.answers])
+    return shown, [one for one in every if one not in told]
+
+
+def name_fold(lines: Sequence[str], tables: Sequence[object], pictures: Sequence[Picture]) -> str:
+    """Name a fold by what is in it."""
+    sizes = {"sentence": len(lines), "table": len(tables), "figure": len(pictures)}
+    held = [f"{size} {name}{'s' * (size > 1)}" for name, size in sizes.items() if size]
+    return f"More: {words.join_words(held)}"

@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+import html
+import json
+import math
+import re
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING
+
+import pandas as pd
+from hypothesis import given
+from hypothesis import strategies as st
+
+from feel321.analysis.report.front import (
+    OPPOSITE,
+    QUESTIONS,
+    VERDICTS,
+    MetricCard,
+    group_sections,
+    order_scales,
+    write_headline,
+)
+from feel321.analysis.report.section import Section
+from feel321.analysis.table.items import Table
+from feel321.analysis.words import keep_together, make_number
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SIZES = [
+    make_number(f"size.{name}", 12, "count", n=9) for name in ("participant", "recording", "source")
+]
+STATUSES = ("predicts", OPPOSITE, "open", "not_estimable")
+
+
+def make_card(scale: str, metric: str, status: str, **more: object) -> MetricCard:
+    numbers = [field.name for field in fields(MetricCard) if field.type == "float"]
+    verdict = "predicts" if status == OPPOSITE else status
+    direction = {"predicts": "higher", OPPOSITE: "lower"}.get(status, "")
+    words = (scale, "as_is", scale.capitalize(), metric, verdict, direction, "better", "")
+    return replace(MetricCard(*words, **dict.fromkeys(numbers, math.nan)), **more)
+
+
+@st.composite
+def studies(draw: st.DrawFn) -> list[MetricCard]:
+    scales = ["realism", "similarity", "roughness"][: draw(st.integers(1, 3))]
+    metrics = ["spectral_match", "temporal_match"][: draw(st.integers(1, 2))]
+    return [
+        make_card(scale, metric, draw(st.sampled_from(STATUSES)))
+        for scale in scales
+        for metric in metrics
+    ]
+
+
+@given(studies())
+def test_the_sentence_claims_what_the_verdicts_do(cards: list[MetricCard]) -> None:
+    said, statuses = write_headline(cards, [], SIZES), {card.status for card in cards}
+    assert ("predict" in said) == bool({"predicts", OPPOSITE} & statuses)
+    assert ("opposite" in said) == (OPPOSITE in statuses)
+    assert ("is open" in said) == ("open" in statuses)
+    assert ("cannot be estimated" in said) == ("not_estimable" in statuses)
+    every = "both scales" in said or "all 3 scales" in said
+    for scale in {card.scale for card in cards}:
+        assert scale in said.casefold() or every
+    assert said[0].isupper()
+    assert said.endswith(".")
+    assert said.count(".") == 1
+
+
+def test_sentences_as_they_are_read() -> None:
+    both = [make_card("realism", name, "predicts") for name in ("spectral_match", "temporal_match")]
+    assert write_headline(both, [], SIZES) == (
+        "Spectral match and temporal match predict realism ratings."
+    )
+    better = [replace(both[0], better_than=("temporal_match",)), both[1]]
+    assert "ratings, spectral match more strongly." in write_headline(better, [], SIZES)
+    hinging = [replace(both[0], hinge="the reducer mag321"), both[1]]
+    assert "which in part hinges on the reducer mag321." in write_headline(hinging, [], SIZES)
+    none = [
+        make_card("realism", "spectral_match", "open"),
+        make_card("mushra", "spectral_match", "open"),
+    ]
+    assert write_headline(none, [], SIZES) == (
+        "Whether the ratings on both scales follow spectral match is open."
+    )
+    few = [
+        *SIZES[:1],
+        make_number("size.recording", 3, "count", n=9),
+        make_number("size.source", 3, "count", n=9),
+    ]
+    assert "(with 3 recordings, a hint rather than a result)." in write_headline(both, [], few)
+    assert "hint" not in write_headline(none, [], few)
+    table = pd.DataFrame({"reducer": ["mag321"] * 2, "excess": [31.24, 35.0], "exceptional": True})
+    odd = [Section("primary", "", tables={"exceptions": table})]
+    told = write_headline(none, odd, SIZES)
+    assert told.endswith(
+        "is open; mag321 was rated 31.2 to 35.0 points higher than the metrics predict."
+    )
+
+
+def test_scales_come_in_the_order_of_the_study() -> None:
+    rows = pd.DataFrame({"protocol": list("bbaac"), "scale": list("BBAAC"), "rating": range(5)})
+    table = Table(rows, (), ())
+    found = order_scales(table, ("a", "b"))
+    assert list(found.rows["scale"]) == list("AABBC")
+    assert list(found.rows["rating"]) == [2, 3, 0, 1, 4]
+    assert order_scales(table, ("b", "a")) is order_scales(table, ()) is table
+
+
+def test_every_section_answers_a_question() -> None:
+    asked = [key for _, keys in QUESTIONS.values() for key in keys]
+    assert len(asked) == len(set(asked))
+    own = Section("paper", "Paper", answers=("yes",))
+    blocks = group_sections([*(Section(key, key, answers=("x",)) for key in reversed(asked)), own])
+    assert blocks[0].sections == (own,)
+    assert [section.key for block in blocks[1:] for section in block.sections] == asked
+
+
+def test_cards_hold_the_numbers_of_the_results(report: Path) -> None:
+    results = json.loads((report / "results.json").read_text(encoding="utf-8"))
+    found = {entry["name"]: entry for entry in results["numbers"]}
+    claims = {(one["scale"], one["level"], one["metric"]): one for one in results["verdicts"]}
+    cards = {(one["scale"], one["level"], one["metric"]): one for one in results["cards"]}
+    assert list(cards) == [
+        (scale, "as_is", metric)
+        for scale in ("realism", "similarity")
+        for metric in ("spectral_match", "temporal_match")
+    ]
+    page = html.unescape((report / "index.html").read_text(encoding="utf-8"))
+    shown = re.findall(r'<div class="card">.*?</ul>', page, flags=re.DOTALL)
+    for place, card in cards.items():
+        path = ".".join(place)
+        slope, r = found[f"slope.{path}.quartile_effect"], found[f"association.{path}.within"]
+        for name, entry in (("effect", slope), ("correlation", r)):
+            ends = [card[f"{name}{end}"] for end in ("", "_low", "_high")]
+            assert ends == [entry["value"], entry["low"], entry["high"]]
+        assert card["ceiling"] == found[f"association.{path}.within.ceiling"]["value"]
+        claim = claims[place]
+        assert (card["verdict"], card["hinge"]) == (claim["verdict"], claim["hinge"])
+        (own,) = [text for text in shown if f"<h3>{card['subject']}</h3>" in text]
+        (line,) = [
+            text
+            for text in re.findall(r"<li>.*?</li>", own, flags=re.DOTALL)
+            if place[2].replace("_", " ") in text.casefold()
+        ]
+        made = MetricCard(**{
+            key: math.nan if value is None else value for key, value in card.items()
+        })
+        for told in (made.points, made.r, VERDICTS[made.verdict], f'aria-label="{made.described}"'):
+            assert told in line
+    assert keep_together(results["headline"]) in page
+
+
+def test_tables_from_elsewhere_open_with_the_question(report: Path) -> None:
+    page = (report / "index.html").read_text(encoding="utf-8")
+    assert "<h1>Do the metrics predict the ratings?</h1>" in page
+    assert "<time" not in page

@@ -1,0 +1,39 @@
+"""A small study with two simulated participants, built once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from feel321.study.folder import StudyFolder
+from feel321.study.session import journal as journals
+from feel321.study.simulation import simulate_study
+from feel321.study.workflow import build_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+STUDY = """
+[study]
+name = "Pilot"
+seed = 5
+[[recordings]]
+scene = "bumps"
+duration_s = 0.3
+[stimuli]
+reducers = ["sax321", "mag321"]
+[session.rehearsal]
+practice = 0
+"""
+
+
+@pytest.fixture(scope="session")
+def made(make_once: Callable[..., Path]) -> Path:
+    def fill(folder: Path) -> None:
+        (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+        build_study(StudyFolder(folder))
+        simulate_study(StudyFolder(folder), participants=2, seed=1, now=journals.utc_now)
+
+    return make_once("monitor", fill)
