@@ -6,7 +6,7 @@ PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.tx
 PACKAGE := feel321
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test coverage realtime computing check lint types floors duplicates guards bench docs soak constraints clean
+.PHONY: help demo test coverage realtime computing check lint types floors duplicates guards bench docs screenshots soak constraints clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 20
@@ -59,6 +59,9 @@ guards: .venv/.tests # sizes, docstrings, faces, wheel, pins, exclusions
 docs: .venv/.tests ## the documentation site, into build/docs; warnings are errors
 	$(PYTHON) -m sphinx -j auto -q -W --keep-going -d build/doctrees docs build/docs
 	@echo "Open build/docs/index.html"
+
+screenshots: .venv/.tests ## the documentation's pictures of screens and report, by Xvfb and Chromium
+	xvfb-run -a -s "-screen 0 1280x1024x24" $(PYTHON) docs/docsite/screenshots.py
 
 bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor, cost of the session engine, thresholds recovered
 	$(PYTHON) tests/bench/bench.py

@@ -32,7 +32,7 @@ STYLE: dict[str, Any] = {
     "axes.facecolor": "none", "axes.edgecolor": INK, "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK,
     "ytick.color": INK, "legend.frameon": False, "axes.spines.top": False, "axes.spines.right": False,
     "figure.constrained_layout.use": True, "axes.titlelocation": "left", "font.size": 11, "axes.titlesize": 11,
-    "lines.linewidth": 0.9, "svg.hashsalt": "feel321",
+    "lines.linewidth": 0.9, "figure.dpi": 150, "svg.hashsalt": "feel321",
 }  # fmt: skip
 
 
@@ -61,6 +61,7 @@ def draw(code: str, known: dict[str, Any], label: str, *, name: str) -> list[str
 
     mpl.use("svg")
     import matplotlib.pyplot as plt
+    from matplotlib.collections import QuadMesh
 
     plt.close("all")
     with mpl.rc_context(STYLE), tempfile.TemporaryDirectory() as folder:
@@ -68,6 +69,8 @@ def draw(code: str, known: dict[str, Any], label: str, *, name: str) -> list[str
         drawn = []
         for number in plt.get_fignums():
             path = Path(folder) / f"{number}.svg"
+            for mesh in plt.figure(number).findobj(QuadMesh):
+                mesh.set_rasterized(True)  # thousands of cells are one picture
             plt.figure(number).savefig(path, metadata={"Date": None})
             drawn.append(
                 f"<figure class='plot'>{colour(inline_svg(f'{name}-{number}', label, path))}</figure>"

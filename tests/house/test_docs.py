@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
+import shlex
+from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+import click
+import numpy as np
 import pytest
 
-from feel321.study.cli import feel321
-
-if TYPE_CHECKING:
-    from pathlib import Path
+from feel321.stimuli.synthesis import make_scene
+from feel321.study.cli import feel321, main
 
 
 @pytest.fixture
@@ -109,3 +112,62 @@ def test_each_reducer_fails_where_its_page_says(site: Any) -> None:
         for name, words in methods.WORDS["reducers"].items()
     }
     assert {name: pair for name, pair in found.items() if min(pair) > POOR} == {}
+
+
+RUN = {"ledger", "match", "new", "port", "reduce", "status", "texts"}
+"""Verbs that take less than a second; the others' arguments are parsed only, and the tutorial runs most of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A call of the command line on a page."""
+
+    page: str
+    words: list[str]
+
+
+@pytest.fixture(scope="module")
+def calls(root: Path) -> list[Call]:
+    return [
+        Call(page.name, shlex.split(line.removeprefix("$ "), comments=True)[1:])
+        for page in [root / "README.md", *sorted((root / "docs").glob("*.md"))]
+        for block in re.findall(
+            r"^```(?:sh|console)\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S
+        )
+        for line in block.splitlines()
+        if re.match(r"(\$ )?feel321 ", line)
+    ]
+
+
+def parse(words: list[str]) -> None:
+    """Read a verb's arguments as the program would, without running it."""
+    verb, *rest = words
+    feel321.commands[verb].make_context(verb, rest, parent=click.Context(feel321))
+
+
+def test_every_command_of_every_page_is_valid_and_the_quick_ones_run(
+    calls: list[Call], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert len(calls) > 60
+    monkeypatch.chdir(tmp_path)
+    drag = make_scene("texture_drag", duration_s=0.5)
+    columns = np.vstack([np.arange(drag.n_samples) / drag.rate_hz, drag.acceleration / 9.80665])
+    for name in ("oak.csv", "vinyl.csv"):
+        np.savetxt(name, columns.T, delimiter=",", header="time_s,x,y,z", comments="")
+    for name in ("oak-study", "my-study"):
+        assert main(["new", name]) == 0
+    for call in calls:
+        verb = call.words[0]
+        if verb == "new" and Path(call.words[1]).exists():
+            continue
+        if verb in RUN and "--check" not in call.words:  # what a port answers is not there
+            assert main(call.words) == 0, call
+        else:
+            parse(call.words)
+
+
+def test_a_wrong_argument_is_found() -> None:
+    with pytest.raises(click.UsageError, match="range"):
+        parse(["doctor", "--seconds", "long"])
+    with pytest.raises(click.UsageError, match="participant"):
+        parse(["note", "oak-study", "words"])

@@ -72,11 +72,17 @@ def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
     [
         (["biuld"], "No such command 'biuld'. Did you mean 'build'?; see: feel321 --help"),
         ([], "Missing command; see: feel321 --help"),
-        (["match"], "Missing argument 'RECORDING'; see: feel321 match --help"),
+        (
+            ["match"],
+            "Missing argument 'RECORDING'; see: feel321 match --help, for example: feel321 match ",
+        ),
+        (["status", "--rehearsals="], "see: feel321 status --help"),
+        (["run", "--participant"], "requires an argument; see: feel321 run --help, for example: "),
         (["build", "--wrokers", "2"], "No such option '--wrokers'. Did you mean"),
         (["build", "--workers", "0"], "Invalid value for '--workers': 0 is not in the range x>=1"),
         (["simulate", "--participants", "10001"], "10001 is not in the range 1<=x<=10000"),
         (["analyze", "--manifest", "m.csv"], "--manifest needs --ratings; give both"),
+        (["analyze", "--ratings", "r.csv"], "add --manifest FILE, or name the study first"),
         (
             ["reduce", "{recording}", "--reducer", "dft", "-o", "a.wav"],
             f"reducer must be one of {', '.join(REDUCERS)}; got 'dft'",

@@ -198,7 +198,7 @@ def copied(made: Path, tmp_path: Path) -> StudyFolder:
 
 def write_everything(study: StudyFolder) -> tuple[str, str]:
     monitor = Monitor([StudyWatch(study, lambda: NOON)], lambda: NOON)
-    return monitor.write_page("nonce")[1], monitor.write_state("nonce")[1]
+    return monitor.write_page("nonce", {})[1], monitor.write_state("nonce", {})[1]
 
 
 def test_other_ratings_show_the_same(copied: StudyFolder) -> None:
@@ -238,7 +238,7 @@ def test_a_page_of_several_studies_fits_a_phone(copied: StudyFolder, tmp_path: P
         StudyWatch(copied, lambda: NOON),
         StudyWatch(replace(copied, is_rehearsal=True), lambda: NOON),
     ]
-    page = Monitor(watches, lambda: NOON).write_page("nonce")[1]
+    page = Monitor(watches, lambda: NOON).write_page("nonce", {})[1]
     assert page.count("<section") == 2
     probe = "document.title = document.documentElement.scrollWidth + ' of ' + innerWidth"
     text = page.replace("</body>", f"<script>{probe}</script></body>")

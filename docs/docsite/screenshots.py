@@ -1,0 +1,78 @@
+"""`make screenshots`: the pictures of the participant's screens and of the report, made by the program itself.
+
+Needs a display (Xvfb) and Chromium. The pictures are kept in the checkout, so that GitHub shows them too.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from PIL import Image
+
+DOCS = Path(__file__).parents[1]
+sys.path.insert(0, str(DOCS.parent / "tests" / "study" / "screen"))
+
+from gallery import capture, make_views  # noqa: E402 - the views that the layout's tests look at
+
+SCREEN = (960, 600)
+VIEWS = {
+    "realism": "realism answered",
+    "similarity": "similarity answered",
+    "dissimilarity": "dissimilarity answered",
+    "mushra": "mushra of five",
+    "abx": "abx answered",
+    "triplet": "triplet answered",
+    "preference": "preference answered",
+    "threshold": "threshold answered",
+    "matching": "matching answered",
+}
+"""File in docs/screens -> view."""
+
+
+def save(path: Path, made: Path, *, colours: int = 32) -> None:
+    """Save a picture with few colours: screens have few, and the checkout stays small."""
+    with Image.open(made) as picture:
+        picture.convert("RGB").quantize(colours).save(path, optimize=True)
+
+
+def save_screens(folder: Path) -> None:
+    """Save a picture of every task's screen."""
+    from feel321.protocols.texts import read_scales, read_texts
+    from feel321.study.screen.layout import compose
+    from feel321.study.screen.view import make_screen_texts
+    from feel321.study.screen.window import open_screen
+
+    folder.mkdir(exist_ok=True)
+    texts = read_texts("en")
+    views = make_views(read_scales("en"), texts)
+    with (
+        open_screen(clock=time.perf_counter, windowed=True, size=SCREEN) as window,
+        tempfile.TemporaryDirectory() as made,
+    ):
+        for name, view in VIEWS.items():
+            window.show(compose(views[view], make_screen_texts(texts), size=window.size).items)
+            capture(window, Path(made) / "screen.png")
+            save(folder / f"{name}.png", Path(made) / "screen.png", colours=16)
+
+
+def save_report(path: Path) -> None:
+    """Save a picture of the first screen of the bundled study's report."""
+    with tempfile.TemporaryDirectory() as made:
+        demo = Path(made) / "demo"
+        subprocess.run(
+            [Path(sys.executable).with_name("feel321"), "demo", "--dir", demo], check=True
+        )
+        page = (demo / "report" / "index.html").as_uri()
+        shot = Path(made) / "report.png"
+        options = ["--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1100,900"]
+        subprocess.run(["chromium", *options, f"--screenshot={shot}", page], check=True)
+        save(path, shot, colours=64)
+
+
+if __name__ == "__main__":
+    save_screens(DOCS / "screens")
+    save_report(DOCS / "report.png")
