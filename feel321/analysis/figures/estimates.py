@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
     from feel321.analysis.contrasts.compare import Equivalence
     from feel321.analysis.primary.model import Primary
@@ -256,11 +256,10 @@ def _describe_slopes(models: Mapping[str, Primary], variants: DataFrame | None) 
         variants is not None and variants["singular"].any()
     )
     hollow = " Hollow: singular fit (a spread estimated as zero)." if singular else ""
-    below = "\nBelow: the same slopes, standardised, under other choices."
-    second = "" if variants is None else below
+    below = "\nBelow: the same slopes, standardised, under other choices." * (variants is not None)
     return (
         f"{describe_ways(ways, number)}\nSlopes within recordings, mixed model; bars: 95 % Satterthwaite intervals. "
-        f"n = {span('participants')}, {scenes}, {items} stimuli.{hollow}{second}"
+        f"n = {span('participants')}, {scenes}, {items} stimuli.{hollow}{below}"
     )
 
 
@@ -347,8 +346,7 @@ def draw_profiles(parts: Sequence[Profile], *, looks: Mapping[str, Look]) -> Fig
             axes.set_title(style.fit_text(_describe_extremes(own[0]), room, lines=3))
         for axes in grid.flat[len(parts) :]:
             axes.remove()
-        counts = [int(count) for part, _ in parts for count in part["n_participants"]]
-        style.add_title(figure, _describe_people(counts))
+        style.add_title(figure, _describe_people([part["n_participants"] for part, _ in parts]))
     return figure
 
 
@@ -392,7 +390,8 @@ def _describe_extremes(profile: DataFrame) -> str:
     return f"{name}: {high} highest, {low} lowest"
 
 
-def _describe_people(counts: Sequence[int]) -> str:
+def _describe_people(columns: Sequence[Series]) -> str:
+    counts = [int(count) for column in columns for count in column]
     people = "grey: each participant's mean; clouds: their distribution"
     if max(counts) < SMALLEST:
         return f"Mean of 1 participant, no interval; {people}"

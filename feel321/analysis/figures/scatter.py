@@ -353,8 +353,6 @@ def draw_residuals(*fits: MixedFit, names: Sequence[str] = ()) -> Figure:
             right.set(xlabel="Fitted (points)", ylabel="Residual (points)")
             if names:
                 left.set_title(style.fit_text(names[number], style.WIDTH_CM / 2 - 1.5))
-            for axes in (left, right):
-                axes.locator_params(nbins=4)
         sizes = [len(fit.residuals) for fit in fits]
         drawn = f", {MOST} of them drawn" if max(sizes) > MOST else ""
         style.add_title(
@@ -375,6 +373,7 @@ def _draw_quantiles(axes: Axes, residuals: Values) -> None:
     rank = chosen + 1
     expected = ndtri((rank - 0.5) / n)
     low, high = (ndtri(betaincinv(rank, n - rank + 1, share)) for share in (0.025, 0.975))
+    axes.locator_params(nbins=4)
     axes.fill_between(expected, low, high, color=style.PALE, linewidth=0, zorder=0)
     axes.axline((0, 0), slope=1, color=style.GREY, linewidth=0.6, zorder=1)
     axes.plot(expected, ordered[chosen], color=style.GREY, zorder=2, **POINTS)
@@ -383,6 +382,7 @@ def _draw_quantiles(axes: Axes, residuals: Values) -> None:
 def _draw_spread(axes: Axes, fitted: Values, residuals: Values) -> None:
     order = np.argsort(fitted, kind="stable")
     chosen = order[_choose(len(order))]
+    axes.locator_params(nbins=4)
     axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
     axes.plot(fitted[chosen], residuals[chosen], color=style.GREY, alpha=0.4, zorder=2, **POINTS)
     parts = np.array_split(order, min(BINS, len(order) // BINNED)) if len(order) >= BINNED else []

@@ -141,8 +141,7 @@ def _caption_profiles(arms: Sequence[tuple[str, str]], profiles: Sequence[DataFr
     else:
         caption += ", with 95 % t intervals over participants: other people, these recordings."
     caption += " Grey: each participant's mean."
-    guessed = words.capitalise(words.format_name(ANSWERED))
-    caption += f" {guessed}: guessing gives 50." if ANSWERED in dict(arms) else ""
+    caption += " Guessing gives 50 in ABX." if ANSWERED in dict(arms) else ""
     # A manifest may have any of these roles, or none.
     roles = {"reference": "the hidden reference", "anchor": "anchors"}
     apart = [
