@@ -115,7 +115,7 @@ def test_every_caption_has_its_own_drawing(report: Path) -> None:
     figures = load(report)["figures"]
     text = (report / "index.html").read_text(encoding="utf-8")
     shown = re.findall(
-        r"<figure>.*?<svg(.*?)</svg>.*?<figcaption>(.*?)</figcaption>", text, flags=re.DOTALL
+        r"<figure[^>]*>.*?<svg(.*?)</svg>.*?<figcaption>(.*?)</figcaption>", text, flags=re.DOTALL
     )
     drawings = {
         html.unescape(caption): re.findall(r' d="([^"]*)"', drawing) for drawing, caption in shown

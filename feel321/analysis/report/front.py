@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -190,9 +190,11 @@ def write_headline(
         own = tuple(card.status for card in cards if card.metric == metric)
         alike.setdefault(own, []).append(metric)
     clauses = [part for group in alike.values() for part in _describe_group(cards, group)]
+    if hint := _describe_hint(cards, numbers):
+        last = max(place for place, clause in enumerate(clauses) if " predict" in clause)
+        clauses[last] += hint
     clauses += _describe_exceptions(sections)
-    hint = _describe_hint(cards, numbers)
-    return words.capitalise("; ".join(clauses)) + hint + "."
+    return words.capitalise("; ".join(clauses)) + "."
 
 
 def _describe_group(cards: Sequence[MetricCard], metrics: Sequence[str]) -> Iterator[str]:
@@ -336,13 +338,8 @@ def split_lines(section: Section, subjects: Iterable[str] = ()) -> tuple[list[st
 
     What several subjects have in common is said once. Where every scale has its own sentence, tables go first.
     """
-    prefixed, known = (one.partition(": ") for one in section.answers), set(subjects)
-    answers = (
-        words.Line(text, subject) if subject in known else words.Line(subject + colon + text)
-        for subject, colon, text in prefixed
-    )
     primary, merged = section.key == "primary", dict[tuple[str, str], list[words.Line]]()
-    for line in dict.fromkeys(section.verdict or answers):
+    for line in dict.fromkeys(section.verdict or _read_answers(section, set(subjects))):
         merged.setdefault((line.lead, line.text), []).append(line)
     kinds = Counter(lead for lead, _ in merged)
     shown: list[str] = []
@@ -357,6 +354,13 @@ def split_lines(section: Section, subjects: Iterable[str] = ()) -> tuple[list[st
         told |= set(map(str, lines))
     every = dict.fromkeys([*map(str, section.verdict), *section.answers])
     return shown, [one for one in every if one not in told]
+
+
+def _read_answers(section: Section, subjects: Collection[str]) -> Iterator[words.Line]:
+    """Read the sentences of a section as lines, about the scale that leads each."""
+    for answer in section.answers:
+        subject, _, text = answer.partition(": ")
+        yield words.Line(text, subject) if subject in subjects else words.Line(answer)
 
 
 def name_fold(lines: Sequence[str], tables: Sequence[object], pictures: Sequence[Picture]) -> str:
