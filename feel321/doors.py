@@ -8,11 +8,20 @@ import os
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
+    from tqdm import tqdm
+
+TICK_S = 1.0
+"""Between two looks of a progress bar at the clock."""
+
+_SHOW: ContextVar[Callable[[str], object]] = ContextVar("_SHOW", default=str)
+"""Shows what is being done. Not an argument: it is of use only where somebody watches, and work knows no watchers."""
 
 
 def as_path(path: str | os.PathLike[str], what: str = "path") -> Path:
@@ -52,15 +61,53 @@ def follow(
     if callable(progress):
         yield progress
         return
+    if not progress:
+        yield lambda _done, _total: None
+        return
     from tqdm import tqdm
 
-    with tqdm(desc=what, disable=not progress, leave=False) as bar:
+    with tqdm(desc=what, leave=False, bar_format="{desc}: {elapsed}{postfix}") as bar, _tick(bar):
 
         def move(done: int, total: int) -> None:
+            bar.bar_format = "{desc}: {n_fmt}/{total_fmt} |{bar:20}| {elapsed}<{remaining}{postfix}"
             bar.total = total
             bar.update(done - bar.n)
 
-        yield move
+        with announcing(bar.set_postfix_str):
+            yield move
+
+
+@contextmanager
+def _tick(bar: tqdm[NoReturn]) -> Iterator[None]:
+    """Let the clock of a bar run while a step takes long."""
+    over = Event()
+
+    def refresh() -> None:
+        while not over.wait(TICK_S):
+            bar.refresh()
+
+    ticking = Thread(target=refresh, daemon=True)
+    ticking.start()
+    try:
+        yield
+    finally:
+        over.set()
+        ticking.join()
+
+
+@contextmanager
+def announcing(show: Callable[[str], object]) -> Iterator[None]:
+    """Show what is announced meanwhile."""
+    token = _SHOW.set(show)
+    try:
+        yield
+    finally:
+        _SHOW.reset(token)
+
+
+def announce(text: str) -> None:
+    """Say what is being done now, to whoever watches the progress."""
+    _SHOW.get()(text)
 
 
 def as_names(names: Iterable[str], what: str) -> tuple[str, ...]:

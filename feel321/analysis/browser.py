@@ -21,8 +21,6 @@ import numpy as np
 
 from feel321 import __version__
 from feel321.analysis import page
-from feel321.analysis.figures.style import assign_looks
-from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.words import MINUS, format_name, format_number
 from feel321.doors import as_path
 from feel321.files import write_text
@@ -206,7 +204,6 @@ def _group(
     built: StimulusSet, sketches: Mapping[str, Sketch], full_scale: float
 ) -> list[dict[str, Any]]:
     """List the recordings, each with its rows; the waveforms of one recording are drawn on one scale."""
-    looks = assign_looks(order_reducers(row.reducer for row in built if row.role == "test"))
     together: dict[str, list[Stimulus]] = {}
     for row in built:
         together.setdefault(row.recording, []).append(row)
@@ -223,7 +220,6 @@ def _group(
                     "own": row,
                     "sketch": sketches[row.stimulus_id],
                     "size": f"{row.peak / peak:.3g}" if peak else "1",
-                    "colour": looks[row.reducer].colour if row.role == "test" else "",
                     "flags": find_flags(row),
                     "numbers": [
                         (value, format_number(value, kind="rating" if unit else "correlation"))
@@ -255,7 +251,7 @@ def _summarise(built: StimulusSet, flagged: Mapping[str, int]) -> str:
     hit = sum(bool(find_flags(row)) for row in built)
     counts = ", ".join(f"{flagged[name]} {FLAGS[name][1]}" for name in FLAGS if flagged[name])
     if not hit:
-        return f"None of {len(built)} stimuli is flagged: all are felt, none is clipped, every match is above {MINUS}1."
+        return f"None of {len(built)} stimuli is flagged: all lie above the detection threshold, none is clipped."
     return f"{hit} of {len(built)} stimuli {'is' if hit == 1 else 'are'} flagged: {counts}."
 
 

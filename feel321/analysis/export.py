@@ -15,7 +15,9 @@ from feel321.analysis.primary import rcode
 from feel321.analysis.primary.model import Slopes, fit_slopes
 from feel321.analysis.primary.plan import ITEM, RATING, SCENE, WHO, make_cells
 from feel321.analysis.report import parts
+from feel321.analysis.report.folder import write_flags
 from feel321.analysis.resampling import Choices
+from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import ROLE, STIMULUS, Table, recast_pairs
 from feel321.analysis.table.schema import APART
 from feel321.doors import as_path, as_seed, describe
@@ -93,6 +95,9 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
     }
     for name, frame in frames.items():
         _refuse_missing_names(name, frame)
+    frames[DICTIONARY] = make_dictionary(
+        frames, {names[key]: table.info[key] for key in names if key in table.info}
+    )
     for name, frame in frames.items():
         write_csv(place / name, frame)
     write_text(place / SCRIPT, write_script(models, names))
@@ -103,11 +108,7 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
 def write_csv(path: Path, frame: DataFrame) -> None:
     """Write a table as R reads it without options."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    flags = {
-        str(name): frame[name].map({True: "TRUE", False: "FALSE"})
-        for name in frame.select_dtypes("bool")
-    }
-    text = frame.assign(**flags).to_csv(
+    text = write_flags(frame).to_csv(
         index=False, na_rep=MISSING, float_format="%.12g", lineterminator="\n"
     )
     write_text(path, text)

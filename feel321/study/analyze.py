@@ -11,18 +11,22 @@ import pandas as pd
 from feel321.analysis.report.front import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.screening.rules import find_rules
+from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.metrics import make_info
 from feel321.analysis.table.reading import Further, Table, read_table
+from feel321.analysis.table.roster import ROSTER_FILE
+from feel321.doors import announce
+from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.manifest import find_methods, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
-from feel321.study.answers import write_answers
+from feel321.study.answers import ANSWERS_FILE, write_answers
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import Progress as Participant
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
-from feel321.study.matches import describe_matches, write_matches
+from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
 from feel321.study.paper import make_paper
 from feel321.study.ratings import write_ratings
@@ -145,16 +149,30 @@ def _derive_ratings(
     *,
     everybody: Sequence[Participant],
 ) -> Further:
+    announce("ratings from the journals")
     write_roster(study, everybody)
     stimuli = read_stimuli(study.stimuli)
     if not write_ratings(study, stimuli):
         simulate = f"feel321 simulate {quote(str(study.path))}"
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
     write_answers(study)
+    _write_dictionary(study, settings)
+    announce("metrics over orientations of the sensor")
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
     matched = describe_matches(write_matches(study, stimuli))
     notes = (*further.notes, *matched, *note_estimates(everybody), *_note_methods(study))
     return replace(further, notes=notes)
+
+
+def _write_dictionary(study: StudyFolder, settings: Settings) -> None:
+    """Describe the columns of the study's own tables, beside them."""
+    own = [study.path / name for name in (ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)]
+    paths = (path for path in (study.ratings, *own, study.manifest) if path.is_file())
+    tables = {path.name: pd.read_csv(path) for path in paths}
+    rows = make_dictionary(tables, list_info(settings))
+    groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
+    rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
+    write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
 
 
 def _note_methods(study: StudyFolder) -> Iterator[str]:

@@ -20,6 +20,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
+from feel321.doors import announce
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.questions import PREFIX, find_question
@@ -445,6 +446,7 @@ def audit_study(
     except (OSError, ValueError):
         entries = {}  # `find_lost` reports it.
     for done, folder in enumerate(folders, start=1):
+        announce(folder.name)
         findings += _audit_participant(folder, stimuli_sha256)
         if folder.name in entries:
             findings += audit_entry(study, folder, entries[folder.name])

@@ -10,6 +10,8 @@ from importlib import import_module
 
 import click
 
+from feel321.study.commands.shared import add_loudness
+
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
 VERBS = {
@@ -48,6 +50,16 @@ class Interrupted(Exception):  # noqa: N818 - nothing went wrong
 class _Verbs(click.Group):
     """The verbs; what click says about Ctrl-C takes two lines, and it cannot know what continues."""
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the verbs with their whole summaries: click cuts those that do not fit into a line."""
+        rows = [
+            (name, (verb.help or "").partition("\n\n")[0].replace("\n", " "))
+            for name in self.list_commands(ctx)
+            if (verb := self.get_command(ctx, name)) and not verb.hidden
+        ]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
     def invoke(self, ctx: click.Context) -> object:
         try:
             return super().invoke(ctx)
@@ -59,11 +71,12 @@ class _Verbs(click.Group):
     cls=_Verbs,
     epilog="Begin with: feel321 demo",
     commands=[
-        getattr(import_module(f"feel321.study.commands.{module}"), verb)
+        add_loudness(getattr(import_module(f"feel321.study.commands.{module}"), verb))
         for module, verbs in VERBS.items()
         for verb in verbs
     ],
     no_args_is_help=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="feel321", prog_name="feel321")
 @click.option(
@@ -77,15 +90,16 @@ def feel321() -> None:
     """Find out whether match metrics of three-to-one vibration reduction predict what people feel."""
 
 
+add_loudness(feel321)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     try:
         code = feel321.main(args=arguments, prog_name="feel321", standalone_mode=False)
     except click.UsageError as error:
-        path = error.ctx.command_path if error.ctx else "feel321"
-        hint = f"{error.format_message().rstrip('.')}; see: {path} --help"
-        return _complain(hint, code=WRONG_USE)
+        return _complain(_hint(error, arguments), code=WRONG_USE)
     except (Interrupted, click.Abort) as stop:
         kept = "; what is done is kept, the same command continues"
         resumed = RESUMED.intersection(stop.args)
@@ -97,6 +111,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return int(code or DONE)
 
 
+def _hint(error: click.UsageError, arguments: Sequence[str]) -> str:
+    """Say what was wrong, where to look, and, where something is missing, what a whole call looks like."""
+    verbs = [one for one in arguments if one in feel321.commands]
+    path = " ".join(["feel321", *verbs[:1]])
+    hint = f"{error.format_message().rstrip('.')}; see: {path} --help"
+    if verbs and isinstance(error, click.MissingParameter | click.BadOptionUsage):
+        epilog = feel321.commands[verbs[0]].epilog or ""
+        hint += (
+            ", for example: " + epilog.partition("Example: ")[2].splitlines()[0].partition(";")[0]
+        )
+    return hint
+
+
 def _describe(error: Exception) -> str:
     if not isinstance(error, (OSError, TypeError, ValueError)):
         reason = " ".join(str(error).split())
@@ -105,6 +132,8 @@ def _describe(error: Exception) -> str:
     if isinstance(error, OSError) and error.errno is not None:
         place = "" if error.filename is None else f"{error.filename}: "
         remedy = "check the name, and whether you may write there"
+        if isinstance(error, FileNotFoundError):
+            remedy = "check the name"
         if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
             remedy = "make room there and run again"
         return f"{place}{error.strerror}; {remedy}"

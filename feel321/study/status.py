@@ -10,6 +10,7 @@ from math import lcm, prod
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321.doors import announce
 from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
@@ -267,6 +268,7 @@ def read_status(
     entries, dossiers = [], []
     folders = study.participants
     for count, folder in enumerate(folders, start=1):
+        announce(folder.name)
         entry, dossier = read_participant(folder)
         entries.append(entry)
         if dossier is not None:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from feel321.doors import announce
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
@@ -55,6 +56,7 @@ def build_study(
     if page:
         from feel321.analysis.browser import write_stimulus_page
 
+        announce("page of the set")
         write_stimulus_page(study.stimuli)
     elif (study.stimuli / "index.html").exists():
         from feel321.analysis.browser import remove_stimulus_page

@@ -67,7 +67,7 @@ def folder(table: analysis.Table, tmp_path_factory: pytest.TempPathFactory) -> P
 
 
 def test_every_file_is_plain(folder: Path) -> None:
-    for path in folder.glob("*.csv"):
+    for path in {*folder.glob("*.csv")} - {folder / "dictionary.csv"}:  # which holds sentences
         raw = path.read_bytes()
         assert raw.isascii()
         assert b"\r" not in raw
@@ -79,6 +79,13 @@ def test_every_file_is_plain(folder: Path) -> None:
         assert {len(row) for row in rows} == {len(head)}
         cells = {cell for row in rows for cell in row}
         assert not cells & {"", "nan", "None", "True", "False", "true", "false"}
+
+
+def test_the_dictionary_explains_every_column(folder: Path) -> None:
+    said = pd.read_csv(folder / "dictionary.csv").set_index(["file", "column"])["meaning"]
+    for path in folder.glob("*.csv"):
+        for name in pd.read_csv(path, nrows=1):
+            assert len(said[path.name, name]) > 3
 
 
 def test_judgements_are_those_of_the_model(table: analysis.Table, folder: Path) -> None:

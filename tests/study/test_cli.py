@@ -72,11 +72,17 @@ def test_help_lists_every_verb_and_version_answers(capsys: Capture) -> None:
     [
         (["biuld"], "No such command 'biuld'. Did you mean 'build'?; see: feel321 --help"),
         ([], "Missing command; see: feel321 --help"),
-        (["match"], "Missing argument 'RECORDING'; see: feel321 match --help"),
+        (
+            ["match"],
+            "Missing argument 'RECORDING'; see: feel321 match --help, for example: feel321 match ",
+        ),
+        (["status", "--rehearsals="], "see: feel321 status --help"),
+        (["run", "--participant"], "requires an argument; see: feel321 run --help, for example: "),
         (["build", "--wrokers", "2"], "No such option '--wrokers'. Did you mean"),
         (["build", "--workers", "0"], "Invalid value for '--workers': 0 is not in the range x>=1"),
         (["simulate", "--participants", "10001"], "10001 is not in the range 1<=x<=10000"),
         (["analyze", "--manifest", "m.csv"], "--manifest needs --ratings; give both"),
+        (["analyze", "--ratings", "r.csv"], "add --manifest FILE, or name the study first"),
         (
             ["reduce", "{recording}", "--reducer", "dft", "-o", "a.wav"],
             f"reducer must be one of {', '.join(REDUCERS)}; got 'dft'",
@@ -544,6 +550,11 @@ def test_a_study_from_new_to_report(
     assert main(["analyze", folder]) == 0
     assert capsys.readouterr().out == f"{study.report / 'index.html'}\n"
     assert (study.report / "index.html").stat().st_size > 1000
+    journals = [path.read_text(encoding="utf-8") for path in study.path.glob("sessions/*/*.jsonl")]
+    rated = [json.loads(line) for text in journals for line in text.splitlines()]
+    day = max(one["utc"] for one in rated if one["event"] == "rated")[:10]
+    about = json.loads((study.report / "results.json").read_text(encoding="utf-8"))["about"]
+    assert about == {"name": "pilot", "date": day}
     tables = [
         "--ratings",
         str(study.ratings),

@@ -76,7 +76,7 @@ def test_the_default_folder_is_in_the_study(study: StudyFolder, capsys: Capture)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["missing"], "missing: a study must be a folder; check the name"),
+        (["missing"], "missing: no such folder; check the name"),
         (["."], "or begin one with: feel321 new"),
         ([".", "--recordings", "none.csv"], "none.csv"),
         ([".", "--scenes", "--seed", "-1"], "Invalid value for '--seed'"),

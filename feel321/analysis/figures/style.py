@@ -350,26 +350,32 @@ def shorten_svg(path: Path) -> None:
     root = ET.fromstring(text)  # noqa: S314 - matplotlib's own file
     for name, value in INHERITED.items():
         root.set(name, value)
-    used = set(re.findall(r"#([\w-]+)", text))
+    # Names that matplotlib makes of the last digits of a place differ between processes.
+    used = dict.fromkeys(re.findall(r'(?:url\(|href=")#([\w-]+)', text))
+    names = {name: f"n{number}" for number, name in enumerate(used)}
     for node in root.iter():
-        _shorten_node(node, used)
+        _shorten_node(node, names)
     _unwrap(root)
     path.write_text(ET.tostring(root, encoding="unicode"), encoding="utf-8", newline="")
 
 
-def _shorten_node(node: Element, used: set[str]) -> None:
+def _shorten_node(node: Element, names: Mapping[str, str]) -> None:
     for key, value in list(node.attrib.items()):
-        if key != "id":
-            short = _round(value) if key != "style" else _round(value.replace(FAMILY, ""))
-            node.set(key, short)
-        elif value not in used and not value.startswith(KEPT):
-            del node.attrib["id"]
+        if key == "id":
+            if value in names or not value.startswith(KEPT):
+                del node.attrib["id"]
+            if value in names:
+                node.set("id", names[value])
+            continue
+        short = _round(value if key != "style" else value.replace(FAMILY, ""))
+        node.set(key, REFERENCE.sub(lambda found: names[found[0]], short))
     if node.get("transform", "").startswith("rotate(-0 "):
         del node.attrib["transform"]
     node.text = node.text if node.text and node.text.strip() else None
     node.tail = None
 
 
+REFERENCE = re.compile(r"(?:(?<=url\(#)|(?<=^#))[\w-]+")
 FAMILY = f"font-family: '{PRINT['font.family']}'; "
 
 

@@ -17,8 +17,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from feel321.analysis.figures.style import save_figure
 from feel321.analysis.page import inline_svg
+from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.doors import as_path
 
 if TYPE_CHECKING:
@@ -29,7 +32,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.report.section import Picture
-    from feel321.types import PathLike
+    from feel321.types import MetricInfo, PathLike
 
 PAGE, RESULTS = "index.html", "results.json"
 OWN = re.compile(r"index\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv")
@@ -42,7 +45,20 @@ BACKGROUND = len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") els
 def list_files(figures: Iterable[str], tables: Iterable[str]) -> tuple[str, ...]:
     """List the files of a folder, by the names of its figures and tables."""
     drawn = (f"figures/{name}.{suffix}" for name in figures for suffix in ("svg", "png"))
-    return (RESULTS, PAGE, *drawn, *(f"tables/{name}.csv" for name in tables))
+    listed = [f"tables/{name}.csv" for name in tables]
+    return (RESULTS, PAGE, *drawn, *listed, *([f"tables/{DICTIONARY}"] if listed else []))
+
+
+def write_flags(frame: DataFrame) -> DataFrame:
+    """Write flags as TRUE and FALSE, which R takes for what they are; other columns stay."""
+    words = {True: "TRUE", False: "FALSE"}
+    flags = [
+        name
+        for name in frame
+        if str(frame[name].dtype) in {"bool", "object"}
+        and frame[name].dropna().map(type).isin([bool, np.bool_]).all()
+    ]
+    return frame.assign(**{str(name): frame[name].map(words) for name in flags})
 
 
 def check_target(target: Path) -> None:
@@ -65,7 +81,7 @@ class ResultsFolder:
     ...     content = {"answer": 0.5, "files": list_files([], ["rows"])}
     ...     path = folder.write(content, page=lambda drawings: "<p>0.5</p>", tables={"rows": rows})
     ...     sorted(file.name for file in path.rglob("*") if file.is_file())
-    ['index.html', 'results.json', 'rows.csv']
+    ['dictionary.csv', 'index.html', 'results.json', 'rows.csv']
     """
 
     def __init__(self, path: PathLike, *, background: bool = False) -> None:
@@ -116,15 +132,21 @@ class ResultsFolder:
         *,
         page: Callable[[Mapping[str, Markup]], str],
         tables: Mapping[str, DataFrame],
+        kind: str = "report",
+        info: Mapping[str, MetricInfo] | None = None,
     ) -> Path:
         """Write results, tables and page, and put all in the place of the former files; return the folder.
 
         content: what ``results.json`` holds; its "files" are those of `list_files`. page: renders the page from the
-        figures' SVG, by name. tables: by name without suffix.
+        figures' SVG, by name. tables: by name without suffix; `dictionary.csv` beside them describes their columns, by
+        the kind of results; info: what metrics declare of themselves.
         """
-        for name, frame in tables.items():
-            frame.to_csv(
-                self._stage("tables") / f"{name}.csv",
+        files = {f"{kind}/{name}.csv": frame for name, frame in tables.items()}
+        if tables:
+            files[f"{kind}/{DICTIONARY}"] = make_dictionary(files, info)
+        for file, frame in files.items():
+            write_flags(frame).to_csv(
+                self._stage("tables") / file.rpartition("/")[2],
                 index=False,
                 float_format="%.10g",
                 lineterminator="\n",

@@ -158,7 +158,7 @@ def compute(table: Table, choices: Choices) -> Section:
         tables={
             "slopes": slopes,
             "slopes_between": _stack(fits, lambda model: model.between.reset_index()),
-            "slope_differences": _stack(fits, lambda model: model.differences.reset_index()),
+            "slope_differences": _stack(fits, lambda model: model.differences),
             "spreads": _stack(fits, lambda model: model.fit.variances),
             "influence": stack(({"ratings": one.part.lead}, one.influence.table) for one in first),
             "exceptions": stack(

@@ -46,7 +46,7 @@ from feel321.analysis.table.items import find_sources, format_recordings
 from feel321.analysis.table.reading import Further, Table, find_tables, read_table
 from feel321.analysis.table.roster import ROSTER_FILE
 from feel321.analysis.table.schema import RECAST
-from feel321.doors import as_seed, follow
+from feel321.doors import announce, as_seed, follow
 from feel321.records import Result
 from feel321.types import MetricInfo, PathLike, Progress, Rng
 
@@ -389,6 +389,7 @@ def _write(
     for section in _compute(table, choices, move):
         sections.append(section)
         target.draw(section.pictures)
+    announce("figures and page")
     sections = _reconcile(sections)
     if paper is not None:
         sections = [paper_section.compute(table, choices, paper, sections=sections), *sections]
@@ -397,6 +398,7 @@ def _write(
         results.to_dict(),
         page=lambda drawings: render_page(results, sections, drawings=drawings),
         tables={name: rows for section in sections for name, rows in section.tables.items()},
+        info=table.info,
     )
     return results
 
@@ -443,6 +445,8 @@ def _compute(
     # times as long on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
         for number, compute in enumerate(SECTIONS, start=1):
+            module, name = compute.__module__.rpartition(".")[2], compute.__name__
+            announce(words.format_name(name.removeprefix("compute_") if "_" in name else module))
             section = compute(table, choices)
             own = name_pictures(section.pictures)
             pictures = tuple(_declare(picture, table) for picture in own)
@@ -534,7 +538,11 @@ def render_page(
         },
         lead=front.choose_picture(results.cards, sections),
         blocks=front.group_sections(sections),
-        lines={section.key: front.split_lines(section) for section in sections},
+        others=front.list_others(sections),
+        lines={
+            section.key: front.split_lines(section, {card.subject for card in results.cards})
+            for section in sections
+        },
         drawings=drawings,
         sizes=sizes,
         points="".join(section.points for section in sections),

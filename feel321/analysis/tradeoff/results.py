@@ -70,6 +70,7 @@ class PageResult(Result):
                     name, pictures=pictures, drawings=drawings, **values
                 ),
                 tables=tables,
+                kind=type(self).__name__.lower(),
             )
         return results.path / PAGE
 

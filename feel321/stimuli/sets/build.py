@@ -13,6 +13,7 @@ import math
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from pathlib import Path, PurePath
@@ -21,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from feel321 import __version__
-from feel321.doors import as_path, describe, follow
+from feel321.doors import announce, as_path, describe, follow
 from feel321.files import hold_lock
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
@@ -217,6 +218,8 @@ def foresee_stimuli(
     wanted = {recording.name: render.list_drafts(recording, recipe) for recording in recordings}
     for done, recording in enumerate(recordings, start=1):
         new = [draft for draft in wanted[recording.name] if draft.key not in measured]
+        if new:
+            announce(recording.name)
         measured.update(render.measure_recording(recording, new, recipe=recipe))
         if progress:
             progress(done, len(recordings))
@@ -362,8 +365,10 @@ def _list_details(
 def _run_jobs(jobs: Sequence[Job], *, workers: int, threads: int) -> Iterator[Any]:
     """Yield results as they are done; in this process where one worker is enough."""
     if workers == 1 or len(jobs) <= 1:
+        # Each job has a context of its own, in which it can say what is being done.
+        own = [(copy_context(), job) for job in jobs]
         with ThreadPoolExecutor(threads) as pool:
-            yield from pool.map(lambda job: job[0](*job[1], **job[2]), jobs)
+            yield from pool.map(lambda one: one[0].run(one[1][0], *one[1][1], **one[1][2]), own)
         return
     from joblib import Parallel
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from feel321.study.commands import shared
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
     from feel321.analysis.tradeoff.advise.scene import Rated
@@ -72,6 +72,12 @@ class MethodTask:
         """Gather the recordings, conditioned or as they came from the sensor."""
         from feel321.study.analyze import gather_recordings
 
+        if not (self.scenes or self.extra or self.study.settings.is_file()):
+            try:
+                require_study(self.study.path)
+            except OSError as error:
+                need = "or give --scenes or --recordings FILE, which need none"
+                raise type(error)(f"{error}; {need}") from None
         recordings = gather_recordings(
             self.study.path, scenes=self.scenes, extra=self.extra, conditioned=conditioned
         )
@@ -114,7 +120,8 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
             from feel321.study.settings.read import read_settings
 
             if not folder.is_dir():
-                raise NotADirectoryError(f"{folder}: a study must be a folder; check the name")
+                what = "a study must be a folder" if folder.exists() else "no such folder"
+                raise NotADirectoryError(f"{folder}: {what}; check the name")
             study, output_folder = StudyFolder(folder), target or folder / output
             check_target(output_folder)
             if seed is None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from feel321.doors import announcing, follow
 from feel321.study.folder import require_study
 from feel321.study.study import Study
 
@@ -33,6 +34,8 @@ class _GivenPath(click.Path):
             self.fail("a name must not be empty; '.' is the current folder", param, ctx)
         return super().convert(value, param, ctx)
 
+
+LOUDNESS = "feel321.loudness"
 
 FILE = _GivenPath(path_type=Path)
 
@@ -64,9 +67,44 @@ def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]
     return click.option("--seed", type=click.IntRange(min=0), help=text)
 
 
+def add_loudness(verb: click.Command) -> click.Command:
+    """Give a verb, or all of them, the options that say how much is printed besides results and errors."""
+
+    def choose(context: click.Context, parameter: click.Parameter, value: object) -> None:
+        if not value:
+            return
+        context.meta[LOUDNESS] = parameter.name
+        if parameter.name == "verbose":
+            context.with_resource(announcing(_log_steps()))
+
+    texts = {
+        "quiet": "No progress and no warnings: only results and errors.",
+        "verbose": "Print each step as it begins.",
+    }
+    verb.params += [
+        click.Option([f"-{name[0]}", f"--{name}"], is_flag=True, is_eager=True, expose_value=False,
+            callback=choose, help=text)
+        for name, text in texts.items()
+    ]  # fmt: skip
+    return verb
+
+
+def _log_steps() -> Callable[[str], None]:
+    """Make what prints a line for each step, with the time since the beginning."""
+    from time import monotonic
+
+    begun = monotonic()
+    return lambda text: click.echo(f"feel321: {monotonic() - begun:.1f} s: {text}", err=True)
+
+
+def _is(loudness: str) -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and context.meta.get(LOUDNESS) == loudness
+
+
 def open_study(folder: Path) -> Study:
     """Open a study that is there, for a terminal."""
-    return Study(require_study(folder), is_terminal(), warn=warn)
+    return Study(require_study(folder), wants_bar(), warn=warn)
 
 
 def study_argument(verb: Verb) -> Verb:
@@ -132,7 +170,8 @@ def recording_argument(verb: Verb) -> Verb:
 
 def warn(message: str) -> None:
     """Print a warning to stderr."""
-    click.echo(f"feel321: warning: {message}", err=True)
+    if not _is("quiet"):
+        click.echo(f"feel321: warning: {message}", err=True)
 
 
 def report_warnings(recordings: Iterable[Recording]) -> None:
@@ -171,8 +210,11 @@ def is_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
 
+def wants_bar() -> bool:
+    """Check whether a progress bar is wanted: on a terminal, unless nothing or each step is to be printed."""
+    return is_terminal() and not _is("quiet") and not _is("verbose")
+
+
 def show_progress(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
     """Show a progress bar on stderr, if that is a terminal."""
-    from feel321.doors import follow
-
-    return follow(is_terminal(), what)
+    return follow(wants_bar(), what)

@@ -154,7 +154,7 @@ def build(*, study: Study, workers: int, no_page: bool, as_json: bool) -> None:
 )
 def demo(folder: Path) -> None:
     """Run a whole study with simulated participants."""
-    study = Study(_open_demo(folder), shared.is_terminal(), warn=shared.warn)
+    study = Study(_open_demo(folder), shared.wants_bar(), warn=shared.warn)
     stimuli = study.build()
     click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
     rows = _simulate(study, DEMO_PARTICIPANTS)
@@ -459,9 +459,13 @@ def analyze(  # noqa: PLR0913 - one per option
         raise click.UsageError(
             "--manifest needs --ratings; give both, or --ratings alone in a study"
         )
+    study = StudyFolder(folder)
+    if ratings is not None and manifest is None and not study.settings.is_file():
+        raise click.UsageError(
+            "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
+        )
     from feel321.study.analyze import analyze_study
 
-    study = StudyFolder(folder)
     with shared.show_progress("analyze") as progress:
         analyze_study(
             study,

@@ -104,7 +104,7 @@ def replay(  # noqa: PLR0913 - one parameter per option
     elif browser:
         from feel321.study.monitor.server import serve_pages
 
-        pages = {"/": lambda nonce: ("text/html", replays.write_page(film, nonce))}
+        pages = {"/": lambda nonce, _query: ("text/html", replays.write_page(film, nonce))}
         with _quiet_end("replay"):
             serve_pages("127.0.0.1", 0, pages, announce=click.echo)
     else:
@@ -116,9 +116,15 @@ def replay(  # noqa: PLR0913 - one parameter per option
             replays.play_in_window(film, window, clock=clock, speed=speed)
 
 
-@click.command(epilog="Example: feel321 rehearse my-study --out rehearsal.html")
+@click.command(
+    epilog="""\b
+Example: feel321 rehearse my-study --out rehearsal.html
+         feel321 rehearse my-study --by-hand
+"""
+)
 @shared.study_argument
-@click.option("--out", type=shared.FILE, metavar="FILE", required=True, help="The page to write.")
+@click.option("--out", type=shared.FILE, metavar="FILE", help="Write a page that opens offline.")
+@shared.flag("--by-hand", "Answer yourself, at an address of this machine.")
 @click.option(
     "--trials",
     type=click.IntRange(min=1),
@@ -127,17 +133,29 @@ def replay(  # noqa: PLR0913 - one parameter per option
     help="Trials of each task in training, in practice and in the main phase.",
 )
 @shared.seed_option(" of the simulated participant")
-def rehearse(*, study: Study, out: Path, trials: int, seed: int | None) -> None:
-    """Write a page that shows a session without the lab.
+def rehearse(
+    *, study: Study, out: Path | None, by_hand: bool, trials: int, seed: int | None
+) -> None:
+    """Show a session in a browser, without the lab.
 
-    One file that opens offline, for co-authors and ethics boards: every screen in the participant's words, with scales
-    and keys, vibrations as sound, answered by a simulated participant. Each screen says that it is a rehearsal.
+    For co-authors and ethics boards: every screen in the participant's words, with scales and keys, and vibrations as
+    sound. --out writes one file, answered by a simulated participant; with --by-hand the keys and the mouse answer.
+    Each screen says that it is a rehearsal; nothing is stored in the study.
     """
+    if by_hand == (out is not None):
+        raise click.UsageError("give --out FILE or --by-hand, one of them")
+    if by_hand:
+        from feel321.study.monitor.hand import serve_rehearsal
+
+        with _quiet_end("rehearse"):
+            serve_rehearsal(study.folder, trials=trials, now=study.now, announce=click.echo)
+        return
     from feel321.study.monitor import replay as replays
 
     film = replays.rehearse(study.folder, trials=trials, seed=seed, now=study.now)
-    write_text(out, replays.write_page(film))
-    click.echo(out)
+    if out is not None:
+        write_text(out, replays.write_page(film))
+        click.echo(out)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from feel321.study.monitor.blind import LIVE, StudyWatch
 from feel321.study.monitor.server import serve_pages
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Clock
@@ -40,7 +40,7 @@ class Monitor:
         utc = self.now().astimezone(UTC).isoformat(timespec="seconds")
         return {"utc": utc, "studies": studies}
 
-    def write_page(self, nonce: str) -> tuple[str, str]:
+    def write_page(self, nonce: str, _query: Mapping[str, str]) -> tuple[str, str]:
         """Write the page."""
         state = self.look()
         for study in state["studies"]:
@@ -52,7 +52,7 @@ class Monitor:
         )
         return "text/html", page
 
-    def write_state(self, _nonce: str) -> tuple[str, str]:
+    def write_state(self, _nonce: str, _query: Mapping[str, str]) -> tuple[str, str]:
         """Write what the page shows as JSON."""
         return "application/json", json.dumps(self.look(), ensure_ascii=False, indent=1)
 

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from feel321.study.screen.input import InputEvent
     from feel321.study.screen.window import Window
     from feel321.study.session.journal import Clock
+    from feel321.study.session.ports import Presenter
     from feel321.study.settings.schema import Settings
 
 PAGE_SIZE = (1280, 800)
@@ -75,9 +76,14 @@ class Film:
         """Lay out one screen."""
         sheet = compose(shot.view, self.cast.texts, size=size)
         if self.mark:
-            top = sheet.find_strip("top")
-            sheet.write(top, self.mark, ui.SMALL, color=ui.ORANGE, bold=True, align="center")
+            mark_sheet(sheet, self.mark)
         return sheet
+
+
+def mark_sheet(sheet: Sheet, words: str = REHEARSAL) -> None:
+    """Write on a screen what it is."""
+    top = sheet.find_strip("top")
+    sheet.write(top, words, ui.SMALL, color=ui.ORANGE, bold=True, align="center")
 
 
 def read_film(
@@ -105,19 +111,47 @@ def read_film(
     return _make_film(study, settings, cast=cast, records=records)
 
 
-def rehearse(study: StudyFolder, *, trials: int, seed: int | None, now: Clock) -> Film:
-    """Rehearse a session with a simulated participant; trials: of each task, in each phase."""
+@dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """A short session that is not stored."""
+
+    study: StudyFolder
+    settings: Settings
+    stimuli: StimulusSet
+    cast: Cast
+
+
+def prepare_rehearsal(study: StudyFolder, *, trials: int) -> Rehearsal:
+    """Plan a short session; trials: of each task, in each phase."""
     settings, stimuli = read.read_settings(study.settings), read_stimuli(study.stimuli)
-    seed = settings.study.seed if seed is None else seed
     design = read.make_design(settings, study.path)
     plan = _shorten(make_plan(design, stimuli, "rehearsal", number=1, simulated=True), trials)
-    cast = replace(_make_cast(study, settings, plan=plan, stimuli=stimuli), reading_s=READING_S)
-    casting = cast_observers(settings, stimuli, seed=seed)
-    mind = SimulatedObserver(casting.model, seed=seed, number=1, percepts=casting.percepts)
+    return Rehearsal(
+        study, settings, stimuli, _make_cast(study, settings, plan=plan, stimuli=stimuli)
+    )
+
+
+def run_rehearsal(rehearsal: Rehearsal, presenter: Presenter, *, now: Clock) -> Records:
+    """Run a rehearsal; its journal is kept nowhere."""
+    cast = rehearsal.cast
     with TemporaryDirectory() as folder:
         journal = create_journal(Path(folder) / "session-01.jsonl", now=now)
-        run_session(plan, mind, stimuli=stimuli, journal=journal, scales=cast.scales)
-    return replace(_make_film(study, settings, cast=cast, records=journal.records), mark=REHEARSAL)
+        run_session(
+            cast.plan, presenter, stimuli=rehearsal.stimuli, journal=journal, scales=cast.scales
+        )
+    return journal.records
+
+
+def rehearse(study: StudyFolder, *, trials: int, seed: int | None, now: Clock) -> Film:
+    """Rehearse a session with a simulated participant."""
+    rehearsal = prepare_rehearsal(study, trials=trials)
+    settings = rehearsal.settings
+    seed = settings.study.seed if seed is None else seed
+    casting = cast_observers(settings, rehearsal.stimuli, seed=seed)
+    mind = SimulatedObserver(casting.model, seed=seed, number=1, percepts=casting.percepts)
+    records = run_rehearsal(rehearsal, mind, now=now)
+    cast = replace(rehearsal.cast, reading_s=READING_S)
+    return replace(_make_film(study, settings, cast=cast, records=records), mark=REHEARSAL)
 
 
 def _shorten(plan: Plan, trials: int) -> Plan:

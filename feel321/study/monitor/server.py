@@ -1,4 +1,4 @@
-"""A page on this machine alone: loopback, a secret in its address, nothing but reading.
+"""A page on this machine alone: loopback, a secret in its address, and nothing but reading unless it may send acts.
 
 Other programs on the machine do not know the token, and other sites cannot ask through the browser: their `Host` is
 refused (DNS rebinding), and no header lets them read an answer.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import hmac
 import secrets
 import socket
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -24,6 +24,12 @@ LOOPBACK = {"127.0.0.1": socket.AF_INET, "localhost": socket.AF_INET, "::1": soc
 """Hosts that no other machine reaches."""
 
 READING = ["GET", "HEAD"]
+
+Answer = Callable[[str, Mapping[str, str]], tuple[str, str]]
+"""Makes a page of the nonce of its scripts and of the query: its media type and text."""
+
+Act = Callable[[bytes], None]
+"""Takes what a page sends."""
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -82,20 +88,29 @@ class Door:
         return ""
 
 
-def make_app(door: Door, pages: dict[str, Callable[[str], tuple[str, str]]]) -> Starlette:
-    """Make a site of pages; each is a path, and gives its media type and text for the nonce of its scripts."""
+def make_app(door: Door, pages: Mapping[str, Answer], acts: Mapping[str, Act]) -> Starlette:
+    """Make a site of pages and of what they may send, by path."""
     from starlette.applications import Starlette
     from starlette.responses import Response
     from starlette.routing import Route
 
-    def serve(make: Callable[[str], tuple[str, str]]) -> Callable[[Request], Response]:
+    def serve(make: Answer) -> Callable[[Request], Response]:
         def answer(request: Request) -> Response:
             if reason := door.refuse(request):
                 return Response(f"{reason}\n", 403, HEADERS, "text/plain")
             nonce = secrets.token_urlsafe(16)
-            media_type, text = make(nonce)
+            media_type, text = make(nonce, request.query_params)
             policy = {"Content-Security-Policy": POLICY.format(nonce=nonce)}
             return Response(text, 200, HEADERS | policy, media_type)
+
+        return answer
+
+    def receive(take: Act) -> Callable[[Request], Awaitable[Response]]:
+        async def answer(request: Request) -> Response:
+            if reason := door.refuse(request):
+                return Response(f"{reason}\n", 403, HEADERS, "text/plain")
+            take(await request.body())
+            return Response(None, 204, HEADERS)
 
         return answer
 
@@ -103,16 +118,18 @@ def make_app(door: Door, pages: dict[str, Callable[[str], tuple[str, str]]]) -> 
         return Response("not here\n", 403, HEADERS, "text/plain")
 
     routes = [Route(path, serve(make), methods=READING) for path, make in pages.items()]
-    # Without the token nobody learns which paths there are, and nothing but reading is there.
+    routes += [Route(path, receive(take), methods=["POST"]) for path, take in acts.items()]
+    # Without the token nobody learns which paths there are.
     return Starlette(routes=routes, exception_handlers={404: refuse, 405: refuse})
 
 
 def serve_pages(
     host: str,
     port: int,
-    pages: dict[str, Callable[[str], tuple[str, str]]],
+    pages: Mapping[str, Answer],
     *,
     announce: Callable[[str], None],
+    acts: Mapping[str, Act] | None = None,
 ) -> None:
     """Serve pages until Ctrl-C; announce: called with the address."""
     try:
@@ -124,7 +141,7 @@ def serve_pages(
     with open_socket(host, port) as bound:
         door = Door(host, bound.getsockname()[1])
         config = uvicorn.Config(
-            make_app(door, pages),
+            make_app(door, pages, acts or {}),
             log_config=None,
             access_log=False,
             lifespan="off",

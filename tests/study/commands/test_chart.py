@@ -126,8 +126,8 @@ def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path)
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["{folder}/nowhere"], 1, "nowhere: a study must be a folder; check the name"),
-        (["{folder}"], 1, "no study.toml in"),
+        (["{folder}/nowhere"], 1, "nowhere: no such folder; check the name"),
+        (["{folder}"], 1, "or give --scenes or --recordings FILE, which need none"),
         (
             ["{folder}", "--recordings", "{folder}/nothing.csv"],
             1,

@@ -198,7 +198,7 @@ def copied(made: Path, tmp_path: Path) -> StudyFolder:
 
 def write_everything(study: StudyFolder) -> tuple[str, str]:
     monitor = Monitor([StudyWatch(study, lambda: NOON)], lambda: NOON)
-    return monitor.write_page("nonce")[1], monitor.write_state("nonce")[1]
+    return monitor.write_page("nonce", {})[1], monitor.write_state("nonce", {})[1]
 
 
 def test_other_ratings_show_the_same(copied: StudyFolder) -> None:
@@ -229,6 +229,7 @@ def test_names_of_conditions_are_hidden_in_notes_and_reasons(copied: StudyFolder
         assert f"the {HIDDEN} of {HIDDEN} at {HIDDEN} felt odd; bumpy all the same" in text
 
 
+@pytest.mark.soak
 def test_a_page_of_several_studies_fits_a_phone(copied: StudyFolder, tmp_path: Path) -> None:
     browser = shutil.which("chromium") or pytest.skip(
         "PAGE NOT RENDERED: chromium is not installed"
@@ -238,7 +239,7 @@ def test_a_page_of_several_studies_fits_a_phone(copied: StudyFolder, tmp_path: P
         StudyWatch(copied, lambda: NOON),
         StudyWatch(replace(copied, is_rehearsal=True), lambda: NOON),
     ]
-    page = Monitor(watches, lambda: NOON).write_page("nonce")[1]
+    page = Monitor(watches, lambda: NOON).write_page("nonce", {})[1]
     assert page.count("<section") == 2
     probe = "document.title = document.documentElement.scrollWidth + ' of ' + innerWidth"
     text = page.replace("</body>", f"<script>{probe}</script></body>")

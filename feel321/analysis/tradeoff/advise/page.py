@@ -19,6 +19,7 @@ from feel321.analysis.tradeoff.advise.choice import (
 from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings
+from feel321.doors import announce
 from feel321.records import to_json_value
 from feel321.types import PathLike, Reducer
 
@@ -207,6 +208,7 @@ def advise_recordings(  # noqa: PLR0913 - every choice that changes the advice h
     # The work is in transforms: threads of the linear algebra only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         for done, scene in enumerate(scenes, start=1):
+            announce(scene.name)
             rated_here = used.get(scene.source)
             reducers = {**list_reducers(rated_here), **(own or {})}
             advices.append(

@@ -36,6 +36,7 @@ from feel321.analysis.tradeoff.chart.points import (
     place_points,
 )
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings, as_table
+from feel321.doors import announce
 from feel321.types import PathLike
 
 if TYPE_CHECKING:
@@ -211,6 +212,7 @@ def _measure(
 ) -> dict[str, list[dict[str, Any]]]:
     """Measure the rows of most tables, each with the same seed."""
     accuracies = list(_measure_scenes(recordings, effort, own, seed=seed, tick=tick))
+    announce("speed")
     rng = np.random.default_rng(seed)
     jobs = cost.list_jobs(largest=effort.largest_n, rng=rng, own=own)
     costs = cost.time_jobs(jobs, rounds=effort.rounds, clock=clock, rng=rng, done=tick)
@@ -218,6 +220,7 @@ def _measure(
     lengths = [n for n in cost.list_lengths(effort.largest_n) if str(n).startswith("1")]
     memory, precision, realtime = [], [], []
     for variant in accuracy.list_variants(own=own):
+        announce(f"memory and precision of {variant.reducer}")
         memory += [cost.measure_memory(variant, n, np.random.default_rng(seed)) for n in lengths]
         rng = np.random.default_rng(seed)
         precision.append(cost.compare_precision(variant.reducer, rng, pieces, own=variant.own))
@@ -280,6 +283,7 @@ def _measure_scenes(
     turns = accuracy.draw_turns(effort.rotations, seed)
     few, every = turns[: effort.sweep_rotations], accuracy.list_variants(own=own)
     for recording in recordings:
+        announce(f"accuracy on {recording.name}")
         piece = accuracy.cut_piece(recording, effort.longest_s)
         yield from accuracy.measure_accuracy(piece, every, turns=turns)
         tick()

@@ -34,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from feel321.analysis.tradeoff.stress.battery import BATTERY
+from feel321.doors import announce
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.rotation import INVARIANTS, random_rotations
@@ -226,6 +227,7 @@ def measure_gains(
     """Measure the perturbation gain of every reducer on every recording."""
     cells: list[StressCell] = []
     for recording, (name, reduce) in product(recordings, reducers.items()):
+        announce(f"{recording.name}, {name}")
         own = [seed, *recording.name.encode()]
         rng = np.random.default_rng([*own, *b"gain"])
         gain, phase = perturbation_gain(reduce, recording, rng=rng, draws=draws), math.nan
@@ -358,6 +360,7 @@ def measure_battery(
     for scene in BATTERY:
         made = make_takes(scene, takes=takes, seed=seed)
         for name, reduce in reducers.items():
+            announce(f"{scene}, {name}")
             cells += _summarise(scene, name, measure_takes(reduce, made))
             progress(len(cells) // len(MEASURES), len(BATTERY) * len(reducers))
     return tuple(cells)

@@ -1,0 +1,127 @@
+"""The data dictionary: type, unit, allowed values and meaning of every column of every CSV file.
+
+`dictionary.csv` beside this module is the only list: its ``file`` is a pattern, and a row for one file goes before one
+for all. Ends of intervals and tests (``slope_low``, ``slope_p``) follow from the column they belong to, metrics from
+what they declare.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from fnmatch import fnmatch
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from feel321.analysis.table.metrics import ROTATIONS, describe_further, format_bounds
+from feel321.names import METRIC_INFO
+from feel321.types import MetricInfo
+
+if TYPE_CHECKING:
+    from pandas import DataFrame, Series
+
+DICTIONARY = "dictionary.csv"
+"""The file beside the tables that it describes."""
+
+DERIVED: Mapping[str, tuple[str, str]] = {
+    "low": ("lower end of the 95 % interval of {}", ""),
+    "high": ("upper end of the 95 % interval of {}", ""),
+    "se": ("standard error of {}", "0 or more"),
+    "df": ("degrees of freedom of {}", "above 0"),
+    "t": ("t statistic of {}", ""),
+    "p": ("p of {}", "0 to 1"),
+    "w": ("{} within recordings: less the mean over its recording's stimuli", ""),
+    "b": ("{} between recordings: the mean over its recording's stimuli", ""),
+    "step": ("{} within recordings, in steps (see slopes.csv)", ""),
+}
+"""Suffix of a column -> meaning of what stands for the rest of its name, and what is allowed."""
+
+UNITLESS = {"df", "t", "p", "step"}
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A column of a file, as the dictionary describes it."""
+
+    file: str
+    column: str
+    type: str
+    unit: str = ""
+    allowed: str = ""
+    meaning: str = ""
+
+
+@cache
+def read_dictionary() -> tuple[Variable, ...]:
+    """Read the list; rows for one file first."""
+    with Path(__file__).with_name(DICTIONARY).open(encoding="utf-8", newline="") as file:
+        rows = [Variable(**row) for row in csv.DictReader(file)]
+    return tuple(
+        sorted(rows, key=lambda row: ("*" in row.column, row.file == "*", "*" in row.file))
+    )
+
+
+def make_dictionary(
+    tables: Mapping[str, DataFrame], info: Mapping[str, MetricInfo] | None = None
+) -> DataFrame:
+    """Describe the columns of tables by file, such as ``chart/points.csv``; info: what further metrics declare."""
+    import pandas as pd
+
+    rows = [
+        describe_column(file, str(name), frame[name], info=info or {})
+        for file, frame in {**tables, DICTIONARY: _make_sample()}.items()
+        for name in frame
+    ]
+    return pd.DataFrame([asdict(row) for row in rows])
+
+
+def describe_column(
+    file: str, column: str, values: Series, *, info: Mapping[str, MetricInfo]
+) -> Variable:
+    """Describe a column; one that nothing is known of has no meaning, and the type of its values."""
+    found = next(_find(file, column, info), None)
+    if found is None:
+        found = Variable(file, column, _find_type(values))
+    return replace(found, file=file.rsplit("/", 1)[-1], column=column)
+
+
+def _find(file: str, column: str, info: Mapping[str, MetricInfo]) -> Iterator[Variable]:
+    for row in read_dictionary():
+        of_file = fnmatch(file, row.file) or fnmatch(file.rsplit("/", 1)[-1], row.file)
+        if of_file and fnmatch(column, row.column):
+            yield row
+    metrics = {**METRIC_INFO, **ROTATIONS, **info}
+    if column in metrics:
+        one = metrics[column]
+        bounded = math.isfinite(one.low) or math.isfinite(one.high)
+        better = "larger is better" if one.higher == "better" else "smaller is better"
+        bounds = format_bounds(one) if bounded else ""
+        yield Variable(file, column, "number", one.unit, bounds, f"metric: {one.label}; {better}")
+    if column in (further := describe_further()):
+        yield Variable(file, column, "number", "", "", f"metric: {further[column].meaning}")
+    base, _, end = column.rpartition("_")
+    for one_of in _find(file, base, info) if end in DERIVED else ():
+        meaning, allowed = DERIVED[end]
+        told = meaning.format(one_of.meaning.split(":")[-1].split(";")[0].strip() or base)
+        unit = "" if end in UNITLESS else one_of.unit
+        yield Variable(file, column, "number", unit, allowed, told)
+
+
+def _find_type(values: Series) -> str:
+    import pandas as pd
+
+    if pd.api.types.is_bool_dtype(values):
+        return "flag"
+    if pd.api.types.is_integer_dtype(values):
+        return "integer"
+    return "number" if pd.api.types.is_numeric_dtype(values) else "text"
+
+
+def _make_sample() -> DataFrame:
+    """Make a table with the dictionary's own columns, which it describes too."""
+    import pandas as pd
+
+    return pd.DataFrame([asdict(read_dictionary()[0])])

@@ -1,0 +1,142 @@
+"""What a terminal shows: progress, loudness, help, completion, and no colours."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from struct import pack
+from time import monotonic, sleep
+from typing import TYPE_CHECKING
+
+import pytest
+
+from feel321 import doors
+from feel321.study.cli import VERBS, main
+
+if TYPE_CHECKING:
+    from feel321.study.folder import StudyFolder
+
+FEEL321 = Path(sys.executable).with_name("feel321")
+EVERY = sorted(verb for verbs in VERBS.values() for verb in verbs)
+
+
+def watch(*arguments: object) -> str:
+    """Run a verb in a terminal of 100 columns; all that it showed."""
+    from fcntl import ioctl
+    from termios import TIOCSWINSZ
+
+    terminal, end = pty.openpty()
+    ioctl(end, TIOCSWINSZ, pack("HHHH", 24, 100, 0, 0))
+    command, shown = [FEEL321, *map(str, arguments)], b""
+    with subprocess.Popen(command, stdin=end, stdout=end, stderr=end) as process:
+        os.close(end)
+        with suppress(OSError):  # so Linux ends a terminal
+            while piece := os.read(terminal, 65536):
+                shown += piece
+    os.close(terminal)
+    assert process.returncode == 0
+    return shown.decode()
+
+
+@pytest.fixture
+def unbuilt(smallest: StudyFolder) -> StudyFolder:
+    for path in smallest.stimuli.iterdir():
+        path.unlink()
+    return smallest
+
+
+def test_a_terminal_sees_what_is_done_and_no_colour(unbuilt: StudyFolder) -> None:
+    shown = watch("build", unbuilt.path)
+    assert "build: 2/2 |" in shown
+    for what in ("bumps, sax321", "bumps, mag321", "page of the set"):
+        assert what in shown
+    assert "\x1b[" not in shown  # neither colour nor cursor, so NO_COLOR has nothing to switch off
+    assert re.search(r"\r +\r[^\r]*stimuli: 2 stimuli, set \w{12}\r\n", shown)  # the bar is wiped
+
+
+def test_quiet_leaves_only_the_result(unbuilt: StudyFolder) -> None:
+    shown = watch("build", unbuilt.path, "-q")
+    assert shown.startswith(f"{unbuilt.stimuli}: 2 stimuli")
+    assert "\r " not in shown
+
+
+@pytest.mark.parametrize("place", [0, 2])
+def test_verbose_prints_steps_where_nobody_watches(
+    place: int, unbuilt: StudyFolder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["build", str(unbuilt.path)]
+    arguments.insert(place, "--verbose")
+    assert main(arguments) == 0
+    shown = [
+        re.fullmatch(r"feel321: \d+\.\d s: (.*)", line)
+        for line in capsys.readouterr().err.splitlines()
+    ]
+    assert [line[1] for line in shown] == ["bumps, sax321", "bumps, mag321", "page of the set"]
+    assert main(["build", str(unbuilt.path)]) == 0
+    assert capsys.readouterr().err == ""  # the next call is as quiet as ever
+
+
+def test_quiet_hides_warnings_but_no_errors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = "\n".join(f"{n / 1000},0,0,{(-1) ** n}" for n in range(500))
+    (tmp_path / "tap.csv").write_text(f"time,x,y,z\n{lines}\n", encoding="utf-8")
+    command = ["reduce", str(tmp_path / "tap.csv"), "--reducer", "say321", "--unit", "g", "-o"]
+    assert main([*command, str(tmp_path / "a.wav")]) == 0
+    assert "feel321: warning: " in capsys.readouterr().err
+    assert main([*command, str(tmp_path / "b.wav"), "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["status", str(tmp_path), "-q"]) == 1
+    assert "no study.toml" in capsys.readouterr().err
+
+
+def test_the_clock_runs_while_one_step_takes_long(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(doors, "TICK_S", 0.01)
+    shown, until = "", monotonic() + 60
+    with doors.follow(True, "analyze") as move:
+        move(0, 12)
+        doors.announce("primary")
+        while shown.count("analyze: 0/12 ") < 5:
+            assert monotonic() < until, "the bar stood still"
+            sleep(0.01)
+            shown += capsys.readouterr().err
+    assert "primary" in shown
+    doors.announce("nobody watches now")
+    assert capsys.readouterr().err.strip() == ""
+
+
+@pytest.mark.parametrize("verb", EVERY)
+def test_h_is_help_everywhere(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    said = []
+    for option in ("-h", "--help"):
+        assert main([verb, option]) == 0
+        said.append(capsys.readouterr().out)
+    assert said[0] == said[1]
+    for option in ("-q, --quiet", "-v, --verbose", "-h, --help"):
+        assert option in said[0]
+
+
+def test_summaries_are_whole_in_a_narrow_terminal() -> None:
+    narrow = os.environ | {"COLUMNS": "50"}
+    done = subprocess.run([FEEL321, "-h"], capture_output=True, text=True, check=True, env=narrow)
+    listed = " ".join(done.stdout.partition("Commands:")[2].split())
+    assert "Relate the ratings to the match metrics and write the report." in listed
+    assert "..." not in listed
+
+
+def test_a_shell_completes_verbs_and_choices() -> None:
+    def complete(words: str) -> list[str]:
+        asked = {"COMP_WORDS": f"feel321 {words}", "COMP_CWORD": str(len(words.split()))}
+        env = os.environ | asked | {"_FEEL321_COMPLETE": "bash_complete"}
+        done = subprocess.run([FEEL321], capture_output=True, text=True, check=True, env=env)
+        return done.stdout.split()
+
+    assert complete("stat") == ["plain,status"]
+    assert complete("new --study lan") == ["plain,landin2010"]
