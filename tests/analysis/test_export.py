@@ -128,6 +128,7 @@ def test_slopes_agree_with_lme4(folder: Path, scale: str, term: str) -> None:
         assert listed["df"] == pytest.approx(df, rel=1e-3)
 
 
+@pytest.mark.soak
 def test_r_runs_the_script(folder: Path) -> None:
     r = shutil.which("Rscript")
     if (
