@@ -67,7 +67,18 @@ class Result:
         return text if len(text) <= REPR_WIDTH else f"{text[: REPR_WIDTH - 4]}...)"
 
     def _repr_html_(self) -> str:
-        return f"<p><b>{type(self).__name__}</b></p>{self.to_frame().to_html(max_rows=20)}"
+        from html import escape
+
+        frame = self.to_frame()
+        if len(frame) == 1:
+            frame = frame.T.set_axis([""], axis=1)
+        shown = frame.to_html(
+            max_rows=20, float_format="{:.4g}".format, border=0, header=len(frame.columns) > 1
+        )
+        name = f"<caption>{escape(type(self).__name__)}</caption>"
+        notes = "".join(f"<p>{escape(str(note))}</p>" for note in getattr(self, "notes", ()))
+        table, rest = shown.replace("<th>", '<th scope="row">').split(">", 1)
+        return f"{table}>{name}{rest}{notes}"
 
     def __eq__(self, other: object) -> bool:
         """Compare field by field; numbers that are not defined are equal."""

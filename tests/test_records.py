@@ -48,7 +48,11 @@ def test_frame_summary_and_html_show_numbers_and_names() -> None:
     assert make().to_frame().to_dict("records") == [{"name": "all", "slope": 0.5}]
     assert make().summary().splitlines()[0] == "Fit"
     assert "0.5" in make().summary()
-    assert "<table" in make()._repr_html_()
+    shown = make(name="<b>")._repr_html_()
+    assert "<caption>Fit</caption>" in shown
+    assert '<th scope="row">slope</th>' in shown
+    assert "&lt;b&gt;" in shown
+    assert "<b>" not in shown
 
 
 def test_repr_is_one_short_line() -> None:

@@ -59,20 +59,48 @@ def save_screens(folder: Path) -> None:
             save(folder / f"{name}.png", Path(made) / "screen.png", colours=16)
 
 
-def save_report(path: Path) -> None:
-    """Save a picture of the first screen of the bundled study's report."""
+MARKED = (
+    "h2.headline",
+    ".card:nth-of-type(1) li:nth-of-type(1) .verdict > span",
+    ".card:nth-of-type(1) li:nth-of-type(1) .points",
+    ".card:nth-of-type(1) li:nth-of-type(1) .strip + .faint",
+    ".lead figcaption",
+    "h2#contents",
+)
+"""What docs/reading-the-report.md explains, in the order of its numbers."""
+
+BADGE = (
+    'content: "{}"; display: inline-block; width: 1.5em; margin-right: .4em; border-radius: 50%; text-align: center;'
+    " line-height: 1.5em; font-size: 15px; font-weight: 700; color: #fff; background: #b34700;"
+)
+
+
+def mark(page: str) -> str:
+    """Put a number before each thing that is explained."""
+    rules = (f"{found}::before {{ {BADGE.format(n)} }}" for n, found in enumerate(MARKED, start=1))
+    return page.replace("</head>", f"<style>{' '.join(rules)}</style></head>", 1)
+
+
+def save_report(folder: Path) -> None:
+    """Save the first screen of the bundled study's report, as it is and with what is explained numbered."""
     with tempfile.TemporaryDirectory() as made:
         demo = Path(made) / "demo"
         subprocess.run(
             [Path(sys.executable).with_name("feel321"), "demo", "--dir", demo], check=True
         )
-        page = (demo / "report" / "index.html").as_uri()
-        shot = Path(made) / "report.png"
-        options = ["--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1100,900"]
-        subprocess.run(["chromium", *options, f"--screenshot={shot}", page], check=True)
-        save(path, shot, colours=64)
+        save_pages((demo / "report" / "index.html").read_text(encoding="utf-8"), folder, Path(made))
+
+
+def save_pages(text: str, folder: Path, made: Path) -> None:
+    """Save the pictures of a report's page."""
+    page, shot = made / "page.html", made / "report.png"
+    options = ["--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1100,1000"]
+    for name, body in (("report", text), ("report-explained", mark(text))):
+        page.write_text(body, encoding="utf-8")
+        subprocess.run(["chromium", *options, f"--screenshot={shot}", page.as_uri()], check=True)
+        save(folder / f"{name}.png", shot, colours=64)
 
 
 if __name__ == "__main__":
     save_screens(DOCS / "screens")
-    save_report(DOCS / "report.png")
+    save_report(DOCS)

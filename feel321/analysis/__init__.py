@@ -26,6 +26,8 @@ from feel321.analysis.export import export_r
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.p1401 import compare_p1401, p1401
 from feel321.analysis.plots import (
+    plot,
+    plot_correlations,
     plot_profile,
     plot_recording,
     plot_scatter,
@@ -52,8 +54,9 @@ __all__ = [
     "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate", "correlate_published",
     "discriminate", "embed_triplets", "equivalence", "export_r", "fit_attributes", "fit_choices", "fit_mixed",
     "fit_primary", "fit_space", "intraclass", "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority",
-    "p1401", "plan_choices", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
-    "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model", "read_table", "refine_metric",
+    "p1401", "plan_choices", "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter",
+    "plot_slopes", "plot_spectrogram", "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics",
+    "rater_model", "read_table", "refine_metric",
     "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress", "tabulate_correlations",
     "write_report", "write_stimulus_page",
 ]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.contrasts.compare import profile_reducers, stimulus_means
 from feel321.analysis.table.items import Table, open_tests
@@ -12,11 +13,12 @@ from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.words import capitalise, format_axis, format_measure, format_name
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
+    from feel321.analysis.association.correlate import Association
     from feel321.analysis.primary.model import Primary
     from feel321.stimuli.recording import Recording, Reduced
 
@@ -132,6 +134,91 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     if len(items) > 1:
         ax.legend()
     return ax
+
+
+def plot_correlations(found: Association | DataFrame, *, ax: Axes | None = None) -> Axes:
+    """Plot correlations with their 95 % two-way intervals, and the noise ceiling of each.
+
+    Parameters
+    ----------
+    found : Association or DataFrame
+        What `correlate` returned, or `tabulate_correlations`: a row each.
+    ax : Axes, optional
+        Where to plot; a new figure if left out.
+
+    Returns
+    -------
+    Axes
+        The same: a row per correlation, the first on top; vertical lines are ceilings.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> rows = pd.DataFrame({"metric": ["match"], "value": [0.7], "low": [0.4], "high": [0.9], "ceiling": [0.95]})
+    >>> analysis.plot_correlations(rows).get_xlabel()
+    'Correlation with mean ratings'
+    """
+    frame = (found if isinstance(found, pd.DataFrame) else found.to_frame()).reset_index()
+    ax, rows = _find_axes(ax), np.arange(len(frame))
+    points = ax.plot(frame["value"], rows, "o", label="correlation")
+    ax.hlines(rows, frame["low"], frame["high"], color=points[0].get_color())
+    ax.vlines(frame["ceiling"], rows - 0.3, rows + 0.3, color="0.4", label="noise ceiling")
+    ax.axvline(0, color="0.6", linewidth=0.8)
+    keys = [key for key in ("scale", "level", "metric", "method") if key in frame]
+    if len(frame) > 1:
+        keys = [key for key in keys if key == "metric" or len(set(frame[key])) > 1]
+    labels = [
+        ", ".join(format_name(str(name)) for name in own)
+        for own in zip(*(frame[key] for key in keys), strict=True)
+    ]
+    ax.set_yticks(rows, labels)
+    ax.set(xlabel="Correlation with mean ratings", ylim=(len(frame) - 0.5, -0.5))
+    ax.legend()
+    return ax
+
+
+def plot(result: object, *, ax: Axes | None = None) -> Axes:
+    """Plot whatever there is one obvious plot of, in one line of a notebook.
+
+    Parameters
+    ----------
+    result : object
+        A Primary, what `fit_attributes` returned, an Association, a table of correlations or of ratings, a recording or
+        a reduced signal.
+    ax : Axes, optional
+        Where to plot; a new figure if left out.
+
+    Returns
+    -------
+    Axes
+        Those of `plot_slopes`, `plot_correlations`, `plot_profile` or `plot_recording`.
+
+    Raises
+    ------
+    TypeError
+        If there is no obvious plot of it.
+
+    Examples
+    --------
+    >>> from feel321 import analysis, stimuli
+    >>> analysis.plot(stimuli.make_scene("hard_taps")).get_ylabel()
+    'Acceleration (m/s²)'
+    """
+    columns = set(getattr(result, "columns", ()))
+    kinds: tuple[tuple[bool, Callable[..., Axes]], ...] = (
+        (isinstance(result, Table) or {"participant", "rating"} <= columns, plot_profile),
+        ({"value", "ceiling"} <= (columns or set(dir(result))), plot_correlations),
+        (hasattr(result, "rate_hz"), plot_recording),
+        (hasattr(result, "slopes") or (hasattr(result, "items") and not columns), plot_slopes),
+    )
+    for fits, draw in kinds:
+        if fits:
+            return draw(result, ax=ax)
+    raise TypeError(
+        "result must be a Primary, an Association, a table of correlations or ratings, or a recording; got "
+        f"{type(result).__name__}: call a plot_... function, or draw its to_frame()"
+    )
 
 
 def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Axes:

@@ -15,6 +15,7 @@ from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.metrics import make_info
 from feel321.analysis.table.reading import Further, Table, read_table
 from feel321.analysis.table.roster import ROSTER_FILE
+from feel321.doors import announce
 from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
@@ -148,6 +149,7 @@ def _derive_ratings(
     *,
     everybody: Sequence[Participant],
 ) -> Further:
+    announce("ratings from the journals")
     write_roster(study, everybody)
     stimuli = read_stimuli(study.stimuli)
     if not write_ratings(study, stimuli):
@@ -155,6 +157,7 @@ def _derive_ratings(
         raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
     write_answers(study)
     _write_dictionary(study, settings)
+    announce("metrics over orientations of the sensor")
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
     matched = describe_matches(write_matches(study, stimuli))
     notes = (*further.notes, *matched, *note_estimates(everybody), *_note_methods(study))

@@ -8,6 +8,7 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 import pandas as pd
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,6 +21,7 @@ from feel321.analysis.report.front import (
     order_scales,
     write_headline,
 )
+from feel321.analysis.report.raters import _describe_changes
 from feel321.analysis.report.section import Section
 from feel321.analysis.table.items import Table
 from feel321.analysis.words import keep_together, make_number
@@ -59,7 +61,7 @@ def test_the_sentence_claims_what_the_verdicts_do(cards: list[MetricCard]) -> No
     assert ("opposite" in said) == (OPPOSITE in statuses)
     assert ("is open" in said) == ("open" in statuses)
     assert ("cannot be estimated" in said) == ("not_estimable" in statuses)
-    every = "both scales" in said or "all 3 scales" in said
+    every = "both rating scales" in said or "all 3 rating scales" in said
     for scale in {card.scale for card in cards}:
         assert scale in said.casefold() or every
     assert said[0].isupper()
@@ -81,7 +83,7 @@ def test_sentences_as_they_are_read() -> None:
         make_card("mushra", "spectral_match", "open"),
     ]
     assert write_headline(none, [], SIZES) == (
-        "Whether the ratings on both scales follow spectral match is open."
+        "Whether the ratings on both rating scales follow spectral match is open."
     )
     few = [
         *SIZES[:1],
@@ -155,3 +157,19 @@ def test_tables_from_elsewhere_open_with_the_question(report: Path) -> None:
     page = (report / "index.html").read_text(encoding="utf-8")
     assert "<h1>Do the metrics predict the ratings?</h1>" in page
     assert "<time" not in page
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [(0.5, 3.0, "as before"), (-1.0, 3.0, "it changes whether"), (math.nan, math.nan, None)],
+)
+def test_what_flagged_raters_do_to_the_slopes_is_said(
+    low: float, high: float, said: str | None
+) -> None:
+    place = {"_ratings": "mushra, as_is", "metric": "temporal_match"}
+    whole = place | {"panel": "everyone", "tenth_low": 1.0, "tenth_high": 2.0}
+    rest = place | {"panel": "any", "tenth_low": low, "tenth_high": high}
+    told = list(_describe_changes([whole, rest]))
+    assert len(told) == (said is not None)
+    assert all(said in one for one in told)
+    assert all("temporal match (MUSHRA, as is)" in one for one in told if "changes" in one)

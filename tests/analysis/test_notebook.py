@@ -266,3 +266,27 @@ def test_a_report_of_tables_in_memory_is_that_of_their_files(
         analysis.write_report(table, metrics=["temporal_match"], folder=tmp_path / "d")
     with pytest.raises(TypeError, match="ratings must be a path"):
         analysis.write_report(frames[0], folder=tmp_path / "d")
+
+
+def test_one_line_plots_what_has_one_obvious_plot(
+    table: results.Table, realism: results.Table
+) -> None:
+    found = analysis.tabulate_correlations(realism, draws=20)
+    axes = analysis.plot(found, ax=Figure().subplots())
+    places = axes.lines[0].get_xdata()
+    np.testing.assert_array_equal(places, found["value"])
+    bars, ceilings = (part.get_segments() for part in axes.collections)
+    np.testing.assert_array_equal([bar[:, 0] for bar in bars], found[["low", "high"]])
+    np.testing.assert_array_equal([bar[0, 0] for bar in ceilings], found["ceiling"])
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    assert len(set(labels)) == len(found)
+    model = analysis.fit_primary(realism)
+    slopes = analysis.plot(model, ax=Figure().subplots()).lines[0].get_xdata()
+    np.testing.assert_array_equal(slopes, model.slopes["tenth"])
+    assert analysis.plot(table, ax=Figure().subplots()).get_xlabel() == "Rating"
+    one = analysis.correlate(realism, "spectral_match", draws=20, rng=0)
+    assert analysis.plot(one, ax=Figure().subplots()).get_yticklabels()[0].get_text() != ""
+    scene = stimuli.make_scene("hard_taps", duration_s=0.1)
+    assert analysis.plot(scene, ax=Figure().subplots()).get_xlabel() == "Time (s)"
+    with pytest.raises(TypeError, match=r"result must be a Primary, .*; got int"):
+        analysis.plot(3)

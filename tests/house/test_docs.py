@@ -169,5 +169,5 @@ def test_every_command_of_every_page_is_valid_and_the_quick_ones_run(
 def test_a_wrong_argument_is_found() -> None:
     with pytest.raises(click.UsageError, match="range"):
         parse(["doctor", "--seconds", "long"])
-    with pytest.raises(click.UsageError, match="participant"):
-        parse(["note", "oak-study", "words"])
+    with pytest.raises(click.UsageError, match="Missing"):
+        parse(["match", "oak.csv"])

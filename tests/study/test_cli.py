@@ -550,6 +550,11 @@ def test_a_study_from_new_to_report(
     assert main(["analyze", folder]) == 0
     assert capsys.readouterr().out == f"{study.report / 'index.html'}\n"
     assert (study.report / "index.html").stat().st_size > 1000
+    journals = [path.read_text(encoding="utf-8") for path in study.path.glob("sessions/*/*.jsonl")]
+    rated = [json.loads(line) for text in journals for line in text.splitlines()]
+    day = max(one["utc"] for one in rated if one["event"] == "rated")[:10]
+    about = json.loads((study.report / "results.json").read_text(encoding="utf-8"))["about"]
+    assert about == {"name": "pilot", "date": day}
     tables = [
         "--ratings",
         str(study.ratings),

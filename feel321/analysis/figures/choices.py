@@ -53,15 +53,15 @@ def _draw_curve(axes: Axes, curve: DataFrame, *, alone: NDArray[np.bool_]) -> No
     place = np.arange(1, len(curve) + 1)
     value, low, high = curve[["value", "low", "high"]].to_numpy(np.float64).T
     for chosen, look, size in (
-        (~alone, Look(style.BLUE, "o"), 3.5),
-        (alone, Look(style.RED, "D"), 5),
+        (~alone, Look(style.GREY, "o"), 3.5),
+        (alone, Look(style.BLACK, "D"), 5),
     ):
         at = place[chosen]
         bars: dict[str, Any] = {"color": look.colour, "linewidth": 0.8, "alpha": 0.6}
         axes.vlines(at, low[chosen], high[chosen], zorder=2, **bars)
         style.plot_marks(axes, at, value[chosen], look=look, size=size)
     for everybody in value[alone]:
-        axes.axhline(everybody, color=style.RED, linewidth=0.6, linestyle="--", zorder=1)
+        axes.axhline(everybody, color=style.BLACK, linewidth=0.6, linestyle="--", zorder=1)
     axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
     axes.locator_params(axis="y", nbins=5)
     axes.tick_params(axis="x", length=0, labelbottom=False)
@@ -159,8 +159,8 @@ def _draw_strip(axes: Axes, part: DataFrame, *, bottom: float) -> None:
     axes.vlines(limit, bottom, bottom + STRIP_CM, color=style.BLACK, linewidth=1.0, zorder=2)
     # Nothing to draw is not drawn: unclipped, it would count as a point in the figure's corner.
     for chosen, look, size in (
-        (~hit, Look(style.BLUE, "o"), 3.5),
-        (hit, Look(style.RED, "X"), 5.0),
+        (~hit, Look(style.GREY, "o"), 3.5),
+        (hit, Look(style.BLACK, "X"), 5.0),
     ):
         if np.isfinite(share[chosen]).any():
             strokes: dict[str, Any] = {"markeredgewidth": 0.3, "alpha": 0.8, "clip_on": False}

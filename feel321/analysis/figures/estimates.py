@@ -17,7 +17,7 @@ from feel321.analysis.figures.style import Look
 from feel321.analysis.table.items import format_recordings
 from feel321.analysis.table.metrics import TENTH, Step
 from feel321.analysis.table.schema import HIGHEST, LOWEST, ROLES
-from feel321.analysis.words import format_name, format_number, format_span, wrap_name
+from feel321.analysis.words import capitalise, format_name, format_number, format_span
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -163,7 +163,10 @@ def draw_slopes(
         raise ValueError("models must hold one or more attributes with their models, got none")
     metrics = [str(name) for model in models.values() for name in model.slopes.index]
     metrics += [] if variants is None else list(map(str, variants["metric"]))
-    looks = style.assign_looks(list(dict.fromkeys(metrics)))
+    looks = {
+        name: Look((style.BLACK, style.GREY)[i % 2], style.MARKERS[i % len(style.MARKERS)])
+        for i, name in enumerate(dict.fromkeys(metrics))
+    }
     steps = {name: (steps or {}).get(name, Step()) for name in looks}
     with style.print_style():
         panels = [fit_rows(_list_slopes(models, looks, steps))]
@@ -218,10 +221,34 @@ def _mark_slopes(row: Mapping[Hashable, object], looks: Mapping[str, Look]) -> M
     return Mark(value, low, high, looks[str(row["metric"])], filled=not row["singular"])
 
 
+def describe_ways(ways: Mapping[str, Sequence[str | None]], scales: str) -> str:
+    """Say on how many of so many scales ratings clearly "rise" or "fall" with each metric."""
+    parts = []
+    for metric, own in ways.items():
+        name = f" with {format_name(metric)}"
+        found = [way for way in ("rise", "fall") if way in own]
+        counts = [f"{way}{name * (way == found[0])} on {own.count(way)}" for way in found]
+        none = f"show no clear relation{name} on any of {scales}"
+        parts.append(f"{' and '.join(counts)} of {scales}" if counts else none)
+    return f"Ratings {'; they '.join(parts)}"
+
+
+def find_way(low: float, high: float) -> str | None:
+    """Find what an interval says: "rise", "fall", nothing, or None where there is no interval."""
+    if np.isnan([low, high]).any():
+        return None
+    return "rise" if low > 0 else "fall" if high < 0 else ""
+
+
 def _describe_slopes(models: Mapping[str, Primary], variants: DataFrame | None) -> str:
     def span(what: str) -> str:
         return f"{format_span(getattr(model, f'n_{what}') for model in models.values())} {what}"
 
+    ways: dict[str, list[str | None]] = {}
+    for model in models.values():
+        for name, row in model.slopes.iterrows():
+            ways.setdefault(str(name), []).append(find_way(row["tenth_low"], row["tenth_high"]))
+    number = f"{len(models)} scale" + "s" * (len(models) > 1)
     shared = any(model.n_sources < model.n_recordings for model in models.values())
     scenes = f"{span('recordings')} of {span('sources')}" if shared else span("recordings")
     items = format_span(model.n_items for model in models.values())
@@ -229,17 +256,16 @@ def _describe_slopes(models: Mapping[str, Primary], variants: DataFrame | None) 
         variants is not None and variants["singular"].any()
     )
     hollow = " Hollow: singular fit (a spread estimated as zero)." if singular else ""
-    below = "\nBelow: the same slopes, standardised, under other choices."
-    second = "" if variants is None else below
+    below = "\nBelow: the same slopes, standardised, under other choices." * (variants is not None)
     return (
-        f"Slopes within recordings, mixed model; bars: 95 % Satterthwaite intervals. "
-        f"n = {span('participants')}, {scenes}, {items} stimuli.{hollow}{second}"
+        f"{describe_ways(ways, number)}\nSlopes within recordings, mixed model; bars: 95 % Satterthwaite intervals. "
+        f"n = {span('participants')}, {scenes}, {items} stimuli.{hollow}{below}"
     )
 
 
 # Equivalence plot: differences between reducers against the margin within which they would not matter.
 
-EQUIVALENT, OPEN = Look(style.BLUE, "o"), Look(style.BLACK, "D")
+EQUIVALENT, OPEN = Look(style.BLACK, "o"), Look(style.BLACK, "D")
 
 
 def draw_equivalence(
@@ -276,62 +302,115 @@ def _mark(test: Equivalence) -> Mark:
 
 # Ratings per reducer: every participant, their distribution, the mean and its interval.
 
-LABEL_LETTERS = 24
-"""Letters per line of a row's label."""
-
 ROW_CM = 0.8
 TWO_LINES, APART = 1.4, 0.8
 """Rows that a label of two lines takes, and that part references and anchors from tests."""
 
-CLOUD, CLOUD_POINTS = 3, 201
+CLOUD, CLOUD_POINTS = 3, 81
 """Participants that a distribution needs, and points of its outline."""
 
 CLOUD_OFF, CLOUD_ROWS, CLOUD_EDGE = 0.14, 0.5, 0.01
 """Where a distribution starts above its row and how high it is, in rows; where it ends, as share of its height."""
 
 
+HEAD_CM, MOST_NAMED = 2.4, 2
+"""Height of a profile's title and axis, and names that a title lists."""
+
+Profile = tuple["DataFrame", "DataFrame"]
+"""Rows per reducer, and means per participant."""
+
+
 def draw_profile(
     profile: DataFrame, participants: DataFrame, *, looks: Mapping[str, Look]
 ) -> Figure:
     """Draw ratings per reducer as a raincloud: every participant, their distribution, the mean and its interval."""
-    labels = _label_rows(profile, list(looks))
-    places = _place_rows(labels)
+    return draw_profiles([(profile, participants)], looks=looks)
+
+
+def draw_profiles(parts: Sequence[Profile], *, looks: Mapping[str, Look]) -> Figure:
+    """Draw rainclouds of several scales and levels beside each other, in each the reducer rated highest on top."""
+    columns = min(2, len(parts))
     with style.print_style():
-        figure, axes = style.new_figure(height_cm=3.0 - ROW_CM * min(places.values()))
-        _draw_people(axes, participants, places=places)
-        for (role, name), height in places.items():
-            chosen = (participants["role"] == role) & (participants["reducer"] == name)
-            ratings = participants.loc[chosen, "rating"].to_numpy()
-            _draw_cloud(axes, ratings, height=height, look=looks[name])
-        for row in profile.to_dict("records"):
-            height, look = places[row["role"], row["reducer"]], looks[row["reducer"]]
-            _draw_mean(axes, row, height=height, look=look)
-        axes.set_yticks(list(places.values()), list(labels.values()))
-        axes.set(xlim=(LOWEST - 2, HIGHEST + 2), ylim=(min(places.values()) - 0.6, 0.8))
-        if apart := [height for (role, _), height in places.items() if role != ROLES[0]]:
-            line = max(apart) + (TWO_LINES + APART) / 2
-            axes.axhline(line, color=style.GREY, linewidth=style.THIN, linestyle=":")
-        # A label of the figure, not the axes: long names may leave the axes less room than the words need.
-        figure.supxlabel(style.label_scale(profile["scale"].iloc[0]))
-        figure.suptitle(_describe_people(profile["n_participants"]), x=0.02, ha="left")
+        labels = [_label_rows(part, list(looks), LABEL_CM / columns**0.5) for part, _ in parts]
+        places = list(map(_place_rows, labels))
+        lowest = [min(own.values()) for own in places]
+        lowest = [min(lowest[at - at % columns :][:columns]) for at in range(len(parts))]
+        heights = [HEAD_CM - ROW_CM * low for low in lowest[::columns]]
+        figure = style.new_canvas(sum(heights))
+        grid = figure.subplots(len(heights), columns, height_ratios=heights, squeeze=False)
+        for at, (axes, own) in enumerate(zip(grid.flat, parts, strict=False)):
+            _draw_profile(axes, own, labels=labels[at], places=places[at], looks=looks)
+            axes.set_ylim(lowest[at] - 0.6, 0.8)
+            room = style.WIDTH_CM / columns - LABEL_CM / columns**0.5 - 1.0
+            axes.set_xlabel(style.label_scale(own[0]["scale"].iloc[0], room))
+            axes.set_title(style.fit_text(_describe_extremes(own[0]), room, lines=3))
+        for axes in grid.flat[len(parts) :]:
+            axes.remove()
+        style.add_title(figure, _describe_people([part["n_participants"] for part, _ in parts]))
     return figure
 
 
-def _describe_people(n_participants: Series) -> str:
-    people = "\ngrey: each participant's mean; clouds: their distribution"
-    if n_participants.max() < SMALLEST:
-        return f"Mean of 1 participant, no interval;{people}"
-    return f"Mean and 95 % t interval over {format_span(n_participants)} participants;{people}"
+def _draw_profile(
+    axes: Axes,
+    part: Profile,
+    *,
+    labels: Mapping[tuple[str, str], str],
+    places: Mapping[tuple[str, str], float],
+    looks: Mapping[str, Look],
+) -> None:
+    profile, participants = part
+    _draw_people(axes, participants, places=places)
+    for (role, name), height in places.items():
+        chosen = (participants["role"] == role) & (participants["reducer"] == name)
+        ratings = participants.loc[chosen, "rating"].to_numpy()
+        _draw_cloud(axes, ratings, height=height, look=looks[name])
+    for row in profile.to_dict("records"):
+        height, look = places[row["role"], row["reducer"]], looks[row["reducer"]]
+        _draw_mean(axes, row, height=height, look=look)
+    axes.set_yticks(list(places.values()), list(labels.values()))
+    axes.set(xlim=(LOWEST - 2, HIGHEST + 2), xticks=np.linspace(LOWEST, HIGHEST, 5))
+    if apart := [height for (role, _), height in places.items() if role != ROLES[0]]:
+        line = max(apart) + (TWO_LINES + APART) / 2
+        axes.axhline(line, color=style.GREY, linewidth=style.THIN, linestyle=":")
 
 
-def _label_rows(profile: DataFrame, order: list[str]) -> dict[tuple[str, str], str]:
-    """Label of each (role, reducer), from top to bottom: tests, reference, anchors."""
-    found = set(zip(profile["role"], profile["reducer"], strict=True))
-    keys = [(role, name) for role in ROLES for name in order if (role, name) in found]
+def _describe_extremes(profile: DataFrame) -> str:
+    """Say which reducers were rated highest and lowest; more than two alike are counted."""
+    tests = profile[profile["role"] == ROLES[0]]
+    name = capitalise(format_name(profile["scale"].iloc[0]))
+    ends = [
+        tests.loc[tests["mean"] == end, "reducer"]
+        for end in (tests["mean"].max(), tests["mean"].min())
+    ]
+    if tests["mean"].max() == tests["mean"].min():
+        return name
+    high, low = (
+        " and ".join(end) if len(end) <= MOST_NAMED else f"{len(end)} reducers" for end in ends
+    )
+    return f"{name}: {high} highest, {low} lowest"
+
+
+def _describe_people(columns: Sequence[Series]) -> str:
+    counts = [int(count) for column in columns for count in column]
+    people = "grey: each participant's mean; clouds: their distribution"
+    if max(counts) < SMALLEST:
+        return f"Mean of 1 participant, no interval; {people}"
+    return f"Mean and 95 % t interval over {format_span(counts)} participants; {people}"
+
+
+def _label_rows(
+    profile: DataFrame, order: list[str], width_cm: float
+) -> dict[tuple[str, str], str]:
+    """Label of each (role, reducer), from top to bottom: tests from the highest mean down, reference, anchors."""
+    means = dict(
+        zip(zip(profile["role"], profile["reducer"], strict=True), profile["mean"], strict=True)
+    )
+    keys = [(role, name) for role in ROLES for name in order if (role, name) in means]
+    keys.sort(key=lambda key: (ROLES.index(key[0]), -means[key] if key[0] == ROLES[0] else 0))
     return {
-        (role, name): wrap_name(name, LABEL_LETTERS)
+        (role, name): style.fit_text(name, width_cm)
         if role == ROLES[0]
-        else f"{wrap_name(name, LABEL_LETTERS, lines=1)}\n({role})"
+        else f"{style.fit_text(name, width_cm, lines=1)}\n({role})"
         for role, name in keys
     }
 
@@ -386,7 +465,7 @@ def draw_ranking(table: DataFrame, *, ceiling: float, level: float, size: str) -
 
     table: of a `Ranking`; size: of the data, in words. Ceiling and level are NaN where there is none.
     """
-    look = Look(style.BLUE, "o")
+    look = PLAIN
     rows = fit_rows(
         ForestRow(
             format_name(str(row["metric"])),

@@ -31,7 +31,7 @@ def draw_rates(
             axes.axhline(mean, color=style.GREY, linewidth=0.8, zorder=1)
         axes.plot(rates, Polynomial(coefficients)(np.log2(rates)), color=style.BLACK, linewidth=1.0)
         axes.vlines(coded[:, 0], coded[:, 2], coded[:, 3], colors=style.GREY, linewidths=1.0)
-        style.plot_marks(axes, coded[:, 0], coded[:, 1], look=style.Look(style.BLUE, "o"))
+        style.plot_marks(axes, coded[:, 0], coded[:, 1], look=style.Look(style.BLACK, "o"))
         axes.set_xscale("log", base=2)
         axes.set_xticks(np.unique(coded[:, 0]), [f"{rate:g}" for rate in np.unique(coded[:, 0])])
         axes.set(xlabel="Bit rate (kbit/s)", ylabel=style.label_scale(scale))

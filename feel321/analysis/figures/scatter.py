@@ -106,8 +106,8 @@ def describe_relation(scale: str, one: Association) -> str:
     ratings, metric = capitalise(format_measure(scale)), format_name(one.metric)
     if np.isnan(one.value):
         return f"The correlation of {format_measure(scale)}s with {metric} is not estimable"
-    value = f"r = {format_number(one.value)}"
-    direction = _find_direction(one)
+    value = f"r = {format_number(one.value)} over all stimuli"
+    direction = estimates.find_way(one.low, one.high)
     if direction is None:
         return f"{ratings}s and {metric}: {value}, no interval"
     if not direction:
@@ -115,30 +115,22 @@ def describe_relation(scale: str, one: Association) -> str:
     return f"{ratings}s {direction} with {metric}: {value}"
 
 
-def _find_direction(one: Association) -> str | None:
-    if np.isnan([one.value, one.low, one.high]).any():
-        return None
-    return "rise" if one.low > 0 else "fall" if one.high < 0 else ""
-
-
 def _summarise(panels: Sequence[Panel], metrics: Sequence[str], method: str) -> str:
     """Say on how many scales ratings rise or fall with each metric."""
     several = len({panel.level for panel in panels}) > 1
     scales = f"{len(panels)} scale{'s' * (len(panels) > 1)}{' and levels' * several}"
-    parts = []
-    for metric in metrics:
-        ways = [
-            _find_direction(one)
+    ways = {
+        metric: [
+            estimates.find_way(one.low, one.high)
             for panel in panels
             for one in panel.associations
             if one.metric == metric and one.method == method
         ]
-        name = f" with {format_name(metric)}"
-        found = [way for way in ("rise", "fall") if way in ways]
-        counts = [f"{way}{name * (way == found[0])} on {ways.count(way)}" for way in found]
-        none = f"show no clear relation{name} on any of {scales}"
-        parts.append(f"{' and '.join(counts)} of {scales}" if counts else none)
-    return f"Ratings {'; they '.join(parts)}\nr with 95 % two-way intervals"
+        for metric in metrics
+    }
+    return (
+        f"{estimates.describe_ways(ways, scales)}\nr over all stimuli, with 95 % two-way intervals"
+    )
 
 
 def _draw_stimuli(
@@ -306,8 +298,8 @@ def _draw_strip(axes: Axes, association: Association) -> None:
     """Draw the correlation on its own axis, with the highest that noise allows."""
     value, ceiling, falling = association.value, association.ceiling, association.value < 0
     ends = [association.low, association.high]
-    axes.plot(ends, [0, 0], linewidth=1.2, color=style.BLUE, clip_on=False, zorder=3)
-    style.plot_marks(axes, value, 0, look=Look(style.BLUE, "o"), size=4.5, clip_on=False)
+    axes.plot(ends, [0, 0], linewidth=1.2, color=style.BLACK, clip_on=False, zorder=3)
+    style.plot_marks(axes, value, 0, look=Look(style.BLACK, "o"), size=4.5, clip_on=False)
     for limit in (ceiling, *([-ceiling] if falling else [])):
         axes.axvline(limit, color=style.BLACK, linestyle="--", linewidth=1.0, zorder=2)
     axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=1)
@@ -345,27 +337,28 @@ BINS, BINNED = 10, 20
 POINTS: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2, "markeredgewidth": 0}
 
 
-def draw_residuals(fit: MixedFit) -> Figure:
-    """Draw a normal quantile plot of the residuals, and the residuals against the fitted values.
+def draw_residuals(*fits: MixedFit, names: Sequence[str] = ()) -> Figure:
+    """Draw a normal quantile plot of the residuals, and the residuals against the fitted values: a row per fit.
 
     The k-th of n normal values in order lies between the quantiles of Beta(k, n - k + 1), turned into normal ones;
     the band is pointwise: one point in twenty lies outside by chance, and neighbours leave it together.
     """
     with style.print_style():
-        figure = style.new_canvas(HEIGHT_CM)
-        left, right = figure.subplots(1, 2)
-        _draw_quantiles(left, fit.residuals)
-        _draw_spread(right, fit.fitted, fit.residuals)
-        left.set(xlabel="Normal quantile (SD)", ylabel="Residual (SD)")
-        right.set(xlabel="Fitted (points)", ylabel="Residual (points)")
-        for axes in (left, right):
-            axes.locator_params(nbins=4)
-        n = len(fit.residuals)
-        drawn = f", {MOST} of them drawn" if n > MOST else ""
+        figure = style.new_canvas(HEIGHT_CM * len(fits))
+        grid = figure.subplots(len(fits), 2, squeeze=False)
+        for number, ((left, right), fit) in enumerate(zip(grid, fits, strict=True)):
+            _draw_quantiles(left, fit.residuals)
+            _draw_spread(right, fit.fitted, fit.residuals)
+            left.set(xlabel="Normal quantile (SD)", ylabel="Residual (SD)")
+            right.set(xlabel="Fitted (points)", ylabel="Residual (points)")
+            if names:
+                left.set_title(style.fit_text(names[number], style.WIDTH_CM / 2 - 1.5))
+        sizes = [len(fit.residuals) for fit in fits]
+        drawn = f", {MOST} of them drawn" if max(sizes) > MOST else ""
         style.add_title(
             figure,
-            f"Residuals of the mixed model, n = {n} rows{drawn}. Left: band, 95 % pointwise for normal residuals. "
-            f"Right: line and band, median and quartiles, row after row in parts of equal size.",
+            f"Residuals of the mixed model, n = {format_span(sizes)} rows{drawn}. Left: band, 95 % pointwise for "
+            "normal residuals. Right: line and band, median and quartiles, row after row in parts of equal size.",
         )
     return figure
 
@@ -380,24 +373,26 @@ def _draw_quantiles(axes: Axes, residuals: Values) -> None:
     rank = chosen + 1
     expected = ndtri((rank - 0.5) / n)
     low, high = (ndtri(betaincinv(rank, n - rank + 1, share)) for share in (0.025, 0.975))
+    axes.locator_params(nbins=4)
     axes.fill_between(expected, low, high, color=style.PALE, linewidth=0, zorder=0)
     axes.axline((0, 0), slope=1, color=style.GREY, linewidth=0.6, zorder=1)
-    axes.plot(expected, ordered[chosen], color=style.BLUE, zorder=2, **POINTS)
+    axes.plot(expected, ordered[chosen], color=style.GREY, zorder=2, **POINTS)
 
 
 def _draw_spread(axes: Axes, fitted: Values, residuals: Values) -> None:
     order = np.argsort(fitted, kind="stable")
     chosen = order[_choose(len(order))]
+    axes.locator_params(nbins=4)
     axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
-    axes.plot(fitted[chosen], residuals[chosen], color=style.BLUE, alpha=0.4, zorder=2, **POINTS)
+    axes.plot(fitted[chosen], residuals[chosen], color=style.GREY, alpha=0.4, zorder=2, **POINTS)
     parts = np.array_split(order, min(BINS, len(order) // BINNED)) if len(order) >= BINNED else []
     if len(parts) > 1:
         middles = [np.median(fitted[part]) for part in parts]
         low, half, high = np.array([
             np.quantile(residuals[part], (0.25, 0.5, 0.75)) for part in parts
         ]).T
-        axes.fill_between(middles, low, high, color=style.RED, alpha=0.25, linewidth=0, zorder=3)
-        axes.plot(middles, half, color=style.RED, linewidth=1.0, zorder=4)
+        axes.fill_between(middles, low, high, color=style.BLACK, alpha=0.2, linewidth=0, zorder=3)
+        axes.plot(middles, half, color=style.BLACK, linewidth=1.0, zorder=4)
 
 
 def _choose(n: int) -> NDArray[np.intp]:
@@ -480,7 +475,7 @@ def draw_discrimination(results: Mapping[str, Discrimination]) -> Figure:
     rows = []
     for name, found in results.items():
         value, low, high = (float(getattr(found, f"d_independent{end}")) for end in ENDS)
-        mark = estimates.Mark(value, low, high, Look(style.BLUE, "o"))
+        mark = estimates.Mark(value, low, high, Look(style.BLACK, "o"))
         rows.append(estimates.ForestRow(f"{name} ({found.n_correct}/{found.n_trials})", (mark,)))
     rows = estimates.fit_rows(rows)
     with style.print_style():

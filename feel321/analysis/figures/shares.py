@@ -27,7 +27,7 @@ def draw_shares(found: VotePrediction, labels: Sequence[str], subject: str) -> F
     )
     for row in table.to_dict("records"):
         value, low, high = (100 * float(row[key]) for key in ("share", "low", "high"))
-        mark = estimates.Mark(value, low, high, Look(style.BLUE, "o"))
+        mark = estimates.Mark(value, low, high, Look(style.BLACK, "o"))
         rows.append(estimates.ForestRow(row["label"], (mark,)))
     rows = estimates.fit_rows(rows)
     known = [100 * share for share in (found.others, found.majority) if np.isfinite(share)]

@@ -36,6 +36,9 @@ QUESTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 COUNTED = 3
 """Sentences of one kind that a section shows; more of them are folded, and its tables and figures speak."""
 
+SUMMED = 2
+"""Sentences that sum up the raters, before those about each scale."""
+
 IN_TABLES = frozenset({"", "comparison", "sample size"})
 """What the primary model's lines say of each metric, each pair and each sample size: its cards and tables show it."""
 
@@ -217,7 +220,7 @@ def _name_ratings(own: Sequence[str], subjects: Sequence[str]) -> str:
     """Name the ratings of some scales, or say that it is all of them."""
     if len(own) == len(subjects) > 1:
         every = {2: "both"}.get(len(own), f"all {len(own)}")
-        return f"the ratings on {every} scales"
+        return f"the ratings on {every} rating scales"
     names = _list_subjects(own)
     return f"ratings of {names}" if "(" in names else f"{names} ratings"
 
@@ -318,21 +321,38 @@ def group_sections(sections: Iterable[Section]) -> tuple[PageBlock, ...]:
     return (*own, *blocks)
 
 
-def split_lines(section: Section) -> tuple[list[str], list[str]]:
+def list_others(sections: Iterable[Section]) -> list[str]:
+    """List what choices and paired judgements show, which have no card: one sentence for each kind."""
+    own = [
+        section
+        for section in sections
+        if section.key in {"choices", "discrimination", "told_apart"}
+    ]
+    return [str(section.verdict[0]) for section in own if section.verdict]
+
+
+def split_lines(section: Section, subjects: Iterable[str] = ()) -> tuple[list[str], list[str]]:
     """Split what a section says into what stands above its tables and what is folded.
 
-    What several scales have in common is said once. Where every scale has its own sentence, tables go first.
+    What several subjects have in common is said once. Where every scale has its own sentence, tables go first.
     """
+    prefixed, known = (one.partition(": ") for one in section.answers), set(subjects)
+    answers = (
+        words.Line(text, subject) if subject in known else words.Line(subject + colon + text)
+        for subject, colon, text in prefixed
+    )
     primary, merged = section.key == "primary", dict[tuple[str, str], list[words.Line]]()
-    for line in dict.fromkeys(section.verdict or map(words.Line, section.answers)):
+    for line in dict.fromkeys(section.verdict or answers):
         merged.setdefault((line.lead, line.text), []).append(line)
     kinds = Counter(lead for lead, _ in merged)
-    shown, told = [], set[str]()
+    shown: list[str] = []
+    told = set[str]()
     for (lead, text), lines in merged.items():
-        if section.key != "paper" and ((primary and lead in IN_TABLES) or kinds[lead] > COUNTED):
+        whole = section.key == "paper" or (section.key == "raters" and len(shown) < SUMMED)
+        if not whole and ((primary and lead in IN_TABLES) or kinds[lead] > COUNTED):
             continue
-        subjects = [line.subject for line in lines if line.subject not in {"", section.title}]
-        subject = words.capitalise(_list_subjects(subjects)) if subjects else ""
+        own = [line.subject for line in lines if line.subject not in {"", section.title}]
+        subject = words.capitalise(_list_subjects(own)) if own else ""
         shown.append(words.capitalise(str(words.Line(text, subject, lead))))
         told |= set(map(str, lines))
     every = dict.fromkeys([*map(str, section.verdict), *section.answers])

@@ -35,7 +35,6 @@ from feel321.analysis.report.section import (
     Section,
     TableForm,
     estimate,
-    make_slug,
     read_methods,
     stack,
     word_steps,
@@ -303,13 +302,13 @@ def _draw_models(fits: Fits, steps: Mapping[str, Step]) -> Iterator[Picture]:
     )
     models = {lead: model for lead, (_, model) in fits.items()}
     yield Picture("slopes", caption, partial(draw_slopes, models, steps=steps))
-    for part, model in fits.values():
-        caption = (
-            f"Residuals of the primary model of {part.subject}: left against normal quantiles with a pointwise 95 % "
-            "band, right against fitted values."
-        )
-        slug = make_slug("residuals", *part.place)
-        yield Picture(slug, caption, partial(draw_residuals, model.fit), detail=True)
+    caption = (
+        "Residuals of the primary models: left against normal quantiles with a pointwise 95 % band, right against "
+        "fitted values."
+    )
+    names = [part.subject for part, _ in fits.values()]
+    draw = partial(draw_residuals, *(model.fit for _, model in fits.values()), names=names)
+    yield Picture("residuals", caption, draw, detail=True)
 
 
 # The paper's own spectral match beside the bounded one: by ranks, and raw with what a single stimulus does to it.

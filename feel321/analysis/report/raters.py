@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from feel321.analysis import words
 from feel321.analysis.contrasts.compare import find_repeat_sd
@@ -85,7 +87,7 @@ SLOPES = TableForm(
         estimate("Points per +0.1", "_step", "mixed model, points per {_per}", ends="_step_"), P,
         Column("Participants", "n_people", words.COUNT, "n_participants"),
     ),
-    path="panel.{scale}.{level}.{metric}.{panel}", n="n_people", detail=False,
+    path="panel.{scale}.{level}.{metric}.{panel}", n="n_people",
 )  # fmt: skip
 OF_MODEL = "rater model of ITU-T P.913"
 NORMAL_INTERVAL = "95 % normal interval"
@@ -143,7 +145,7 @@ def compute(table: Table, choices: Choices) -> Section:
     return Section(
         key=KEY,
         title=TITLE,
-        answers=(_describe_flagged(screening), *_describe_models(models)),
+        answers=(_describe_flagged(screening), *_describe_changes(slopes), *_describe_models(models)),
         grids=(
             RULES_APPLIED.build(_list_rules(screening)),
             AGREEMENTS.build(_list_agreements(screening)),
@@ -318,6 +320,27 @@ def _describe_rules(screening: Screening) -> str:
         for rule, limit in screening.limits.items()
     ]
     return f"Screening rules: {'; '.join(says)}."
+
+
+def _describe_changes(slopes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Say on which slopes it changes, without flagged raters, whether the interval covers zero."""
+    whole = {(row["_ratings"], row["metric"]): row for row in slopes if row["panel"] == "everyone"}
+    rest = [row for row in slopes if row["panel"] != "everyone" and np.isfinite(row["tenth_low"])]
+    changed = dict.fromkeys(
+        f"{words.format_name(row['metric'])} ({words.format_name(row['_ratings'])})"
+        for row in rest
+        if _find_way(row) != _find_way(whole[row["_ratings"], row["metric"]])
+    )
+    if changed:
+        names = words.join_words(list(changed))
+        yield f"Without flagged raters it changes whether the 95 % interval of the slope covers zero: {names}."
+    elif rest:
+        yield "Without flagged raters every slope’s 95 % interval covers zero, or lies on one side of it, as before."
+
+
+def _find_way(row: Mapping[str, Any]) -> int:
+    """Find on which side of zero an interval lies; 0 where it covers zero or there is none."""
+    return int(row["tenth_low"] > 0) - int(row["tenth_high"] < 0)
 
 
 def _describe_flagged(screening: Screening) -> str:

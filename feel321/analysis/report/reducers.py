@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from itertools import combinations
@@ -22,7 +22,7 @@ from feel321.analysis.contrasts.compare import (
     profile_reducers,
 )
 from feel321.analysis.contrasts.repeated import compare_repeated, compare_terms
-from feel321.analysis.figures.estimates import draw_equivalence, draw_profile
+from feel321.analysis.figures.estimates import draw_equivalence, draw_profiles
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import adjust_holm
@@ -114,30 +114,41 @@ def compute_profile(table: Table, choices: Choices) -> Section:  # noqa: ARG001 
 def _picture_profiles(
     ratings: DataFrame, profile: DataFrame, people: DataFrame
 ) -> Iterator[Picture]:
+    """Show every scale and level in one figure."""
     looks = assign_looks(order_reducers(ratings["reducer"]))
-    for scale, level, _ in split_arms(ratings[ratings["role"] == ROLES[0]]):
-        rows, chosen = (
-            frame[(frame["scale"] == scale) & (frame["level"] == level)]
-            for frame in (profile, people)
-        )
-        yield Picture(
-            make_slug("profile", scale, level),
-            _caption_profile(scale, level, rows),
-            partial(draw_profile, rows, chosen, looks=looks),
-        )
+    arms = [(scale, level) for scale, level, _ in split_arms(ratings[ratings["role"] == ROLES[0]])]
+    parts = [
+        (_choose(profile, scale, level), _choose(people, scale, level)) for scale, level in arms
+    ]
+    if parts:
+        draw = partial(draw_profiles, parts, looks=looks)
+        yield Picture("profile", _caption_profiles(arms, [rows for rows, _ in parts]), draw)
 
 
-def _caption_profile(scale: str, level: str, profile: DataFrame) -> str:
-    caption = f"Mean {words.format_measure(scale)} per reducer (level {words.format_name(level)})"
-    if profile["n_participants"].max() < SMALLEST:
+def _choose(frame: DataFrame, scale: str, level: str) -> DataFrame:
+    return frame[(frame["scale"] == scale) & (frame["level"] == level)]
+
+
+def _caption_profiles(arms: Sequence[tuple[str, str]], profiles: Sequence[DataFrame]) -> str:
+    several = len({level for _, level in arms}) > 1
+    names = [
+        words.format_name(scale) + f" ({words.format_name(level)})" * several
+        for scale, level in arms
+    ]
+    caption = f"Mean rating per reducer: {words.join_words(names)}"
+    if max(rows["n_participants"].max() for rows in profiles) < SMALLEST:
         caption += "; one participant each, so no intervals."
     else:
-        caption += " with 95 % t intervals over participants: other people, these recordings."
+        caption += ", with 95 % t intervals over participants: other people, these recordings."
     caption += " Grey: each participant's mean."
-    caption += " Guessing gives 50." if scale == ANSWERED else ""
+    caption += " Guessing gives 50 in ABX." if ANSWERED in dict(arms) else ""
     # A manifest may have any of these roles, or none.
     roles = {"reference": "the hidden reference", "anchor": "anchors"}
-    apart = [name for role, name in roles.items() if (profile["role"] == role).any()]
+    apart = [
+        name
+        for role, name in roles.items()
+        if any((rows["role"] == role).any() for rows in profiles)
+    ]
     return caption + (f" Below the dotted line: {' and '.join(apart)}." if apart else "")
 
 

@@ -538,7 +538,11 @@ def render_page(
         },
         lead=front.choose_picture(results.cards, sections),
         blocks=front.group_sections(sections),
-        lines={section.key: front.split_lines(section) for section in sections},
+        others=front.list_others(sections),
+        lines={
+            section.key: front.split_lines(section, {card.subject for card in results.cards})
+            for section in sections
+        },
         drawings=drawings,
         sizes=sizes,
         points="".join(section.points for section in sections),

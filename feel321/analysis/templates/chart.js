@@ -47,6 +47,8 @@
     if (value === 0) return "0";
     return Math.abs(value) >= 100 ? Math.round(value).toLocaleString("en") : String(Number(value.toPrecision(3)));
   }
+  // Black is the page's ink, which is light on dark paper.
+  const paint = (colour) => (colour === "#000000" ? "currentColor" : colour);
   const checked = (name) => new Set([...document.querySelectorAll(`input[name="${name}"]:checked`)].map((box) => box.value));
   const axisOf = (id) => data.axes.find((axis) => axis.key === field(id).value);
 
@@ -180,17 +182,17 @@
       [view.x.place(point.x.low), py, view.x.place(point.x.high), py],
       [px, view.y.place(point.y.low), px, view.y.place(point.y.high)],
     ];
-    for (const [x1, y1, x2, y2] of spans) add(svg, "line", { x1, y1, x2, y2, stroke: method.colour, class: "span" });
+    for (const [x1, y1, x2, y2] of spans) add(svg, "line", { x1, y1, x2, y2, stroke: paint(method.colour), class: "span" });
     if (field("dots").checked && (point.x.scenes || point.y.scenes)) {
       view.scenes.forEach((_, k) => add(svg, "circle", {
         cx: point.x.scenes ? view.x.place(point.x.scenes[k]) : px,
         cy: point.y.scenes ? view.y.place(point.y.scenes[k]) : py,
-        r: 2.5, fill: method.colour, class: "scene",
+        r: 2.5, fill: paint(method.colour), class: "scene",
       }));
     }
     const size = method.kind === "reducer" ? 7 : 4.5;
     const mark = add(svg, "polygon", {
-      points: shape(method.marker, px, py, size), fill: method.colour, tabindex: "0", role: "img",
+      points: shape(method.marker, px, py, size), fill: paint(method.colour), tabindex: "0", role: "img",
       class: view.onFront ? "point on-front" : "point", "aria-label": describe(point, view).join(", "),
     });
     const show = () => showTip(describe(point, view), px, py);
@@ -231,7 +233,7 @@
   }
 
   for (const swatch of document.querySelectorAll("svg.swatch")) {
-    add(swatch, "polygon", { points: shape(swatch.dataset.marker, 0, 0, 7), fill: swatch.dataset.colour });
+    add(swatch, "polygon", { points: shape(swatch.dataset.marker, 0, 0, 7), fill: paint(swatch.dataset.colour) });
   }
   for (const input of document.querySelectorAll("#controls input, #controls select")) input.addEventListener("change", draw);
   for (const button of document.querySelectorAll("#controls button")) {

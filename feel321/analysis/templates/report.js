@@ -60,6 +60,15 @@
     addDownload(table, place);
   });
 
+  // A figure that is scrolled sideways can be reached by the keyboard.
+  const reach = () => document.querySelectorAll("figure").forEach((figure) => {
+    if (figure.scrollWidth > figure.clientWidth) figure.tabIndex = 0;
+    else figure.removeAttribute("tabindex");
+  });
+  addEventListener("resize", reach);
+  document.addEventListener("toggle", reach, true);
+  reach();
+
   // Scatters.
   const holder = document.getElementById("points");
   if (!holder) return;

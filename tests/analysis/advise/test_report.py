@@ -63,8 +63,15 @@ def test_the_order_of_recordings_does_not_matter(study: Advice) -> None:
 
 def test_one_reducer_for_all_scenes_is_named(study: Advice, late: Advice) -> None:
     assert study.common[0] == "pca321_matched"
-    assert study.headline.startswith("One for all 2 scenes: pca321_matched (or ")
-    assert late.headline == "No one reducer suffices for all 2 scenes."
+    assert study.headline == (
+        "pca321_matched suffices for all 2 scenes; for 1 of them a simpler one is enough."
+    )
+    assert late.headline == (
+        "No one reducer suffices for all 2 scenes; nothing suffices for 1 of them."
+    )
+    answers = [advice.answer for advice in study.advices if advice.verdicts]
+    assert answers.count(study.common[0]) == 1
+    assert [advice.answer for advice in late.advices].count(None) == 1
     lines = [advice.line for advice in study.advices]
     assert study.summary().splitlines() == [*lines, study.headline]
 
@@ -176,6 +183,9 @@ def test_the_page_shows_all_and_escapes_names(study: Advice, written: Path) -> N
     for advice in study.advices[:2]:
         assert advice.answer is not None
         assert keep_together(advice.reason) in page
+        first = page.split('<table class="first">')[1].split("</table>")[0]
+        assert f"<b>{advice.answer.replace('_', '_<wbr>')}</b>" in first
+        assert keep_together(advice.why) in first
     assert "whole recording" in page
     assert "<svg role=" in page
 

@@ -22,14 +22,19 @@ from feel321.analysis.tradeoff.chart.compute import (
     merge_equal,
     write_chart,
 )
-from feel321.analysis.tradeoff.chart.figures import draw_cost, draw_latency
-from feel321.analysis.tradeoff.chart.page import (
-    collect_notes,
+from feel321.analysis.tradeoff.chart.figures import draw_cost, draw_latency, draw_tradeoff
+from feel321.analysis.tradeoff.chart.finding import (
+    MOST,
+    STEADY,
+    choose_candidates,
     describe_answers,
-    dump_data,
-    list_axes,
+    describe_finding,
+    find_middle,
+    list_candidates,
 )
+from feel321.analysis.tradeoff.chart.page import collect_notes, dump_data, list_axes
 from feel321.analysis.tradeoff.chart.points import (
+    ACCURACY,
     GROUPS,
     MEASURES,
     SWEEPS,
@@ -38,13 +43,14 @@ from feel321.analysis.tradeoff.chart.points import (
     merge_rows,
     name_point,
 )
-from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.reducers.registry import COMPARISONS, REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
     from feel321.analysis.tradeoff.chart.compute import Chart
+    from feel321.analysis.tradeoff.chart.points import Tables
     from feel321.stimuli.recording import Recording
 
 SHOWN = tuple(dict.fromkeys(map(name_point, REDUCERS)))
@@ -160,14 +166,132 @@ def test_efforts_differ_in_everything() -> None:
 
 def test_answers_name_the_front_and_the_dominated(rated: Chart) -> None:
     text, dominated = rated.summary(), rated.dominated
-    assert re.search(r"Spectral match against cost: on the front are .*dft321 \(1\.00\)", text)
-    assert all(name in text for name in dominated["reducer"])
+    front = text.split("On the front of cost and a match: ")[1].split(". No other")[0]
+    points = merge_equal(rated.to_frames())["points"]
+    assert {one.split(" (")[0] for one in front.split("; ")} == {
+        *points[points["on_front"]]["reducer"]
+    }
+    named = text.split("both of the paper's metrics together: ")[1].split("\n")[0]
+    clear = dominated[dominated["clear"]]
+    assert {one.split(" (")[0] for one in named.split("; ")} == {*clear["reducer"]}
     best = "Best mean realism rating (as is): dft321, 71.0 (95 % two-way interval 60.0 to 80.0;"
     assert best in text
     none = replace(rated, dominated=dominated[:0])
     assert "No reducer is clearly dominated" in none.summary()
     unclear = replace(rated, dominated=dominated.assign(clear=False))
-    assert "is not clearly worse than" in unclear.summary()
+    assert "No reducer is clearly dominated" in unclear.summary()
+    assert len(rated.summary().splitlines()) == 6
+
+
+def keep(tables: Tables, *reducers: str) -> dict[str, pd.DataFrame]:
+    return {
+        name: frame[frame["reducer"].isin(reducers)] if "reducer" in frame else frame
+        for name, frame in tables.items()
+    }
+
+
+def test_the_sentence_is_about_what_the_results_hold(rated: Chart, written: Path) -> None:
+    content = json.loads((written / "results.json").read_text(encoding="utf-8"))
+    headline, merged = content["headline"], merge_equal(rated.to_frames())
+    points = merged["points"][merged["points"]["measure"] == ACCURACY].set_index("reducer")
+    points = points[~points.index.isin(COMPARISONS)]
+    highest = points["median"].round(2) == points["median"].round(2).max()
+    best = points[highest]["ns_per_sample"].idxmin()
+    assert headline.startswith(f"{best} is the ")
+    assert f"(bounded spectral match {points['median'][best]:.2f})" in headline
+    if found := re.search(r"; (\S+) is ([\d.]+) times faster and loses ([\d.]+)\.$", headline):
+        other, times, lost = found.groups()
+        ratio = points["ns_per_sample"][best] / points["ns_per_sample"][other]
+        assert float(times) == pytest.approx(ratio, rel=0.06)
+        assert float(lost) == pytest.approx(
+            points["median"][best] - points["median"][other], abs=0.0051
+        )
+    else:
+        assert headline.endswith("; no other is clearly faster.")
+    assert content["answers"][0] == headline
+    assert headline in (written / "index.html").read_text(encoding="utf-8")
+
+
+def test_candidates_are_few_and_each_is_what_it_is_said_to_be(tiny: Chart, written: Path) -> None:
+    merged = merge_equal(tiny.to_frames())
+    every = [one for one in list_candidates(merged) if one.reducer not in COMPARISONS]
+    found = choose_candidates(merged)
+    assert len({one.reducer for one in found}) == len(found) <= MOST
+    assert not {one.reducer for one in found} & {*COMPARISONS}
+    said = {why: one for one in found for why in one.why.split(", ")}
+    assert said["fastest"].ns_per_sample == min(one.ns_per_sample for one in every)
+    highest = max(round(one.accuracy, 2) for one in every)
+    assert round(said["most accurate"].accuracy, 2) == highest
+    live = [one for one in every if np.isfinite(one.latency_s)]
+    if np.isinf(said["most accurate"].latency_s):
+        best = said["most accurate live"]
+        assert np.isfinite(best.latency_s)
+        assert round(best.accuracy, 2) == max(round(one.accuracy, 2) for one in live)
+    content = json.loads((written / "results.json").read_text(encoding="utf-8"))
+    assert [one["reducer"] for one in content["candidates"]] == [one.reducer for one in found]
+
+
+def test_few_reducers_and_an_unsteady_one_are_described_truly(tiny: Chart) -> None:
+    merged = merge_equal(tiny.to_frames())
+    alone = keep(merged, "dft321")
+    assert describe_finding(alone).startswith("dft321 is the most accurate (bounded spectral")
+    assert [one.why for one in choose_candidates(alone)] == [
+        "most accurate, fastest, keeps the time course best"
+    ]
+    two = keep(merged, "dft321", "mag321")
+    assert re.fullmatch(
+        r"dft321 is the most accurate \(bounded spectral match 1\.00\) .*; "
+        r"(mag321 is [\d.]+ times faster and loses 0\.\d\d|no other is clearly faster)\.",
+        describe_finding(two),
+    )
+    noisy = {**two, "stability": two["stability"].assign(gain=1234.5)}
+    assert "but amplifies sensor noise up to 1200 times" in describe_finding(noisy)
+    calm = two["stability"]["reducer"] == "mag321"
+    noisy["stability"] = two["stability"].assign(gain=np.where(calm, STEADY / 2, STEADY))
+    said = {why: one.reducer for one in choose_candidates(noisy) for why in one.why.split(", ")}
+    assert said["most accurate of the steady"] == "mag321"
+    still = {**two, "stability": two["stability"][:0]}
+    assert "steady" not in describe_finding(still)
+    only = keep(merged, COMPARISONS[0])
+    assert describe_finding(only).startswith(f"{COMPARISONS[0]} is the most accurate")
+
+
+def test_the_middle_lies_on_the_front_above_the_line(tiny: Chart) -> None:
+    every = list_candidates(merge_equal(tiny.to_frames()))
+    one = replace(every[0], on_front=True)
+    best, fast = (replace(one, ns_per_sample=x, accuracy=y) for x, y in ((100.0, 1.0), (1.0, 0.2)))
+    high, low = (replace(one, ns_per_sample=10.0, accuracy=value) for value in (0.7, 0.5))
+    off = replace(high, accuracy=0.9, on_front=False)
+    assert find_middle([best, off, high, low, fast]) == high
+    assert find_middle([best, off, low, fast]) is None
+    assert find_middle([best]) is None
+
+
+def test_the_picture_has_a_row_per_reducer_and_draws_the_front(tiny: Chart) -> None:
+    merged = merge_equal(tiny.to_frames())
+    accuracy, cost, gain = draw_tradeoff(merged).axes
+    points = merged["points"][merged["points"]["measure"] == ACCURACY].set_index("reducer")
+    names = [label.get_text() for label in accuracy.get_yticklabels()]
+    assert sorted(names) == sorted(SHOWN)
+    assert [*points["median"].round(2)[names]] == sorted(points["median"].round(2), reverse=True)
+    bold = {
+        label.get_text() for label in accuracy.get_yticklabels() if label.get_fontweight() == "bold"
+    }
+    assert bold == {*points[points["on_front"]].index}
+    front = next(
+        line
+        for line in cost.lines
+        if len(line.get_xdata()) == len(bold) and line.get_linestyle() != "None"
+    )
+    assert {*front.get_xdata()} == {*points[points["on_front"]]["ns_per_sample"]}
+    for axes, values in ((accuracy, points["median"]), (cost, points["ns_per_sample"])):
+        marks = {
+            round(line.get_ydata()[0]): line.get_xdata()[0]
+            for line in axes.lines
+            if line.get_marker() != "None"
+        }
+        assert [marks[row] for row in range(len(names))] == [*values[names]]
+    assert len(gain.collections) == merged["stability"]["reducer"].nunique()
 
 
 def test_of_dissimilarities_the_lowest_is_best(rated: Chart) -> None:

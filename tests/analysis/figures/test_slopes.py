@@ -89,7 +89,7 @@ def test_a_singular_fit_is_hollow_and_said(model: Primary, said: Callable[[Figur
     faces = [
         line.get_markerfacecolor() for line in figure.axes[0].lines if line.get_marker() == "o"
     ]
-    assert faces == ["white", "#0072B2"]
+    assert faces == ["white", "#000000"]
     assert "Hollow: singular fit" in said(figure)
     assert "Hollow" not in said(draw_slopes({"similarity": regular}))
 

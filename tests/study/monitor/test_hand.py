@@ -11,6 +11,8 @@ import urllib.error
 import urllib.request
 from typing import TYPE_CHECKING, Any
 
+import pytest
+
 from feel321.study.monitor.replay import REHEARSAL
 
 if TYPE_CHECKING:
@@ -70,6 +72,7 @@ def answer_first_trial(page: Page) -> None:
     assert page.send(b'{"kind": "press", "key": "enter"}') == 403
 
 
+@pytest.mark.soak
 def test_a_rehearsal_is_answered_by_keys_and_stores_nothing(made: Path) -> None:
     before = list_files(made)
     code = f"import sys; from feel321.study.cli import main; sys.exit(main(['rehearse', {str(made)!r}, '--by-hand']))"

@@ -229,6 +229,7 @@ def test_names_of_conditions_are_hidden_in_notes_and_reasons(copied: StudyFolder
         assert f"the {HIDDEN} of {HIDDEN} at {HIDDEN} felt odd; bumpy all the same" in text
 
 
+@pytest.mark.soak
 def test_a_page_of_several_studies_fits_a_phone(copied: StudyFolder, tmp_path: Path) -> None:
     browser = shutil.which("chromium") or pytest.skip(
         "PAGE NOT RENDERED: chromium is not installed"

@@ -84,7 +84,10 @@ def _keep_two(samples: Samples, rate_hz: float) -> Samples:
 
 @dataclass(frozen=True, slots=True)
 class SceneAdvice:
-    """What a scene needs: the simplest sufficient reducer, or the closest where none suffices, and why."""
+    """What a scene needs: the simplest sufficient reducer, or the closest where none suffices, and why.
+
+    reason: in full; why: in a few words.
+    """
 
     scene: AdviceScene
     verdicts: tuple[Verdict, ...] = ()
@@ -94,6 +97,7 @@ class SceneAdvice:
     ties: tuple[str, ...] = ()
     margin: float = math.nan
     reason: str = ""
+    why: str = ""
     close: bool = False
 
     @property
@@ -130,7 +134,7 @@ def advise_scene(
     """
     reducers = list_reducers(ratings) if reducers is None else reducers
     if problem := _find_problem(scene.recording):
-        return SceneAdvice(scene, reason=problem)
+        return SceneAdvice(scene, reason=problem, why=problem)
     listed = dict(_list_contenders(scene, context, reducers))
     named = {cost.name: contender for cost, contender in listed.items()}
     gains_db = np.array([[contender.gain_db] for contender in named.values()])
@@ -218,6 +222,7 @@ def choose(scene: AdviceScene, verdicts: Sequence[Verdict], context: Context) ->
         ties=tuple(ties),
         margin=best.margin,
         reason=explain(best, verdicts),
+        why=explain_briefly(best, verdicts),
         close=bool(describe_doubt(best, verdicts)),
     )
 
@@ -280,6 +285,17 @@ def explain_closest(closest: Verdict, verdicts: Sequence[Verdict]) -> str:
     return "; ".join(filter(None, parts))
 
 
+def explain_briefly(answer: Verdict, verdicts: Sequence[Verdict]) -> str:
+    """Explain in a few words what is wrong with the best simpler reducer, or with the closest where none suffices."""
+    if not answer.is_sufficient:
+        return f"it {describe_fault(answer)}"
+    simpler = [one for one in verdicts[: list(verdicts).index(answer)] if one.in_budget]
+    if not simpler:
+        return "nothing is simpler"
+    nearest = find_nearest(simpler)
+    return f"the simpler {nearest.name} {describe_fault(nearest).split(', which')[0]}"
+
+
 def describe_doubt(answer: Verdict, verdicts: Sequence[Verdict]) -> str:
     """Describe why another take of the scene might give another answer; empty if nothing does."""
     simpler = verdicts[: list(verdicts).index(answer)]
@@ -329,9 +345,13 @@ def _describe_ratings(rated: Rated | None) -> str:
 def _explain_simpler(simpler: Sequence[Verdict]) -> str:
     if not simpler:
         return "nothing is simpler"
-    # Prefer those that pass the metrics but fail the ratings: that disagreement is the interesting reason.
-    nearest = min(simpler, key=lambda one: (not one.fits, one.rated is None, one.shortfall.worst))
+    nearest = find_nearest(simpler)
     return f"the best simpler one, {nearest.name}, {describe_fault(nearest)}"
+
+
+def find_nearest(simpler: Sequence[Verdict]) -> Verdict:
+    """Find the best of the simpler reducers: first of those that pass the metrics but fail the ratings."""
+    return min(simpler, key=lambda one: (not one.fits, one.rated is None, one.shortfall.worst))
 
 
 def _list_barred(verdicts: Sequence[Verdict]) -> list[Verdict]:

@@ -36,7 +36,6 @@ NAME_CM = 2.9
 COLUMN_WIDE_CM = 0.36
 """Least width of a reducer's column: its upright name must not touch the next."""
 
-TITLE = "Least sufficient reducer of every scene: the simplest (from left to right) that is as good as the best."
 CAPTION = (
     "Which reducers suffice for which scenes; reducers from the simplest on. Filled circle: the simplest sufficient "
     "one. Pale circle: sufficient too. Cross: not sufficient. Open diamond: the closest where none suffices. Dash: "
@@ -45,10 +44,10 @@ CAPTION = (
 
 BEST, SUFFICIENT, FAILS = "simplest sufficient", "sufficient", "not sufficient"
 CLOSEST, LATE = "closest, not sufficient", "beyond the latency budget"
-_PALE = {"color": style.PALE, "markeredgecolor": style.BLUE, "markeredgewidth": 0.6}
-_OPEN = {"color": "white", "markeredgecolor": style.RED, "markeredgewidth": 0.9}
+_PALE = {"color": style.PALE, "markeredgecolor": style.BLACK, "markeredgewidth": 0.6}
+_OPEN = {"color": "white", "markeredgecolor": style.BLACK, "markeredgewidth": 0.9}
 MARKS: dict[str, dict[str, Any]] = {
-    BEST: {"marker": "o", "markersize": 7, "color": style.BLUE},
+    BEST: {"marker": "o", "markersize": 7, "color": style.BLACK},
     SUFFICIENT: {"marker": "o", "markersize": 7, **_PALE},
     FAILS: {"marker": "x", "markersize": 4, "color": style.GREY},
     CLOSEST: {"marker": "D", "markersize": 4.5, **_OPEN},
@@ -84,12 +83,10 @@ def draw_advice(advices: Sequence[SceneAdvice]) -> Figure:
         axes.xaxis.tick_top()
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
-        left = -0.45 * style.COLUMN_CM / (figure.get_figwidth() * style.CM_PER_INCH)
-        axes.legend(
-            handles=[mark for state, mark in marks.items() if state in states], loc="upper left", ncols=2,
-            bbox_to_anchor=(left, 0.0), frameon=False, columnspacing=1.0, handletextpad=0.3,
+        figure.legend(
+            handles=[mark for state, mark in marks.items() if state in states],
+            loc="outside lower left", ncols=3, frameon=False, columnspacing=1.0, handletextpad=0.3,
         )  # fmt: skip
-        style.add_title(figure, TITLE)
     return figure
 
 
@@ -136,13 +133,18 @@ class Advice(PageResult):
 
     @property
     def headline(self) -> str:
-        """Which one reducer would suffice for all scenes, in one line."""
-        count = len([advice for advice in self.advices if advice.verdicts])
-        scenes = f"all {count} scenes" if count > 1 else "the one scene with vibration"
+        """Which one reducer suffices for all scenes, in one sentence."""
+        moving = [advice for advice in self.advices if advice.verdicts]
+        scenes = f"all {len(moving)} scenes" if len(moving) > 1 else "the one scene with vibration"
         if not self.common:
-            return f"No one reducer suffices for {scenes}."
-        others = ", ".join(self.common[1:])
-        return f"One for {scenes}: {self.common[0]}{f' (or {others})' if others else ''}."
+            lacking = sum(advice.answer is None for advice in moving)
+            more = (
+                f"; nothing suffices for {lacking} of them" if len(moving) > 1 and lacking else ""
+            )
+            return f"No one reducer suffices for {scenes}{more}."
+        simpler = sum(self.common[0] not in (one.answer, *one.ties) for one in moving)
+        more = f"; for {simpler} of them a simpler one is enough" if simpler else ""
+        return f"{self.common[0]} suffices for {scenes}{more}."
 
     @property
     def simulated(self) -> bool:
@@ -301,7 +303,7 @@ def _tabulate_scene(advice: SceneAdvice, *, rated: bool) -> dict[str, Any]:
         "scene": scene.name, "recording": scene.source, "start_s": scene.start_s, "stop_s": scene.stop_s,
         "answer": advice.answer, "closest": advice.closest, "runner_up": advice.runner_up,
         "ties": " ".join(advice.ties), "margin": advice.margin if isfinite(advice.margin) else None,
-        "close_call": advice.close, "reason": advice.reason, "basis": basis, "line": advice.line,
+        "close_call": advice.close, "reason": advice.reason, "why": advice.why, "basis": basis, "line": advice.line,
     }  # fmt: skip
 
 

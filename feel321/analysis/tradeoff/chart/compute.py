@@ -7,7 +7,7 @@ import math
 import os
 import platform
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from importlib.metadata import version
 from itertools import count
@@ -24,6 +24,7 @@ from feel321.analysis.resampling import draw_counts
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ROLES
 from feel321.analysis.tradeoff.chart import accuracy, cost, page
+from feel321.analysis.tradeoff.chart.finding import describe_answers
 from feel321.analysis.tradeoff.chart.points import (
     TABLES,
     Tables,
@@ -134,7 +135,7 @@ class Chart(PageResult):
             One line for each.
         """
         tables = self.to_frames()
-        return "\n".join(page.describe_answers(tables, merge_equal(tables)))
+        return "\n".join(describe_answers(tables, merge_equal(tables)))
 
     def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
         merged = merge_equal(tables)
@@ -144,7 +145,11 @@ class Chart(PageResult):
             field.name: rows.get(field.name, getattr(self, field.name)) for field in fields(self)
         }
         captions = {picture.name: picture.caption for picture in pictures}
-        content |= {"answers": values["answers"], "figures": captions}
+        candidates = list(map(asdict, values["candidates"]))
+        content |= {
+            "headline": values["answers"][0], "answers": values["answers"], "candidates": candidates,
+            "figures": captions,
+        }  # fmt: skip
         return PageParts("chart.html", content, pictures, {"chart": self, **values})
 
 

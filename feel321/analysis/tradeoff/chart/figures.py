@@ -15,14 +15,18 @@ import numpy as np
 from feel321.analysis.figures import style
 from feel321.analysis.tradeoff.chart.cost import NS, RATE_HZ
 from feel321.analysis.tradeoff.chart.points import (
+    ACCURACY,
     GROUPS,
     PAPER,
+    Record,
     Tables,
     find_front,
     find_latency,
+    format_plainly,
     list_records,
     split,
 )
+from feel321.analysis.tradeoff.stress.measures import MEASURES
 from feel321.analysis.words import capitalise, format_measure
 
 if TYPE_CHECKING:
@@ -34,9 +38,15 @@ if TYPE_CHECKING:
 CUT = -1.0
 """Accuracies below this are drawn at the edge: spectral match has no lower bound."""
 
+LIMIT = MEASURES["gain"].fails
+"""Gain of sensor noise from which on a reducer fails."""
+
 FEW_DECADES = 2.5
 AT_ONCE_MS, OFFLINE_MS = 2.5, 800.0
 """Where, on the axis of latencies, those stand that have none, and those that need the whole signal."""
+
+ROW_CM, WIDE_CM = 0.48, 15.0
+"""Height of a reducer's row, and width, of the picture of accuracy, cost and stability."""
 
 COST_AXIS, DASHED = "Cost of one sample (ns)", (0, (3, 2))
 
@@ -61,17 +71,6 @@ def describe_measure(measure: str) -> str:
     return capitalise(f"{metric} match") + (f", {kind}" if kind else "")
 
 
-def format_plainly(value: float) -> str:
-    """Write a number of any size without powers.
-
-    Examples
-    --------
-    >>> format_plainly(0.001), format_plainly(20_000)
-    ('0.001', '20\u202f000')
-    """
-    return f"{value:,.0f}".replace(",", "\u202f") if value >= 1 else f"{value:.10f}".rstrip("0")
-
-
 def limit_accuracy(values: Iterable[float]) -> tuple[float, float]:
     """Find the ends of an axis of accuracy.
 
@@ -82,6 +81,62 @@ def limit_accuracy(values: Iterable[float]) -> tuple[float, float]:
     """
     lowest = max(CUT, min(0.0, *values, 0.0))
     return lowest - 0.04 * (1 - lowest), 1 + 0.04 * (1 - lowest)
+
+
+def draw_tradeoff(tables: Tables) -> Figure:
+    """Draw accuracy, cost and stability side by side, a row per reducer, the most accurate first."""
+    points = _select(tables["points"], measure=ACCURACY).assign(
+        shown=lambda own: -own["median"].round(2)
+    )
+    rows = list_records(points.sort_values(["shown", "ns_per_sample"], kind="stable"))
+    gains, looks = tables["stability"], choose_looks(tables)
+    with style.print_style():
+        figure = style.new_canvas(ROW_CM * len(rows) + 2.2)
+        figure.set_figwidth(WIDE_CM / style.CM_PER_INCH)
+        panels = figure.subplots(1, 3, sharey=True)
+        front = [
+            (point["ns_per_sample"], row) for row, point in enumerate(rows) if point["on_front"]
+        ]
+        panels[1].plot(
+            *zip(*front, strict=True), color=style.BLACK, linestyle=DASHED, linewidth=0.7
+        )
+        for row, point in enumerate(rows):
+            own = gains[gains["reducer"] == point["reducer"]]["gain"]
+            _draw_row(panels, row, point, gains=own, look=looks[point["reducer"]])
+        names = panels[0].set_yticks(range(len(rows)), [point["reducer"] for point in rows])
+        for label, point in zip(panels[0].get_yticklabels(), rows, strict=True):
+            label.set_fontweight("bold" if point["on_front"] else "normal")
+        _label_tradeoff(panels, len(names))
+    return figure
+
+
+def _draw_row(
+    panels: Sequence[Axes], row: int, point: Record, *, gains: Series, look: style.Look
+) -> None:
+    """Draw a mark and its span in each panel; no gain is known where no scene has motion."""
+    spans = [
+        (point["lowest"], point["median"], point["highest"]),
+        (point["low"], point["ns_per_sample"], point["high"]),
+        *([(gains.median(), gains.median(), gains.max())] if len(gains) else []),
+    ]
+    for axes, (low, value, high) in zip(panels, spans, strict=False):
+        axes.hlines(row, low, high, colors=look.colour, linewidths=1.2)
+        _mark(axes, (value, row), look, size=5.5, clip_on=False)
+
+
+def _label_tradeoff(panels: Sequence[Axes], count: int) -> None:
+    """Name the three panels' axes, and what their values mean."""
+    accuracy, cost, gain = panels
+    accuracy.set(xlim=(-0.04, 1.04), ylim=(count - 0.4, -0.6), title="Accuracy")
+    accuracy.set_xlabel("Bounded spectral match\n(1 is best)")
+    cost.set(xscale="log", title="Cost", xlabel="ns per sample\n(less is faster)")
+    gain.set(xscale="log", title="Stability", xlabel="Gain of sensor noise\n(less is steadier)")
+    gain.axvline(LIMIT, color=style.GREY, linestyle=DASHED, linewidth=0.7, zorder=0)
+    for axes in panels:
+        axes.tick_params(axis="y", length=0)
+        axes.grid(axis="y", color=style.PALE, linewidth=style.THIN)
+        axes.set_axisbelow(True)
+    _write_ticks(cost.xaxis, gain.xaxis)
 
 
 def draw_cost(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
@@ -263,18 +318,22 @@ def _draw_panels(
 
 def _finish(figure: Figure, looks: dict[str, style.Look], *logarithmic: Axis) -> Figure:
     """Write the ticks of logarithmic axes as plain numbers, and the legend."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     with style.print_style():
-        for axis in logarithmic:
-            low, high = axis.get_view_interval()
-            # Whole decades; where there are too few, the halves between too.
-            parts = (1.0,) if math.log10(high / low) > FEW_DECADES else (1.0, 2.0, 5.0)
-            axis.set_major_locator(LogLocator(subs=parts))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: format_plainly(value)))
-            axis.set_minor_formatter(NullFormatter())
+        _write_ticks(*logarithmic)
         style.add_legend(figure, style.make_handles(looks))
     return figure
+
+
+def _write_ticks(*logarithmic: Axis) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for axis in logarithmic:
+        low, high = axis.get_view_interval()
+        # Whole decades; where there are too few, the halves between too.
+        parts = (1.0,) if math.log10(high / low) > FEW_DECADES else (1.0, 2.0, 5.0)
+        axis.set_major_locator(LogLocator(subs=parts))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: format_plainly(value)))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def _find_size(look: style.Look, points: float) -> float:

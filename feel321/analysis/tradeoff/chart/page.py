@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
@@ -14,7 +15,13 @@ from feel321.analysis.report.section import PageTable, Picture
 from feel321.analysis.table.schema import APART
 from feel321.analysis.tradeoff.chart import figures
 from feel321.analysis.tradeoff.chart.accuracy import ReducerVariant, list_variants
-from feel321.analysis.tradeoff.chart.cost import CALLS, NS, RATE_HZ, REFERENCE_N
+from feel321.analysis.tradeoff.chart.cost import CALLS, NS, REFERENCE_N
+from feel321.analysis.tradeoff.chart.finding import (
+    KHZ,
+    choose_candidates,
+    describe_answers,
+    format_real_time,
+)
 from feel321.analysis.tradeoff.chart.points import (
     GROUPS,
     MEASURES,
@@ -22,6 +29,7 @@ from feel321.analysis.tradeoff.chart.points import (
     Tables,
     find_latency,
     find_reference,
+    format_plainly,
     list_records,
     name_point,
     split,
@@ -29,14 +37,11 @@ from feel321.analysis.tradeoff.chart.points import (
 from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from feel321.stimuli.recording import Recording
 
 PLACES = 5
 """Significant digits that the page's script gets; results.json has all."""
 
-KHZ = f"{RATE_HZ / 1000:g} kHz"
 _MARKS = (
     "A marker is the median over scenes of the mean over random sensor orientations, a small dot one scene, the "
     f"vertical line their span. Values below {figures.CUT:g} are drawn at the edge."
@@ -48,12 +53,19 @@ _FRONT = (
 )
 
 
+_THREE = (
+    "Accuracy: bounded spectral match, median over scenes (mark) and their span. Cost: median and quartiles. "
+    "Stability: how many times stronger sensor noise becomes, median (mark) to worst scene; from "
+    f"{figures.LIMIT:g} on (dashed) a reducer fails. Names in bold, joined by a dashed line: the front of accuracy and "
+    "cost, which no other reducer clearly beats in both."
+)
+
 _TIMES_VARY = (
     "Times are those of this run on this machine and differ from run to run; all other numbers are reproduced from the "
     "same recordings and seed."
 )
 _COMPARED = (
-    f"Methods are compared at {figures.format_plainly(REFERENCE_N)} samples; × real time is for {KHZ}. The timed "
+    f"Methods are compared at {format_plainly(REFERENCE_N)} samples; × real time is for {KHZ}. The timed "
     "signals are white noise.",
     "Over scenes the median is reported and compared, not the mean: spectral match has no lower bound, so that one "
     "scene with a band nearly without energy would decide. The means are in tables/points.csv.",
@@ -117,86 +129,6 @@ def _note_precision(precision: Sequence[Record]) -> Iterator[str]:
         )
 
 
-def describe_answers(tables: Tables, merged: Tables) -> tuple[str, ...]:
-    """Describe the main results; every number in the sentences is in the tables; merged: see `merge_equal`."""
-    points = merged["points"]
-    return (
-        _describe_speed(list_records(points[points["measure"] == MEASURES[0]])),
-        *(_describe_front(points[points["measure"] == measure], measure) for measure in MEASURES),
-        *_describe_dominated(tables["dominated"]),
-        _describe_growth(list_records(merged["growth"])),
-        *_describe_rated(tables["rated"]),
-    )
-
-
-def _describe_speed(points: Sequence[Record]) -> str:
-    ordered = sorted(points, key=lambda one: one["ns_per_sample"])
-    shown = [
-        f"{one['reducer']} ({one['ns_per_sample']:.3g} ns per sample, {_times_real_time(one)} × real time)"
-        for one in (ordered[0], ordered[-1])
-    ]
-    return f"Fastest: {shown[0]}; slowest: {shown[1]}, at {figures.format_plainly(REFERENCE_N)} samples and {KHZ}."
-
-
-def _times_real_time(point: Record) -> str:
-    return figures.format_plainly(float(f"{NS / RATE_HZ / point['ns_per_sample']:.2g}"))
-
-
-def _describe_front(points: DataFrame, measure: str) -> str:
-    front = list_records(points[points["on_front"]].sort_values("ns_per_sample"))
-    shown = words.join_words([f"{point['reducer']} ({point['median']:.2f})" for point in front])
-    name = figures.describe_measure(measure)
-    return f"{name}{',' if ',' in name else ''} against cost: on the front are {shown}."
-
-
-def _describe_dominated(dominated: DataFrame) -> Iterator[str]:
-    winners: dict[bool, dict[str, list[str]]] = {True: {}, False: {}}
-    for row in list_records(dominated):
-        shown = f"{row['by']} ({row['scenes']} of {row['of']})"
-        winners[bool(row["clear"])].setdefault(row["reducer"], []).append(shown)
-    named = "; ".join(f"{name} by {words.join_words(own)}" for name, own in winners[True].items())
-    yield (
-        f"Dominated in cost, latency and both of the paper's metrics together: {named}. In brackets: scenes on which "
-        "the other one is at least as good by both metrics."
-        if named
-        else "No reducer is clearly dominated in cost, latency and both of the paper's metrics together."
-    )
-    for name, own in winners[False].items():
-        if name not in winners[True]:
-            yield f"{name} is not clearly worse than {words.join_words(own)}: the difference is within the noise."
-
-
-def _describe_growth(growth: Sequence[Record]) -> str:
-    ordered = sorted(growth, key=lambda row: row["exponent"])
-    ends = [
-        f"{row['exponent']:.2f} ({row['reducer']}, 95 % interval {words.format_interval(row['low'], row['high'])})"
-        for row in (ordered[0], ordered[-1])
-    ]
-    steep = [row["reducer"] for row in growth if row["low"] > 1]
-    lengths = " to ".join(
-        figures.format_plainly(growth[0][name]) for name in ("smallest", "largest")
-    )
-    which = (
-        f"clearly faster than n for {words.join_words(steep)}"
-        if steep
-        else "for none clearly faster than n"
-    )
-    return (
-        f"Time grows with length n (from {lengths} samples) as n^{ends[0]} to n^{ends[1]}, {which}."
-    )
-
-
-def _describe_rated(rated: DataFrame) -> Iterator[str]:
-    for (scale, level), own in split(rated, "scale", "level"):
-        best = own.sort_values("mean", ascending=scale in APART, kind="stable").iloc[0]
-        interval = words.format_interval(best["two_way_low"], best["two_way_high"], kind="rating")
-        of = f"{words.format_measure(scale)} ({words.format_name(level)})"
-        yield (
-            f"Best mean {of}: {best['reducer']}, {best['mean']:.1f} (95 % two-way interval "
-            f"{interval}; participants: {best['participants']}, recordings: {best['recordings']})."
-        )
-
-
 def tabulate(tables: Tables) -> tuple[PageTable, ...]:
     """Build the tables of the page."""
     built = (
@@ -227,7 +159,7 @@ def _tabulate_reducers(tables: Tables) -> PageTable:
         rows.append({
             "Reducer": str(reducer),
             "ns per sample": f"{first['ns_per_sample']:.3g} [{first['low']:.3g} to {first['high']:.3g}]",
-            "× real time": _times_real_time(first),
+            "× real time": format_real_time(first),
             "Latency": "whole signal" if math.isnan(first["latency_s"]) else latency,
             **{
                 figures.describe_measure(one["measure"]):
@@ -257,7 +189,7 @@ def _tabulate_running(tables: Tables) -> PageTable:
             "Reducer": name, "Block: median (µs)": shown[0] if own else "whole signal",
             "99 % (µs)": shown[1], "Worst (µs)": shown[2],
             "Worst, share of the deadline (%)": f"{100 * times[2] / own['deadline_us']:.0f}" if own else words.ABSENT,
-            "State (bytes)": _format_known(row["state_bytes"], figures.format_plainly),
+            "State (bytes)": _format_known(row["state_bytes"], format_plainly),
             "Operations per sample": _format_known(row["operations"], "{:.0f}".format),
             "Perturbation gain, median": words.ABSENT if gain is None else f"{gain.median():.2g}",
             "Worst scene": words.ABSENT if gain is None else f"{gain.max():.3g}",
@@ -266,7 +198,7 @@ def _tabulate_running(tables: Tables) -> PageTable:
     caption = (
         f"While a reducer runs. Time per block of 64 samples at 48 kHz (deadline {deadline}): median, 99th percentile "
         "and worst; the block that completes half a window does the work of all of it. State of reducers that need the "
-        f"whole signal: {figures.format_plainly(REFERENCE_N)} samples. Stability: perturbation gain under sensor noise "
+        f"whole signal: {format_plainly(REFERENCE_N)} samples. Stability: perturbation gain under sensor noise "
         "of -60 dB, median and worst scene (1: noise passes as it is)."
     )
     return _build(caption, rows)
@@ -295,7 +227,7 @@ def _tabulate_growth(tables: Tables) -> PageTable:
     memory = {
         row["reducer"]: row for row in list_records(tables["memory"])
     }  # the longest stands last
-    longest = figures.format_plainly(tables["memory"]["n_samples"].max())
+    longest = format_plainly(tables["memory"]["n_samples"].max())
     rows = (
         {
             "Reducer": row["reducer"], "Exponent": f"{row['exponent']:.2f}",
@@ -358,6 +290,8 @@ def list_pictures(tables: Tables, merged: Tables) -> list[Picture]:
     """List the figures."""
     spans = f"A vertical line spans the scenes. Values below {figures.CUT:g} are drawn at the edge."
     pictures = [
+        Picture("tradeoff", f"Accuracy, cost and stability of each reducer, the most accurate first. {_THREE}",
+                figures.draw_tradeoff(merged)),
         Picture("cost", f"Both of the paper's metrics against cost. {_MARKS} {_FRONT}", figures.draw_cost(merged)),
         Picture("cost_invariant", "Their bounded counterparts, which no orientation of the sensor changes, against "
                 f"cost. {_MARKS} {_FRONT}", figures.draw_cost(merged, MEASURES[2:])),
@@ -384,9 +318,14 @@ def list_pictures(tables: Tables, merged: Tables) -> list[Picture]:
 
 def build_page(tables: Tables, merged: Tables) -> dict[str, Any]:
     """Build what the page shows of the tables."""
-    axes = list_axes(tables)
+    axes, candidates = list_axes(tables), choose_candidates(merged)
     return {
         "answers": describe_answers(tables, merged),
+        "candidates": candidates,
+        "speeds": {one.reducer: format_real_time(asdict(one)) for one in candidates},
+        "rated": [
+            section.make_slug("rated", *key) for key, _ in split(tables["rated"], "scale", "level")
+        ],
         "axes": axes,
         "looks": figures.choose_looks(merged),
         "grids": tabulate(tables),

@@ -33,6 +33,9 @@ MEASURES = (
 PAPER = MEASURES[:2]
 """What a method must keep to dominate another: the paper's own metrics."""
 
+ACCURACY = MEASURES[2]
+"""The measure that stands for accuracy where there is room for one: from 0 to 1 whatever the reducer."""
+
 SWEEPS = ("size", "window", "hop", "block", "rate", "bits")
 """What is varied where cost is measured."""
 
@@ -205,6 +208,17 @@ def name_point(reducer: str) -> str:
     ('sax/say/saz321', 'sax/say/saz321_matched', 'dft321')
     """
     return _GROUP_OF.get(reducer, reducer)
+
+
+def format_plainly(value: float) -> str:
+    """Write a number of any size without powers.
+
+    Examples
+    --------
+    >>> format_plainly(0.001), format_plainly(20_000)
+    ('0.001', '20\u202f000')
+    """
+    return f"{value:,.0f}".replace(",", "\u202f") if value >= 1 else f"{value:.10f}".rstrip("0")
 
 
 def merge_rows(frame: DataFrame) -> DataFrame:

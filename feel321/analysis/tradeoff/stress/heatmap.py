@@ -158,18 +158,23 @@ def draw_stress(cells: Sequence[StressCell], reducers: Sequence[str]) -> Figure:
         figure = Figure(figsize=(wide / style.CM_PER_INCH, height / style.CM_PER_INCH))
         width = 1 - (LABEL_CM + 0.1) / wide
         axes = figure.add_axes((LABEL_CM / wide, below / height, width, rows / height))
-        axes.set(xlim=(0, len(names)), ylim=(len(found), 0))
-        axes.xaxis.tick_top()
-        columns, lines = ([place + 0.5 for place in range(len(own))] for own in (names, found))
-        shown = [style.fit_text(one, NAME_CM, lines=1) for one in names]
-        axes.set_xticks(columns, shown, rotation=90)
-        axes.set_yticks(lines, [BATTERY[scene].title for scene in found])
-        axes.tick_params(length=0)
-        axes.spines[:].set_visible(False)
+        _label_map(axes, names, scenes=list(found))
         for (row, own), (column, name) in product(enumerate(found.values()), enumerate(names)):
             _draw_cell(axes, own[name], place=(column, row))
         figure.text(0.2 / wide, (below - 0.15) / height, key, va="top", linespacing=1.25)
     return figure
+
+
+def _label_map(axes: Axes, names: Sequence[str], *, scenes: Sequence[str]) -> None:
+    """Write the names of columns and rows."""
+    axes.set(xlim=(0, len(names)), ylim=(len(scenes), 0))
+    axes.xaxis.tick_top()
+    columns, lines = ([place + 0.5 for place in range(len(own))] for own in (names, scenes))
+    shown = [style.fit_text(one, NAME_CM, lines=1) for one in names]
+    axes.set_xticks(columns, shown, rotation=90)
+    axes.set_yticks(lines, [BATTERY[scene].title for scene in scenes])
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
 
 
 def _draw_cell(axes: Axes, cell: MapCell, *, place: tuple[int, int]) -> None:
