@@ -250,9 +250,12 @@ def find_flags(stimulus: Stimulus) -> list[str]:
 def _summarise(built: StimulusSet, flagged: Mapping[str, int]) -> str:
     hit = sum(bool(find_flags(row)) for row in built)
     counts = ", ".join(f"{flagged[name]} {FLAGS[name][1]}" for name in FLAGS if flagged[name])
+    unknown = sum(math.isnan(row.sensation_level_db) and row.rms_m_s2 != 0 for row in built)
+    felt = "" if unknown else "all lie above the detection threshold, "
+    told = f" Level over threshold not known: {unknown} of {len(built)}." if unknown else ""
     if not hit:
-        return f"None of {len(built)} stimuli is flagged: all lie above the detection threshold, none is clipped."
-    return f"{hit} of {len(built)} stimuli {'is' if hit == 1 else 'are'} flagged: {counts}."
+        return f"None of {len(built)} stimuli is flagged: {felt}none is clipped.{told}"
+    return f"{hit} of {len(built)} stimuli {'is' if hit == 1 else 'are'} flagged: {counts}.{told}"
 
 
 def _list_further(row: Stimulus, full_scale: float) -> dict[str, str]:

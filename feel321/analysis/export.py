@@ -31,11 +31,35 @@ if TYPE_CHECKING:
     from feel321.analysis.table.metrics import Step
     from feel321.types import PathLike, Rng
 
-JUDGEMENTS, STIMULI, SLOPES, SCRIPT, README = (
-    "judgements.csv", "stimuli.csv", "slopes.csv", "model.R", "README.txt",
+JUDGEMENTS, STIMULI, SLOPES, SLOPES_R, SCRIPT, README = (
+    "judgements.csv", "stimuli.csv", "slopes.csv", "slopes_r.csv", "model.R", "README.txt",
 )  # fmt: skip
 LABELS = (WHO, SCENE, "source", "reducer", "level", "stimulus", "scale", "repetition")
+FURTHER = ("response_time_s", "simulated")
+RESERVED = (*LABELS, RATING, *FURTHER, ITEM, STIMULUS, ROLE, "repeat", "column")
+"""What no metric is called: columns of these files, and those that model.R makes."""
+
+PARTS = ("", "_w", "_b", "_step")
+"""Ends of the columns of every metric."""
+
+SLOPE = (
+    "scale",
+    "level",
+    "metric",
+    "term",
+    "step",
+    "estimate",
+    "se",
+    "low",
+    "high",
+    "df",
+    "t",
+    "p",
+    "estimable",
+)
 MISSING = "NA"
+FIRST = "Ratings for other programs, written by feel321 export --r."
+"""Begins the README of every export, by which an earlier one is known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +83,7 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
     table : Table
         Ratings with their metrics, as `read_table` returns them.
     folder : path
-        Where the files go; it is made where it is missing.
+        Where the files go: a new or empty folder, or one of an earlier export, which is replaced.
     rng : int or Generator
         Seed of the report; it decides which ratings are kept where there are too many for one fit.
 
@@ -73,6 +97,8 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
     ------
     ValueError
         If a name is ``NA``, which R reads as a missing value.
+    FileExistsError
+        If the folder holds anything but an earlier export.
 
     Examples
     --------
@@ -83,26 +109,55 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
     if not isinstance(table, Table):
         raise TypeError(f"table must be a Table, as read_table returns it, got {describe(table)}")
     place = as_path(folder, "folder")
+    _refuse_others(place)
     names = name_metrics(table.metrics)
     steps = parts.find_table_steps(table)
     models = list(_fit_models(table, Choices(seed=as_seed(rng)), names=names, steps=steps))
-    stimuli = _list_stimuli(table)
+    stimuli = _list_stimuli(table, names)
+    wide = _widen(table, stimuli)
+    files = _name_files(wide)
     frames: dict[str, DataFrame] = {
-        JUDGEMENTS: _stack(model.rows for model in models),
-        STIMULI: stimuli.rename(columns=names),
-        SLOPES: _stack(_list_slopes(model, names, steps) for model in models),
-        **_widen(table, stimuli),
+        JUDGEMENTS: _stack((model.rows for model in models), (*LABELS, RATING)),
+        STIMULI: stimuli,
+        SLOPES: _stack((_list_slopes(model, names, steps) for model in models), SLOPE),
+        **{files[scale]: frame for scale, frame in wide.items()},
     }
     for name, frame in frames.items():
         _refuse_missing_names(name, frame)
     frames[DICTIONARY] = make_dictionary(
         frames, {names[key]: table.info[key] for key in names if key in table.info}
     )
+    _remove_earlier(place)
+    place.mkdir(parents=True, exist_ok=True)
+    write_text(
+        place / README, _write_readme(models, files)
+    )  # first: the folder is ours from here on
     for name, frame in frames.items():
         write_csv(place / name, frame)
     write_text(place / SCRIPT, write_script(models, names))
-    write_text(place / README, _write_readme(models, frames))
     return place
+
+
+def _refuse_others(place: Path) -> None:
+    """Refuse a folder that holds anything but an earlier export."""
+    if not place.exists():
+        return
+    if not place.is_dir():
+        raise FileExistsError(f"{place}: is a file; give a new or empty folder")
+    if (place / "study.toml").exists():
+        raise FileExistsError(f"{place}: is a study; give a new folder, such as {place / 'for-r'}")
+    readme = place / README
+    ours = readme.is_file() and readme.read_bytes().startswith(FIRST.encode())
+    if not ours and any(place.iterdir()):
+        raise FileExistsError(
+            f"{place}: holds files that are not of an earlier export; give a new or empty folder"
+        )
+
+
+def _remove_earlier(place: Path) -> None:
+    """Remove the files of an earlier export that need not be written again: other scales, and what R found."""
+    for path in (*place.glob("wide_*.csv"), place / SLOPES_R):
+        path.unlink(missing_ok=True)
 
 
 def write_csv(path: Path, frame: DataFrame) -> None:
@@ -115,10 +170,11 @@ def write_csv(path: Path, frame: DataFrame) -> None:
 
 
 def name_metrics(metrics: Iterable[str]) -> dict[str, str]:
-    """Name the columns of metrics, each another, as R takes them."""
+    """Name the columns of metrics as R takes them, so that none is called as another or as a part of another."""
     names: dict[str, str] = {}
     for metric in metrics:
-        names[metric] = rcode.make_r_name(metric, {*LABELS, RATING, *names.values()})
+        taken = {*RESERVED, *(f"{own}{end}" for own in names.values() for end in PARTS)}
+        names[metric] = rcode.make_r_name(metric, taken, ends=PARTS)
     return names
 
 
@@ -135,28 +191,27 @@ def _fit_models(
 ) -> Iterator[ExportedModel]:
     """Fit the primary model of every scale and level as the report does, and put its columns beside the judgements."""
     for part in parts.thin_parts(table, choices):
-        rows = part.rows.rename(columns={STIMULUS: "stimulus", "repeat": "repetition"})
-        kept = [name for name in (*LABELS, RATING, "response_time_s", "simulated") if name in rows]
-        plain = rows[[*kept, *table.metrics]]
+        raw = {name: name for name in (*LABELS, RATING, *FURTHER)}
+        raw |= {"stimulus": STIMULUS, "repetition": "repeat"}
+        raw |= {name: metric for metric, name in names.items()}
+        kept = [name for name in raw if raw[name] in part.rows]
+        rows = part.rows[[raw[name] for name in kept]].set_axis(kept, axis=1)
         try:
             cells = make_cells(part.rows, table.metrics)
             found = fit_slopes(cells)
         except ValueError as error:
-            yield ExportedModel(part, plain.rename(columns=names), reason=str(error))
+            yield ExportedModel(part, rows, reason=str(error))
             continue
         items = cells.table.drop_duplicates(ITEM).set_index(ITEM)
-        for metric in table.metrics:
-            within = plain["stimulus"].map(items[f"{metric}_w"])
-            split = {
-                f"{metric}_w": within, f"{metric}_b": plain["stimulus"].map(items[f"{metric}_b"]),
-                f"{metric}_step": within / steps[metric].size,
-            }  # fmt: skip
-            plain = plain.assign(**split)
-        ends = ("", "_w", "_b", "_step")
-        own = {
-            f"{metric}{end}": f"{names[metric]}{end}" for metric in table.metrics for end in ends
-        }
-        yield ExportedModel(part, plain.rename(columns=own), found)
+        for metric, name in names.items():
+            within, between = (
+                rows["stimulus"].map(items[f"{metric}{end}"]) for end in ("_w", "_b")
+            )
+            values = (within, between, within / steps[metric].size)
+            rows = rows.assign(
+                **dict(zip((f"{name}{end}" for end in PARTS[1:]), values, strict=True))
+            )
+        yield ExportedModel(part, rows, found)
 
 
 def _list_slopes(
@@ -176,18 +231,19 @@ def _list_slopes(
             "scale": model.part.scale, "level": model.part.level, **own, **scaled,
             **{name: row[name] for name in ("df", "t", "p")}, "estimable": bool(row["estimable"]),
         })  # fmt: skip
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=list(SLOPE))
 
 
-def _list_stimuli(table: Table) -> DataFrame:
+def _list_stimuli(table: Table, names: Mapping[str, str]) -> DataFrame:
     """List the rated stimuli with their metrics, and what each is called as a column of the wide tables."""
     keys = [STIMULUS, SCENE, "source", "reducer", "level", ROLE]
     rated = table.rows[[*(name for name in keys if name in table.rows), *table.metrics]]
-    found = rated.drop_duplicates(STIMULUS).sort_values(STIMULUS, ignore_index=True)
-    names: dict[str, str] = {}
+    found = rated.rename(columns=names).drop_duplicates(STIMULUS)
+    found = found.sort_values(STIMULUS, ignore_index=True)
+    columns: dict[str, str] = {}
     for name in map(str, found[STIMULUS]):
-        names[name] = rcode.make_r_name(name, {WHO, *names.values()})
-    found.insert(1, "column", found[STIMULUS].map(names))
+        columns[name] = rcode.make_r_name(name, {WHO, *columns.values()})
+    found.insert(1, "column", found[STIMULUS].map(columns))
     return found.rename(columns={STIMULUS: "stimulus"})
 
 
@@ -197,18 +253,27 @@ def _widen(table: Table, stimuli: DataFrame) -> dict[str, DataFrame]:
     columns = stimuli.set_index("stimulus")["column"]
     rows = rows[~rows["scale"].isin(APART)].assign(column=rows[STIMULUS].map(columns))
     return {
-        f"wide_{rcode.make_r_name(str(scale))}.csv": part.pivot_table(
+        str(scale): part.pivot_table(
             index=WHO, columns="column", values=RATING, aggfunc="mean", observed=True
         ).reset_index()
         for scale, part in rows.groupby("scale", observed=True)
     }
 
 
-def _stack(frames: Iterable[DataFrame]) -> DataFrame:
+def _name_files(scales: Iterable[str]) -> dict[str, str]:
+    """Name the file of every scale's wide table, each another also where case is not told apart."""
+    names: dict[str, str] = {}
+    for scale in scales:
+        names[scale] = rcode.make_r_name(scale, names.values())
+    return {scale: f"wide_{name}.csv" for scale, name in names.items()}
+
+
+def _stack(frames: Iterable[DataFrame], columns: Iterable[str]) -> DataFrame:
+    """Stack tables; without any, an empty one."""
     import pandas as pd
 
     found = [frame for frame in frames if len(frame)]
-    return pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=["scale"])
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=list(columns))
 
 
 # The code.
@@ -264,7 +329,7 @@ def write_script(models: Sequence[ExportedModel], names: Mapping[str, str]) -> s
     text += [_write_model(model, names) for model in models]
     return "\n".join([
         *text,
-        'write.csv(do.call(rbind, found), "slopes_r.csv", row.names = FALSE)',
+        f'if (length(found)) write.csv(do.call(rbind, found), "{SLOPES_R}", row.names = FALSE)',
         "",
     ]).replace(NOTES, f"{NOTES}found <- list()\n", 1)
 
@@ -272,7 +337,7 @@ def write_script(models: Sequence[ExportedModel], names: Mapping[str, str]) -> s
 def _write_model(model: ExportedModel, names: Mapping[str, str]) -> str:
     place = f"{model.part.scale}, {model.part.level}".encode("ascii", "backslashreplace").decode()
     if model.found is None:
-        return f"# {place}: no model. {model.reason}\n"
+        return f"cat({rcode.write_r_string(f'{place}: no model. {model.reason}')}, fill = TRUE)\n"
     scale, level = map(rcode.write_r_string, model.part.place)
     terms, cells = model.found.terms, model.found.cells
     columns = {f"{metric}_w": f"{own}_step" for metric, own in names.items()}
@@ -312,18 +377,18 @@ def _explain(random: Iterable[str]) -> Iterator[str]:
         yield f"#   (... | {group}): {EXPLAINED.get(group, group)}"
 
 
-def _write_readme(models: Sequence[ExportedModel], frames: Mapping[str, DataFrame]) -> str:
-    wide = ", ".join(name for name in frames if name.startswith("wide_"))
+def _write_readme(models: Sequence[ExportedModel], files: Mapping[str, str]) -> str:
     without = [
         f"  {model.part.lead}: no model. {model.reason}" for model in models if not model.found
     ]
     thinned = [f"  {model.part.thinned}" for model in models if model.part.thinned]
     return "\n".join([
-        "Ratings for other programs, written by feel321 export --r.",
+        FIRST,
         "",
         f"{JUDGEMENTS}  one row per judgement of a test stimulus, as the primary models use it",
         f"{STIMULI}     one row per rated stimulus: labels, metrics, and its column in the wide tables",
-        f"{wide}  participants x stimuli, means over repeats; references and anchors included",
+        "wide_*.csv      participants x stimuli, means over repeats; references and anchors included:",
+        *(f"  {file}  scale {scale}" for scale, file in files.items()),
         f"{SLOPES}      slopes that feel321 estimates, in points of rating per step of the metric",
         f"{SCRIPT}         fits the same models with lme4, prints them beside slopes.csv and writes slopes_r.csv",
         "dictionary.csv  every column of these files: type, unit, allowed values, meaning",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from feel321.analysis.contrasts.compare import profile_reducers, stimulus_means
 from feel321.analysis.table.items import Table, open_tests
@@ -159,6 +158,8 @@ def plot_correlations(found: Association | DataFrame, *, ax: Axes | None = None)
     >>> analysis.plot_correlations(rows).get_xlabel()
     'Correlation with mean ratings'
     """
+    import pandas as pd
+
     frame = (found if isinstance(found, pd.DataFrame) else found.to_frame()).reset_index()
     ax, rows = _find_axes(ax), np.arange(len(frame))
     points = ax.plot(frame["value"], rows, "o", label="correlation")

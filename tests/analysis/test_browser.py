@@ -141,6 +141,12 @@ def test_flags_stand_in_words_on_their_stimulus_and_in_the_first_sentence(
     }
     lead = "3 of 20 stimuli are flagged: 1 spectral match below −1, 1 below threshold, 1 clipped."
     assert lead in (folder / "index.html").read_text(encoding="utf-8")
+    rows = [replace(row, sensation_level_db=np.nan, spectral_match=0.0) for row in built]
+    write_manifest(folder, rows, details=details)
+    lead = (
+        "None of 20 stimuli is flagged: none is clipped. Level over threshold not known: 20 of 20."
+    )
+    assert lead in write_stimulus_page(folder).read_text(encoding="utf-8")
 
 
 def test_another_page_and_a_damaged_set_are_refused(built: StimulusSet, tmp_path: Path) -> None:
@@ -232,6 +238,16 @@ AFTER = """<script>
     made[0].currentTime = 0.25;
     press("x"); say("second", muted()); say("position", made.map((audio) => audio.currentTime));
     document.getElementById("keys").click(); press("x"); say("deaf", muted());
+    document.getElementById("keys").click();
+    const play = row.querySelector('button[data-action="play"]');
+    const space = (button) => {
+      const event = new KeyboardEvent("keydown", { key: " ", bubbles: true, cancelable: true });
+      return [button.dispatchEvent(event), made[0].paused];
+    };
+    play.click();
+    say("space", [space(play), space(play), space(row.nextElementSibling.querySelector("button"))]);
+    document.querySelector('#bumps__dft321__as_is button[data-action="a"]').click();
+    say("cleared", [document.getElementById("pick-b").textContent.trim(), made[1].getAttribute("src")]);
     say("wide", [document.documentElement.scrollWidth, innerWidth]);
   }, { once: true });
 </script>"""
@@ -268,6 +284,8 @@ def test_a_browser_filters_sorts_and_switches(built: StimulusSet, tmp_path: Path
         [True, False],
     )
     assert said["position"] == [0.25, 0.25]
+    assert said["space"] == [[False, True], [False, False], [True, False]]  # pauses, plays, presses
+    assert said["cleared"] == ["B", None]
     assert said["wide"][0] <= said["wide"][1]
 
 

@@ -34,8 +34,10 @@ lmer_penalised <- function(formula, data, group) {
 """
 
 
-def make_r_name(name: str, taken: Collection[str] = ()) -> str:
+def make_r_name(name: str, taken: Collection[str] = (), *, ends: Collection[str] = ("",)) -> str:
     """Make a name that R, JASP and a formula take as it stands: ASCII letters, digits and underscores.
+
+    It is none of those taken with any of the ends; upper and lower case are not told apart, as in names of files.
 
     Examples
     --------
@@ -45,8 +47,9 @@ def make_r_name(name: str, taken: Collection[str] = ()) -> str:
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
     plain = plain if NAMED.fullmatch(plain) else f"x{plain}"
     plain = f"{plain}_" if plain in RESERVED else plain
-    names = [plain, *(f"{plain}_{number}" for number in range(2, len(taken) + 2))]
-    return next(one for one in names if one not in taken)
+    used = {one.casefold() for one in taken}
+    names = [plain, *(f"{plain}_{number}" for number in range(2, len(used) + 3))]
+    return next(one for one in names if not any(f"{one}{end}".casefold() in used for end in ends))
 
 
 def write_r_string(text: str) -> str:

@@ -48,7 +48,8 @@
   const other = () => (heard === "a" ? "b" : "a");
   const nameOf = (row) => `${row.closest("section").querySelector("h2").textContent}, ${row.querySelector("th b").textContent}`;
   function load(side, row) {
-    const one = sides[side];
+    const one = sides[side], b = sides.b.row;
+    if (side === "a" && b && b.parentNode !== row.parentNode) clear("b");
     if (one.row) one.row.classList.remove("playing");
     one.row = row;
     one.audio.src = row.querySelector("a").href;
@@ -56,6 +57,14 @@
     player.hidden = false;
     for (const { row: marked } of Object.values(sides)) if (marked) marked.classList.add("playing");
     tune();
+  }
+  function clear(side) {
+    const one = sides[side];
+    one.row.classList.remove("playing");
+    one.row = null;
+    one.audio.removeAttribute("src");
+    one.audio.load();
+    find(`pick-${side}`).querySelector("span").textContent = "";
   }
   function tune() {
     const speed = Number(find("speed").value), volume = find("volume").value / 100;
@@ -88,7 +97,7 @@
     heard = side;
     tune();
   }
-  // What is played is compared with its recording's reference, until another B is chosen.
+  // What is played is compared with its recording's reference, until another B is chosen; a B of another recording goes.
   function playRow(row) {
     const rows = sections.find((one) => one.body === row.parentNode).rows;
     const reference = rows.find((one) => one.dataset.role === "reference" && one.dataset.level === row.dataset.level);
@@ -136,13 +145,26 @@
       audio.addEventListener(name, () => { if (side === heard) find("play").textContent = playing() ? "Pause" : "Play"; });
     }
   }
+  // Space on a button that has loaded its row plays and pauses; on others, and on links and fields, it does what it always does.
+  const isLoaded = (button) => {
+    const { action } = button.dataset;
+    return Boolean(action) && sides[action === "b" ? "b" : "a"].row === button.closest("tr");
+  };
+  let taken = false;
   document.addEventListener("keydown", (event) => {
+    taken = false;
     if (!find("keys").checked || player.hidden || event.ctrlKey || event.altKey || event.metaKey) return;
-    if (event.target.closest("input, select, textarea, button, a, summary") && event.key === " ") return;
+    const control = event.target.closest("input, select, textarea, button, a, summary");
+    if (control && event.key === " " && !isLoaded(control)) return;
     if (event.target.closest("select, textarea")) return;
-    if (event.key === " ") { event.preventDefault(); find("play").click(); }
-    else if (event.key.toLowerCase() === "x") choose(other());
+    if (event.key === " ") {
+      taken = true;
+      event.preventDefault();
+      if (!event.repeat) find("play").click();
+    } else if (event.key.toLowerCase() === "x") choose(other());
   });
+  // Some browsers press a focused button when Space is released.
+  document.addEventListener("keyup", (event) => { if (taken && event.key === " ") event.preventDefault(); });
 
   form.hidden = false;
   arrange();
