@@ -292,7 +292,7 @@ judgements <- read.csv("judgements.csv", colClasses = kinds, encoding = "UTF-8")
 judgements$item <- judgements$stimulus
 expected <- read.csv("slopes.csv", colClasses = c(scale = "character", level = "character"), encoding = "UTF-8")
 
-# Where every participant rated every stimulus equally often, means over repeats hold all there is to know of slopes.
+# Where every participant rated every stimulus equally often, means over repeats are sufficient for the slopes.
 average_repeats <- function(rows) {
   rows$rating <- ave(rows$rating, rows$participant, rows$stimulus)
   rows[!duplicated(rows[c("participant", "stimulus")]), ]
@@ -360,12 +360,12 @@ def _write_model(model: ExportedModel, names: Mapping[str, str]) -> str:
 EXPLAINED = {
     WHO: "participants differ in their mean and in their slopes (|| : without correlations)",
     SCENE: "recordings differ in their mean",
-    ITEM: "stimuli differ for reasons that no metric knows",
+    ITEM: "stimuli differ for reasons not captured by the metrics",
     f"{WHO}:{SCENE}": "each participant has an own mean for each recording",
     f"{WHO}:{ITEM}": "a participant's repeats of one stimulus share their mean",
     "source": "recordings of one source share their mean",
     "source:reducer": "stimuli of one source that were reduced alike share their mean",
-    "reducer": "reducers differ for reasons that no metric knows",
+    "reducer": "reducers differ for reasons not captured by the metrics",
     f"{WHO}:reducer": "each participant has an own opinion of each reducer",
 }
 

@@ -339,7 +339,7 @@ def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
 
 
 def find_flags(chain: Chain) -> Iterator[str]:
-    """List what went wrong in a session, as far as no answer is looked at."""
+    """List what went wrong in a session, without looking at any answer."""
     if chain.torn:
         yield f"{len(chain.torn)} bytes of an unfinished line, moved aside on resuming"
     counts = Counter(flag for record in chain.records for flag in record.data.get("flags", ()))

@@ -161,7 +161,7 @@ def test_tables_from_elsewhere_open_with_the_question(report: Path) -> None:
 
 @pytest.mark.parametrize(
     ("low", "high", "said"),
-    [(0.5, 3.0, "as before"), (-1.0, 3.0, "it changes whether"), (math.nan, math.nan, None)],
+    [(0.5, 3.0, "alters no"), (-1.0, 3.0, "changes whether"), (math.nan, math.nan, None)],
 )
 def test_what_flagged_raters_do_to_the_slopes_is_said(
     low: float, high: float, said: str | None

@@ -301,7 +301,9 @@ def _describe_clipped(panels: Sequence[Panel], metrics: Sequence[str]) -> str:
         for metric, count in counts.items() if count
     ]  # fmt: skip
     return (
-        f" Hollow at the left edge: {words.join_words(told)}, counted in full in r." if told else ""
+        f" Hollow markers at the left edge: {words.join_words(told)}; r uses their true values."
+        if told
+        else ""
     )
 
 

@@ -211,7 +211,7 @@ def _describe_group(cards: Sequence[MetricCard], metrics: Sequence[str]) -> Iter
         if status in {PREDICTS, OPPOSITE}:
             same = [card for card in cards if card.metric in metrics and card.subject in own]
             text = f"{words.join_words(names)} {verb} {what}"
-            text += ", but in the opposite direction" * (status == OPPOSITE)
+            text += ", but in the direction opposite to the one declared" * (status == OPPOSITE)
             yield text + _describe_best(same, metrics) + _describe_hinges(same)
         else:
             is_open = "is open" if status == OPEN else "cannot be estimated"
@@ -261,7 +261,7 @@ def _describe_exceptions(sections: Iterable[Section]) -> Iterator[str]:
         ways.setdefault((str(row["reducer"]), row["excess"] > 0), []).append(abs(row["excess"]))
     if len(ways) > NAMED:
         reducers = words.join_words(list(dict.fromkeys(name for name, _ in ways)))
-        yield f"{reducers} were rated otherwise than the metrics predict"
+        yield f"ratings of {reducers} depart from what the metrics predict"
         return
     for (name, above), points in ways.items():
         ends = [words.format_number(end, kind="rating") for end in (min(points), max(points))]

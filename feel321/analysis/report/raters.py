@@ -333,9 +333,9 @@ def _describe_changes(slopes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     )
     if changed:
         names = words.join_words(list(changed))
-        yield f"Without flagged raters it changes whether the 95 % interval of the slope covers zero: {names}."
+        yield f"Leaving out flagged raters changes whether the 95 % interval of the slope includes zero: {names}."
     elif rest:
-        yield "Without flagged raters every slope’s 95 % interval covers zero, or lies on one side of it, as before."
+        yield "Leaving out flagged raters alters no conclusion about whether a slope’s 95 % interval includes zero."
 
 
 def _find_way(row: Mapping[str, Any]) -> int:

@@ -31,17 +31,14 @@ Example: feel321 monitor my-study
     "--port", type=click.IntRange(0, 65535), default=0, help="Port.  [default: a free one]"
 )
 @click.option(
-    "--host",
-    default="127.0.0.1",
-    show_default=True,
-    help="An address of this machine that no other one reaches.",
+    "--host", default="127.0.0.1", show_default=True, help="Loopback address to listen on."
 )
 @shared.rehearsals_option
 def monitor(folders: Sequence[Path], *, port: int, host: str, rehearsals: bool) -> None:
     """Show running sessions on a live page, blind and read-only.
 
-    The page has progress, time left, underruns, delivery errors, catch trials, training and notes, but no rating and
-    no name of a condition. It answers on this machine only, at an address with a token: keep it to yourself. Ctrl-C
+    The page has progress, time left, underruns, delivery errors, catch trials, training and notes, but no ratings and
+    no condition names. It is served on this machine only, at an address with a secret token: do not share it. Ctrl-C
     ends it.
     """
     from feel321.study.monitor.live import serve_monitor
@@ -70,7 +67,7 @@ Example: feel321 replay my-study --participant p07 --speed 8
     show_default=True,
     help="Speed in the window.",
 )
-@shared.flag("--browser", "On a page at an address of this machine, with sound.")
+@shared.flag("--browser", "Serve it as a page for a local browser, with sound.")
 @click.option(
     "--out", type=shared.FILE, metavar="FILE", help="Write that page, which opens offline."
 )
@@ -89,9 +86,9 @@ def replay(  # noqa: PLR0913 - one parameter per option
     while_running: bool,
     rehearsals: bool,
 ) -> None:
-    """Show a session again from its journal, at speed.
+    """Replay a session from its journal, at any speed.
 
-    It comes on the participant's own screens (without sound; Space pauses, arrows go from screen to screen, Esc ends
+    It is shown on the participant's own screens (without sound; Space pauses, arrows go from screen to screen, Esc ends
     it), or on a page. Nothing is written into the study. A replay shows the answers: it is not blind.
     """
     from feel321.study.monitor import replay as replays

@@ -1,7 +1,7 @@
-"""A session as its journal tells it: every screen with its time, and what was felt.
+"""Reconstruct a session from its journal: every screen with its time, and every stimulus that was played.
 
-What no journal holds is left out: a marker on its way, digits that are being typed, the first of two presses of a key.
-A part that was stopped, and a stroke, end with the next thing that is known.
+What the journal does not record is omitted: slider movement, digits being typed, the first of two presses of a key.
+A stopped part, and a stroke, are taken to end at the next recorded event.
 """
 
 from __future__ import annotations

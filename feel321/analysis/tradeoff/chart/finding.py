@@ -241,8 +241,8 @@ def _describe_growth(growth: Sequence[Record]) -> str:
     lengths = " to ".join(format_plainly(growth[0][name]) for name in ("smallest", "largest"))
     which = f"{steep} of {len(growth)} reducers" if steep else "no reducer"
     return (
-        f"Time grows with length n ({lengths} samples) as n^{ends[0]} to n^{ends[1]}, for {which} clearly faster "
-        "than n."
+        f"Computing time grows with length n ({lengths} samples) as n^{ends[0]} to n^{ends[1]}; clearly faster than "
+        f"linearly for {which}."
     )
 
 

@@ -67,8 +67,8 @@ _TIMES_VARY = (
 _COMPARED = (
     f"Methods are compared at {format_plainly(REFERENCE_N)} samples; × real time is for {KHZ}. The timed "
     "signals are white noise.",
-    "Over scenes the median is reported and compared, not the mean: spectral match has no lower bound, so that one "
-    "scene with a band nearly without energy would decide. The means are in tables/points.csv.",
+    "Medians over scenes are reported and compared, not means: spectral match has no lower bound, so that a single "
+    "scene with an almost empty band would dominate the mean. The means are in tables/points.csv.",
 )
 _EQUAL = (
     "sax/say/saz321 is any single axis: averaged over sensor orientations the three are equal by construction, and so "
@@ -82,8 +82,8 @@ _SWEPT = (
     "shifted signals, which is the same output; an implementation of its own could be a little cheaper.",
     f"Block sizes: time of {CALLS} calls or more at {KHZ}, once the stream is running. A block of k samples adds "
     "(k - 1) / rate of waiting to the algorithmic latency.",
-    "Memory is what numpy requests beside the input, the output included; what a Fourier transform keeps inside is not "
-    "seen.",
+    "Memory is what NumPy allocates besides the input, including the output; buffers internal to the Fourier transform "
+    "are not counted.",
 )
 
 

@@ -39,7 +39,7 @@ NAMED = 3
 
 CAPTION = (
     "Where reducers fail. Each cell has the grade of the worst measure of a reducer (column) on a scene (row), and the "
-    "letters of the measures that have it, the worst first (+: and more). Reducers with the fewest failures come first."
+    "letters of the measures with that grade, worst first (+: more). Reducers failing on the fewest scenes come first."
 )
 
 

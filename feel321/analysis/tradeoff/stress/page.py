@@ -206,8 +206,8 @@ def _describe_faults(result: Stress) -> str:
     damages = (cell for cell in result.cells if cell.measure == "fault")
     worst = max(damages, key=lambda cell: -math.inf if math.isnan(cell.value) else cell.value)
     return (
-        "Sensor faults (clipping, steps, gaps, clocks) come out at most "
-        f"{worst.value:.2g} times as strong as they go in ({worst.reducer}, {BATTERY[worst.recording].title})."
+        "Sensor faults (clipping, steps, gaps, clocks) change the output at most "
+        f"{worst.value:.2g} times as much as the input ({worst.reducer}, {BATTERY[worst.recording].title})."
     )
 
 
