@@ -133,9 +133,8 @@ def make_app(door: Door, pages: Mapping[str, Answer], acts: Mapping[str, Act]) -
     routes += [Route(path, receive(take), methods=["POST"]) for path, take in acts.items()]
     # Without the token nobody learns which paths there are.
     app = Starlette(routes=routes, exception_handlers={404: refuse, 405: refuse})
-    app.router.redirect_slashes = (
-        False  # a redirect would come before the check, and repeat the Host
-    )
+    # A redirect would come before the check, and repeat the Host.
+    app.router.redirect_slashes = False
     return app
 
 
