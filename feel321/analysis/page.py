@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +14,7 @@ from feel321.analysis.words import capitalise, format_name, keep_together
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from jinja2 import Environment
     from markupsafe import Markup
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -19,6 +22,15 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 def render_template(name: str, *, styles: Sequence[str] = (), **values: object) -> str:
     """Render a template, which finds the style sheets as `style` and the filters `words` and `start`."""
+    style = "".join(
+        (TEMPLATES / sheet).read_text(encoding="utf-8") for sheet in ("page.css", *styles)
+    )
+    return _open_templates().get_template(name).render(style=style, **values)
+
+
+@lru_cache(maxsize=1)
+def _open_templates() -> Environment:
+    """Open the templates, once: a live page is rendered every second."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -31,10 +43,21 @@ def render_template(name: str, *, styles: Sequence[str] = (), **values: object) 
         finalize=keep_together,
     )
     environment.filters |= {"words": format_name, "start": capitalise}
-    style = "".join(
-        (TEMPLATES / sheet).read_text(encoding="utf-8") for sheet in ("page.css", *styles)
-    )
-    return environment.get_template(name).render(style=style, **values)
+    return environment
+
+
+def write_script_data(value: object) -> Markup:
+    r"""Write JSON to stand in a script element, which no text in it can end or leave open.
+
+    Examples
+    --------
+    >>> print(write_script_data(["<!--<script"]))
+    ["\u003c!--\u003cscript"]
+    """
+    from markupsafe import Markup
+
+    text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c"))  # noqa: S704 - no < is left in it
 
 
 def inline_svg(name: str, caption: str, path: Path) -> Markup:

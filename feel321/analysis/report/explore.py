@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
 from feel321.analysis.figures import scatter
+from feel321.analysis.page import write_script_data
 from feel321.analysis.table.metrics import find_steps
+from feel321.records import to_json_value
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -27,8 +28,8 @@ def write_points(panels: Sequence[Panel], method: str, info: Mapping[str, Metric
     reducers = list(dict.fromkeys(str(name) for one in panels for name in one.stimuli["reducer"]))
     scenes = list(dict.fromkeys(str(name) for one in panels for name in one.stimuli["recording"]))
     found = list(_list_panels(panels, method, info, names=(reducers, scenes)))
-    text = json.dumps({"reducers": reducers, "recordings": scenes, "panels": found})
-    return text.replace("<", "\\u003c").replace("NaN", "null")
+    points = {"reducers": reducers, "recordings": scenes, "panels": found}
+    return write_script_data(to_json_value(points))
 
 
 def _list_panels(

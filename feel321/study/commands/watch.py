@@ -94,7 +94,11 @@ def replay(  # noqa: PLR0913 - one parameter per option
     from feel321.study.monitor import replay as replays
 
     folder = replace(study.folder, is_rehearsal=rehearsals)
+    if out is not None:
+        replays.check_out(folder, out)
     film = replays.read_film(folder, participant, session=session, while_running=while_running)
+    for change in film.changes:
+        click.echo(f"replay: the study has changed since this session began: {change}", err=True)
     if out is not None:
         write_text(out, replays.write_page(film))
         click.echo(out)
@@ -149,8 +153,9 @@ def rehearse(
         return
     from feel321.study.monitor import replay as replays
 
-    film = replays.rehearse(study.folder, trials=trials, seed=seed, now=study.now)
     if out is not None:
+        replays.check_out(study.folder, out)
+        film = replays.rehearse(study.folder, trials=trials, seed=seed, now=study.now)
         write_text(out, replays.write_page(film))
         click.echo(out)
 

@@ -10,7 +10,7 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from feel321.analysis.words import format_name
 from feel321.files import is_held
@@ -20,17 +20,18 @@ from feel321.study.ledger.progress import LOCK_FILE
 from feel321.study.minutes import Pace, find_durations, find_left, observe_pace
 from feel321.study.session import events
 from feel321.study.session.plan import read_as_written, replay
-from feel321.study.settings.read import read_settings
+from feel321.study.settings.read import list_items, read_settings
 from feel321.study.status import find_catches, find_flags, read_participant
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Clock, Records
     from feel321.study.session.plan import Dossier
+    from feel321.study.settings.schema import Settings
     from feel321.study.status import ParticipantStatus
 
 LIVE = frozenset({"running", "aborted"})
@@ -40,6 +41,11 @@ HIDDEN = "[hidden]"
 """Stands for the name of a condition where a message or a note holds one."""
 
 _PLACE = re.compile(r"([\w.-]+\.jsonl?)(?:, line (\d+))?")
+
+_PARTS = re.compile(r"[^\W\d_]+|\d+")
+"""Letters, or digits."""
+
+T = TypeVar("T")
 
 PHASES = {"main": "trials"}
 
@@ -62,11 +68,16 @@ class StudyWatch:
     now: Clock
     _seen: dict[str, _Seen] = field(default_factory=dict)
     _stimuli: tuple[object, StimulusSet | None] = (None, None)
+    _settings: tuple[object, Settings | None] = (None, None)
     _pace: tuple[object, Pace] = (None, Pace())
 
     def look(self) -> dict[str, Any]:
         """Read how every participant is doing, as JSON can hold it."""
-        stimuli = self._read_stimuli()
+        self._stimuli = _renew(
+            self._stimuli, self.study.manifest, lambda _: read_stimuli(self.study.stimuli)
+        )
+        self._settings = _renew(self._settings, self.study.settings, read_settings)
+        (_, stimuli), (_, settings) = self._stimuli, self._settings
         folders = self.study.participants
         seen = [self._look_at(folder) for folder in folders]
         self._seen = {folder.name: one for folder, one in zip(folders, seen, strict=True)}
@@ -74,25 +85,16 @@ class StudyWatch:
         pace = self._find_pace(seen, durations)
         shown = [self._describe(one, pace, durations=durations) for one in seen]
         counts = Counter(entry["state"] for entry in shown)
-        people = hide_names(shown, list_names(stimuli.stimuli if stimuli else ()))
-        title = self.study.path.resolve().name
-        with suppress(OSError, ValueError):
-            title = read_settings(self.study.settings).study.name
+        names = list_names(stimuli, settings) if stimuli else None
+        folder = self.study.path.resolve().name
         return {
-            "name": title,
-            "folder": self.study.path.resolve().name,
+            "name": settings.study.name if settings else folder,
+            "folder": folder,
             "rehearsals": self.study.is_rehearsal,
             "counts": dict(counts),
-            "participants": people,
+            "hidden_whole": names is None and bool(shown),
+            "participants": hide_names(shown, names),
         }
-
-    def _read_stimuli(self) -> StimulusSet | None:
-        stamp = _stamp([self.study.manifest])
-        if stamp != self._stimuli[0]:
-            self._stimuli = stamp, None
-            with suppress(OSError, ValueError):
-                self._stimuli = stamp, read_stimuli(self.study.stimuli)
-        return self._stimuli[1]
 
     def _look_at(self, folder: Path) -> _Seen:
         files = [path for path in sorted(folder.glob("*.json*")) if path.is_file()]
@@ -156,6 +158,19 @@ def _stamp(files: Sequence[Path]) -> tuple[object, ...]:
     return tuple(stamps)
 
 
+def _renew(
+    known: tuple[object, T | None], path: Path, read: Callable[[Path], T]
+) -> tuple[object, T | None]:
+    """Read a file again if it has changed; None if it cannot be read."""
+    stamp = _stamp([path])
+    if stamp == known[0]:
+        return known
+    try:
+        return stamp, read(path)
+    except (OSError, ValueError):
+        return stamp, None
+
+
 def describe_damage(problem: str) -> str:
     """Name the file and the line that cannot be read, without what they hold.
 
@@ -171,23 +186,22 @@ def describe_damage(problem: str) -> str:
     return f"{name}{f', line {line},' if line else ''} cannot be read; run feel321 audit"
 
 
-def list_names(stimuli: Sequence[Stimulus]) -> list[str]:
-    """List every name of a condition in a manifest, the longest first."""
+def list_names(stimuli: StimulusSet, settings: Settings | None) -> list[str]:
+    """List every name of a condition in a manifest and in the settings, the longest first."""
     names = {
         name
-        for row in stimuli
+        for row in stimuli.stimuli
         for name in (row.stimulus_id, row.recording, row.reducer, row.level, row.file)
     }
+    if settings is not None:
+        names |= {entry.title for entry in settings.recordings}
+        names |= {name for item in list_items(settings) for name in (item.reducer, item.level)}
     return sorted(names, key=lambda name: (-len(name), name))
 
 
-def hide_names(people: list[dict[str, Any]], names: Sequence[str]) -> list[dict[str, Any]]:
-    """Hide the names of conditions in everything that was written in free words."""
-    if not names:
-        return people
-    spellings = {way for name in names for way in (name, name.replace("_", " "))}
-    listed = "|".join(map(re.escape, sorted(spellings, key=len, reverse=True)))
-    pattern = re.compile(rf"(?<![^\W_])(?:{listed})(?![^\W_])", re.IGNORECASE)
+def hide_names(people: list[dict[str, Any]], names: Sequence[str] | None) -> list[dict[str, Any]]:
+    """Hide the names of conditions in everything that was written in free words, all of it where no name is known."""
+    pattern = re.compile(".+", re.DOTALL) if names is None else _match_names(names)
 
     def hide(text: str) -> str:
         return pattern.sub(HIDDEN, text)
@@ -200,6 +214,13 @@ def hide_names(people: list[dict[str, Any]], names: Sequence[str]) -> list[dict[
         }
         for person in people
     ]
+
+
+def _match_names(names: Sequence[str]) -> re.Pattern[str]:
+    """Match names however their letters and digits are joined: dft321, DFT 321, dft-321."""
+    parts = (_PARTS.findall(name) for name in names)
+    listed = "|".join(r"[\W_]*".join(map(re.escape, one)) for one in parts if one)
+    return re.compile(rf"(?<![^\W_])(?:{listed or '(?!)'})(?![^\W_])", re.IGNORECASE)
 
 
 # One session.

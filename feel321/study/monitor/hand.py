@@ -9,6 +9,7 @@ import json
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
 from queue import Empty, SimpleQueue
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, cast
@@ -86,10 +87,18 @@ class BrowserWindow:
         try:
             done = json.loads(body)
             x, y = float(done.get("x", 0.0)), float(done.get("y", 0.0))
-            kind, key = done["kind"], str(done.get("key", ""))
-        except (AttributeError, KeyError, TypeError, ValueError):
+            kind, key = done["kind"], done.get("key", "")
+            is_known = kind in KINDS and isinstance(key, str) and isfinite(x) and isfinite(y)
+        except (
+            ArithmeticError,
+            AttributeError,
+            LookupError,
+            RecursionError,
+            TypeError,
+            ValueError,
+        ):
             return
-        if kind in KINDS:
+        if is_known:
             self._events.put(InputEvent(kind, self.clock(), key, x, y))
 
 

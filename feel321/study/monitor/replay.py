@@ -5,7 +5,6 @@ Nothing of the study is written. A replay shows what was answered, so it is not 
 
 from __future__ import annotations
 
-import json
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.page import render_template
+from feel321.analysis.page import render_template, write_script_data
 from feel321.analysis.words import capitalise, format_name
 from feel321.files import is_held
 from feel321.protocols.agenda import Agenda
@@ -31,8 +30,9 @@ from feel321.study.screen.layout import compose
 from feel321.study.session import events
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import run_session
+from feel321.study.session.identity import UNCOMPARED, find_differences
 from feel321.study.session.journal import Records, create_journal, read_journal
-from feel321.study.session.plan import Plan, make_plan, require_own_plan
+from feel321.study.session.plan import PARTICIPANT_ID, PLANNED, Plan, make_plan, require_own_plan
 from feel321.study.settings import read
 from feel321.study.simulation import cast_observers
 
@@ -54,10 +54,39 @@ READING_S = 5.0
 
 REHEARSAL = "Rehearsal"
 
+PLAINLY = {
+    "texts_sha256": "other texts for participants",
+    "consent": "another text of consent",
+    "plan_sha256": "another plan",
+    "stimuli_sha256": "another stimulus set",
+}
+"""Differences in words, where the values tell nobody anything."""
+
+OWN_PAGE = '<meta name="generator" content="feel321 replay">'
+"""Tells a page of this module from other files."""
+
+STUDY_FOLDERS = ("sessions", "rehearsals", "stimuli", "recordings", "calibration")
+"""Folders of a study in which only feel321 itself, or the lab, writes."""
+
+
+def check_out(study: StudyFolder, out: Path) -> None:
+    """Refuse to write a page over anything but such a page, or into the study's own folders."""
+    for name in STUDY_FOLDERS:
+        if out.resolve().is_relative_to((study.path / name).resolve()):
+            raise ValueError(f"--out must not lie in the study's {name}/, got {out}")
+    if not out.exists():
+        return
+    with out.open("rb") as file:
+        head = file.read(4096)
+    if not (head.lstrip().startswith(b"<!DOCTYPE html>") and OWN_PAGE.encode() in head):
+        raise FileExistsError(
+            f"{out}: exists and is no replay or rehearsal of feel321, so it is not overwritten; choose another name"
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Film:
-    """A session ready to be shown; mark: what stands on each of its screens besides."""
+    """A session ready to be shown; mark: what stands on each screen besides; changes: of the study since then."""
 
     study: StudyFolder
     settings: Settings
@@ -65,6 +94,7 @@ class Film:
     records: Records
     shots: Sequence[Shot]
     mark: str = ""
+    changes: Sequence[str] = ()
 
     @property
     def length_s(self) -> float:
@@ -90,6 +120,8 @@ def read_film(
     study: StudyFolder, participant: str, *, session: int | None = None, while_running: bool = False
 ) -> Film:
     """Read a participant's session, the newest unless another is asked for."""
+    if not PARTICIPANT_ID.fullmatch(participant):
+        raise ValueError(f"--participant must be letters, digits, - and _, got {participant!r}")
     folder = study.sessions / participant
     files = sorted(folder.glob("session-*.jsonl"))
     numbers = {int(path.stem[8:]): path for path in files if path.stem[8:].isdigit()}
@@ -108,7 +140,25 @@ def read_film(
     cast = _make_cast(study, settings, plan=plan, stimuli=stimuli)
     if not records:
         raise ValueError(f"{numbers[session or max(numbers)]}: holds no record yet")
-    return _make_film(study, settings, cast=cast, records=records)
+    film = _make_film(study, settings, cast=cast, records=records)
+    return replace(film, changes=find_changes(film, stimuli))
+
+
+def find_changes(film: Film, stimuli: StimulusSet) -> list[str]:
+    """List in what the study is not as it was when the session began, as far as that is shown."""
+    header, plan = film.records.find_header(), film.cast.plan
+    if header is None:
+        return ["the journal has no header, which says what the session was begun with"]
+    own = (plan.participant, plan.sha256, stimuli.sha256, plan.seed)
+    try:
+        today = read.make_identity(film.settings, film.study.path, {})
+    except (OSError, ValueError) as error:
+        return [f"what the study is today cannot be compared: {error}"]
+    ignored = (*UNCOMPARED, "presenter", "calibration")  # what played it is not shown
+    found = find_differences(
+        header.to_data(), dict(zip(PLANNED, own, strict=True)) | today, ignore=ignored
+    )
+    return [PLAINLY.get(line.split(" ", 1)[0], line) for line in found]
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,9 +285,10 @@ def write_page(film: Film, nonce: str = "") -> str:
     return render_template(
         "replay.html",
         nonce=nonce,
+        changes=film.changes,
         study=film.settings.study.name,
         participant="" if film.mark else film.cast.plan.participant,
-        reel=json.dumps(reel, separators=(",", ":"), ensure_ascii=False).replace("</", "<\\/"),
+        reel=write_script_data(reel),
         size=PAGE_SIZE,
         ground=GROUND,
         first=_draw(film, film.shots[0]),

@@ -31,6 +31,9 @@ Answer = Callable[[str, Mapping[str, str]], tuple[str, str]]
 Act = Callable[[bytes], None]
 """Takes what a page sends."""
 
+MOST_BYTES = 4096
+"""How long what a page sends may be."""
+
 HEADERS = {
     "Cache-Control": "no-store",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -88,6 +91,16 @@ class Door:
         return ""
 
 
+async def _take_body(request: Request, take: Act) -> int:
+    """Take what a page sends unless it is longer than any page's; returns the status."""
+    body = b""
+    async for chunk in request.stream():
+        if len(body := body + chunk) > MOST_BYTES:
+            return 413
+    take(body)
+    return 204
+
+
 def make_app(door: Door, pages: Mapping[str, Answer], acts: Mapping[str, Act]) -> Starlette:
     """Make a site of pages and of what they may send, by path."""
     from starlette.applications import Starlette
@@ -109,8 +122,7 @@ def make_app(door: Door, pages: Mapping[str, Answer], acts: Mapping[str, Act]) -
         async def answer(request: Request) -> Response:
             if reason := door.refuse(request):
                 return Response(f"{reason}\n", 403, HEADERS, "text/plain")
-            take(await request.body())
-            return Response(None, 204, HEADERS)
+            return Response(None, await _take_body(request, take), HEADERS)
 
         return answer
 
@@ -120,7 +132,10 @@ def make_app(door: Door, pages: Mapping[str, Answer], acts: Mapping[str, Act]) -
     routes = [Route(path, serve(make), methods=READING) for path, make in pages.items()]
     routes += [Route(path, receive(take), methods=["POST"]) for path, take in acts.items()]
     # Without the token nobody learns which paths there are.
-    return Starlette(routes=routes, exception_handlers={404: refuse, 405: refuse})
+    app = Starlette(routes=routes, exception_handlers={404: refuse, 405: refuse})
+    # A redirect would come before the check, and repeat the Host.
+    app.router.redirect_slashes = False
+    return app
 
 
 def serve_pages(

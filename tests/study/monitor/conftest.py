@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -13,7 +15,6 @@ from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 STUDY = """
 [study]
@@ -37,3 +38,8 @@ def made(make_once: Callable[..., Path]) -> Path:
         simulate_study(StudyFolder(folder), participants=2, seed=1, now=journals.utc_now)
 
     return make_once("monitor", fill)
+
+
+@pytest.fixture
+def copied(made: Path, tmp_path: Path) -> StudyFolder:
+    return StudyFolder(Path(shutil.copytree(made, tmp_path / "lab one")))

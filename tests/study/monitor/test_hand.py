@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.study.monitor.hand import BrowserWindow
 from feel321.study.monitor.replay import REHEARSAL
 
 if TYPE_CHECKING:
@@ -63,13 +64,29 @@ def answer_first_trial(page: Page) -> None:
     assert page.state["sound"]["wav"].startswith("UklGR")  # RIFF
     page.press("4", "2")
     page.wait_for("; 42; ")
-    for act in (b"{", b"[]", b'{"kind": "evil"}', b'{"kind": "press", "x": "a"}', b"\xff"):
+    for act in ACTS:
         assert page.send(act) == 204
+    assert page.send(b" " * 5000) == 413
     time.sleep(0.5)  # what is answered in less than 0.2 s is asked again, here as in the lab
     page.press("enter")
     page.wait_for("expected")
     page.address = page.address.replace("token=", "token=x")
     assert page.send(b'{"kind": "press", "key": "enter"}') == 403
+
+
+ACTS = (
+    b"{", b"[]", b'{"kind": []}', b'{"kind": "evil"}', b'{"kind": "press", "x": "a"}', b"\xff", b"[" * 4000,
+    b'{"kind": "click", "x": NaN}', b'{"kind": "click", "y": 1' + b"0" * 400 + b"}", b'{"kind": "press", "key": {}}',
+)  # fmt: skip
+"""Nothing that a page sends."""
+
+
+def test_what_no_page_sends_is_left_out_and_cut_off() -> None:
+    window = BrowserWindow(lambda: 1.0)
+    for act in ACTS:
+        window.take(act)
+    window.take(b'{"kind": "press", "key": "enter"}')
+    assert [event.key for event in window.show([])] == ["enter"]
 
 
 @pytest.mark.soak

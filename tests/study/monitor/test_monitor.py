@@ -17,9 +17,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.analysis.page import render_template
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
+from feel321.study.monitor import blind
 from feel321.study.monitor.blind import HIDDEN, StudyWatch, list_names
 from feel321.study.monitor.live import Monitor
 from feel321.study.session import journal as journals
@@ -132,7 +134,7 @@ def test_a_session_is_watched_from_outside_until_it_is_killed(watching: Watching
         find_state(address)["flags"][0] == "14 bytes of an unfinished line, moved aside on resuming"
     )
     assert digest(watching.study.path) == before
-    names = list_names(read_stimuli(watching.study.stimuli).stimuli)
+    names = list_names(read_stimuli(watching.study.stimuli), None)
     assert len(names) > 8
     for text in (*pages, fetch(address.replace("/?", "/state.json?"))[1]):
         assert not re.search(rf"\b({'|'.join(map(re.escape, names))})\b", text)
@@ -152,7 +154,9 @@ def test_who_has_no_token_or_comes_from_elsewhere_is_refused(watching: Watching)
     port = re.search(r":(\d+)/", address)[1]
     assert address.startswith("http://127.0.0.1:")
     assert fetch(address)[0] == fetch(address, host=f"localhost:{port}")[0] == 200
-    for refused in (bare, f"{bare}?token=", f"{address}x", f"{bare}nothing", f"{bare}state.json"):
+    for refused in (
+        bare, f"{bare}?token=", f"{address}x", f"{bare}nothing", f"{bare}state.json", f"{bare}state.json/",
+    ):  # fmt: skip
         assert fetch(refused)[0] == 403
     for host in (f"lab.example:{port}", "127.0.0.1", f"127.0.0.1.nip.io:{port}"):
         assert fetch(address, host=host)[0] == 403
@@ -191,11 +195,6 @@ def rewrite(path: Path, change: Callable[[str, dict[str, Any]], None]) -> None:
     path.write_bytes(b"".join(lines))
 
 
-@pytest.fixture
-def copied(made: Path, tmp_path: Path) -> StudyFolder:
-    return StudyFolder(Path(shutil.copytree(made, tmp_path / "lab one")))
-
-
 def write_everything(study: StudyFolder) -> tuple[str, str]:
     monitor = Monitor([StudyWatch(study, lambda: NOON)], lambda: NOON)
     return monitor.write_page("nonce", {})[1], monitor.write_state("nonce", {})[1]
@@ -224,9 +223,44 @@ def test_names_of_conditions_are_hidden_in_notes_and_reasons(copied: StudyFolder
         copied.sessions / "sim001" / "session-01.jsonl", now=lambda: NOON
     )
     journal.write("note", {"text": "the MAG321 of bumps at as is felt odd; bumpy all the same"})
-    page, state = write_everything(copied)
-    for text in (page, state):
-        assert f"the {HIDDEN} of {HIDDEN} at {HIDDEN} felt odd; bumpy all the same" in text
+    journal.write("note", {"text": "Sax-321, sax 321, mag_3 21, as-is, hard-taps; magnet 321"})
+    settings = copied.settings.read_text(encoding="utf-8")
+    copied.settings.write_text(f'{settings}\n[[recordings]]\nscene = "bumps"\nname = "hard_taps"\n')
+    told = f"the {HIDDEN} of {HIDDEN} at {HIDDEN} felt odd; bumpy all the same"
+    ways = f"{HIDDEN}, {HIDDEN}, mag_3 21, {HIDDEN}, {HIDDEN}; magnet 321"
+    for text in write_everything(copied):
+        assert told in text
+        assert ways in text
+    assert "hidden as a whole" not in write_everything(copied)[0]
+    for damage in (
+        "stimulus_id\n",
+        None,
+    ):  # without its names nothing written in free words is shown
+        copied.manifest.write_text(damage) if damage else copied.manifest.unlink()
+        page, state = write_everything(copied)
+        assert "felt odd" not in page + state
+        assert "magnet" not in page + state
+        assert HIDDEN in page
+        assert "hidden as a whole" in page
+
+
+def test_unchanged_files_are_read_once_and_a_participant_may_be_called_anything(
+    copied: StudyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reads: list[Path] = []
+    read = blind.read_settings
+    monkeypatch.setattr(blind, "read_settings", lambda path: reads.append(path) or read(path))
+    monitor = Monitor([StudyWatch(copied, lambda: NOON)], lambda: NOON)
+    study = monitor.look()["studies"][0]
+    study["live"] = study["participants"] = [study["participants"][0] | {"participant": "counts"}]
+    page = render_template("monitor.html", nonce="", clock="", quiet_s=9.0, studies=[study])
+    parts = re.findall(r'data-part="([^"]+)"', page)
+    assert len(parts) == len(set(parts)) == 4
+    copied.settings.write_text(
+        copied.settings.read_text(encoding="utf-8").replace("Pilot", "Renamed"), encoding="utf-8"
+    )
+    assert [monitor.look()["studies"][0]["name"] for _ in range(3)] == ["Renamed"] * 3
+    assert len(reads) == 2
 
 
 @pytest.mark.soak

@@ -16,7 +16,7 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.monitor.media import SOUND_HZ, SoundBank
-from feel321.study.monitor.replay import REHEARSAL, Film, play_in_window, read_film
+from feel321.study.monitor.replay import OWN_PAGE, REHEARSAL, Film, play_in_window, read_film
 from feel321.study.screen.input import InputEvent
 from feel321.study.session.events import TrialRated
 from feel321.study.session.journal import read_journal
@@ -41,6 +41,7 @@ def list_files(folder: Path) -> dict[str, tuple[int, int]]:
 def read_reel(page: str) -> dict[str, Any]:
     found = re.search(r'id="reel">(.*?)</script>', page, re.DOTALL)
     assert found
+    assert "<" not in found[1]
     return dict(json.loads(found[1]))
 
 
@@ -157,6 +158,7 @@ def test_keys_pause_and_turn_the_pages(film: Film) -> None:
     [
         (["--participant", "p99"], "no session of p99; there is sim001, sim002"),
         (["--participant", "sim001", "--session", "4"], "--session must be one of 1, got 4"),
+        (["--participant", "../sessions/sim001"], "must be letters, digits, - and _, got '../"),
     ],
 )
 def test_what_is_not_there_is_refused(
@@ -164,6 +166,37 @@ def test_what_is_not_there_is_refused(
 ) -> None:
     assert main(["replay", str(made), *arguments, "--out", "never.html"]) == 1
     assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", [["replay", "--participant", "sim001"], ["rehearse"]])
+def test_no_file_but_such_a_page_is_written_over(
+    copied: StudyFolder, verb: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    before, page = list_files(copied.path), copied.path / "page.html"
+    inside = [copied.path / name / "x.html" for name in ("stimuli", "sessions", "rehearsals/p01")]
+    for place in (copied.settings, copied.ratings, *inside):
+        assert main([verb[0], str(copied.path), *verb[1:], "--out", str(place)]) == 1
+        assert "not overwritten" in (told := capsys.readouterr().err) or "must not lie in" in told
+    assert list_files(copied.path) == before
+    page.write_text(f"<!DOCTYPE html>{OWN_PAGE}", encoding="utf-8")
+    assert main([verb[0], str(copied.path), *verb[1:], "--out", str(page)]) == 0
+    assert OWN_PAGE in page.read_text(encoding="utf-8")[:4096]
+
+
+def test_what_changed_since_the_session_is_told(
+    copied: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, verb = tmp_path / "p.html", ["replay", str(copied.path), "--participant", "sim001"]
+    assert read_film(copied, "sim001").changes == []
+    settings = copied.settings.read_text(encoding="utf-8")
+    copied.settings.write_text(f'{settings}\n[session]\nlanguage = "de"\n', encoding="utf-8")
+    assert main([*verb, "--out", str(out)]) == 0
+    told, page = capsys.readouterr().err, out.read_text(encoding="utf-8")
+    assert told.count("\n") == 3
+    assert "locale 'en' -> 'de'" in told
+    for line in ("other texts for participants", "another text of consent"):
+        assert line in told
+        assert f"<li>{line}</li>" in page
 
 
 def test_a_running_session_is_not_replayed_unless_asked(made: Path) -> None:

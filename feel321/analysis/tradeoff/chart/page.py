@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
-from feel321.analysis.page import TEMPLATES
+from feel321.analysis.page import TEMPLATES, write_script_data
 from feel321.analysis.report import section
 from feel321.analysis.report.section import PageTable, Picture
 from feel321.analysis.table.schema import APART
@@ -357,9 +356,7 @@ def dump_data(tables: Tables, merged: Tables, axes: Sequence[Mapping[str, Any]])
     """Write what the script reads."""
     scenes = tables["scenes"]["name"].tolist()
     methods = list(_list_markers(merged, _list_ratings(tables)))
-    data = {"axes": axes, "scenes": scenes, "methods": methods}
-    text = json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c")
+    return write_script_data({"axes": axes, "scenes": scenes, "methods": methods})
 
 
 def _list_markers(merged: Tables, ratings: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
