@@ -525,6 +525,8 @@ def render_page(
     results: Results, sections: Sequence[Section], *, drawings: Mapping[str, Markup]
 ) -> str:
     """Render the page."""
+    from markupsafe import Markup
+
     sizes = {
         number.name.removeprefix("size."): number.value
         for number in results.numbers
@@ -545,6 +547,6 @@ def render_page(
         },
         drawings=drawings,
         sizes=sizes,
-        points="".join(section.points for section in sections),
+        points=Markup().join(section.points for section in sections),
         front=front,
     )
