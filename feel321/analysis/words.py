@@ -206,6 +206,17 @@ def join_words(names: Sequence[str], last: str = "and") -> str:
     return f" {last} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
+def format_count(count: float, name: str) -> str:
+    """Write how many of something there are.
+
+    Examples
+    --------
+    >>> format_count(1, "participant"), format_count(3, "source")
+    ('1 participant', '3 sources')
+    """
+    return f"{count:.0f} {name}{'s' * (count != 1)}"
+
+
 def format_span(counts: Iterable[int]) -> str:
     """Write a count, or its range where it differs from case to case.
 

@@ -17,6 +17,8 @@ from feel321.analysis.report.front import (
     QUESTIONS,
     VERDICTS,
     MetricCard,
+    describe_turn,
+    explain_blank,
     group_sections,
     order_scales,
     write_headline,
@@ -24,7 +26,7 @@ from feel321.analysis.report.front import (
 from feel321.analysis.report.raters import _describe_changes
 from feel321.analysis.report.section import Section
 from feel321.analysis.table.items import Table
-from feel321.analysis.words import keep_together, make_number
+from feel321.analysis.words import Line, keep_together, make_number
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -92,12 +94,81 @@ def test_sentences_as_they_are_read() -> None:
     ]
     assert "(with 3 recordings, a hint rather than a result)." in write_headline(both, [], few)
     assert "hint" not in write_headline(none, [], few)
-    table = pd.DataFrame({"reducer": ["mag321"] * 2, "excess": [31.24, 35.0], "exceptional": True})
+    table = pd.DataFrame({
+        "ratings": ["realism, as_is", "mushra, as_is"],
+        "reducer": "mag321",
+        "excess": [31.24, 35.0],
+        "exceptional": True,
+    })
     odd = [Section("primary", "", tables={"exceptions": table})]
-    told = write_headline(none, odd, SIZES)
-    assert told.endswith(
-        "is open; mag321 was rated 31.2 to 35.0 points higher than the metrics predict."
+    assert "mag321" not in write_headline(none, odd, SIZES)
+    assert write_headline([*both[:1], none[1]], odd, SIZES).endswith(
+        "is open; mag321 was rated 31.2 points higher on realism than its metrics would suggest."
     )
+    all_predict = [replace(card, verdict="predicts", direction="higher") for card in none]
+    assert write_headline(all_predict, odd, SIZES).endswith(
+        "mag321 was rated 31.2 to 35.0 points higher on realism and mushra than its metrics would suggest."
+    )
+
+
+def test_levels_are_not_scales() -> None:
+    arms = [
+        replace(
+            make_card("realism", "spectral_match", "open"),
+            level=level,
+            subject=f"Realism (level {level})",
+        )
+        for level in ("as is", "loud")
+    ]
+    told = "Whether realism ratings at both levels follow spectral match is open."
+    assert write_headline(arms, [], SIZES) == told
+    more = [*arms, *(replace(card, scale="mushra", subject=f"MUSHRA{card.level}") for card in arms)]
+    told = "Whether the ratings on both rating scales at both levels follow spectral match is open."
+    assert write_headline(more, [], SIZES) == told
+    assert "all ratings" in write_headline(more[:3], [], SIZES)
+
+
+def test_a_slope_that_turns_alone_is_said() -> None:
+    spectral, temporal = (
+        make_card("realism", name, "predicts", effect=36.9)
+        for name in ("spectral_match", "temporal_match")
+    )
+    found = {"correlation": 0.85, "correlation_low": 0.6, "correlation_high": 0.95}
+    turned = replace(temporal, direction="lower", effect=-27.5, **found)
+    told = write_headline([spectral, turned], [], SIZES)
+    assert told.endswith(
+        "(at equal spectral match, higher temporal match goes with lower ratings, but alone with higher ratings)."
+    )
+    assert "opposite" in told
+    assert describe_turn(replace(temporal, **found), [spectral]) == ""
+    unsure = describe_turn(replace(turned, correlation_low=-0.1), [spectral, turned])
+    assert unsure.endswith("; alone, its direction is open")
+
+
+def test_judgements_without_cards_are_the_finding() -> None:
+    lines = [
+        Section("primary", "", verdict=(Line("nothing"),)),
+        Section("discrimination", "", verdict=(Line("0 of 4"),)),
+    ]
+    assert write_headline([], lines, SIZES) == "0 of 4"
+
+
+def test_hints_and_reasons_count_people() -> None:
+    sizes = [
+        make_number(f"size.{name}", 1, "count", n=9)
+        for name in ("participant", "recording", "source")
+    ]
+    card = make_card("realism", "spectral_match", "predicts", hinge="the recording r")
+    assert write_headline([card], [], sizes) == (
+        "Spectral match predicts realism ratings (with 1 participant and 1 recording, a hint rather than a result), "
+        "which hinges on the recording r."
+    )
+    is_open = replace(card, verdict="open", direction="")
+    assert write_headline([is_open], [], SIZES).endswith(
+        "is open, which hinges on the recording r."
+    )
+    assert explain_blank(sizes).startswith("1 participant and 1 recording: at least ")
+    assert explain_blank(SIZES).startswith("too few degrees of freedom")
 
 
 def test_scales_come_in_the_order_of_the_study() -> None:

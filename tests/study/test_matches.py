@@ -19,7 +19,7 @@ from feel321.protocols.matching import ATTENUATION_DB, DB_PER_POINT, MOST_START_
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import MATCHING, Flow
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import analyze
+from feel321.study import analyze, metrics
 from feel321.study.audit import audit_steps, audit_study
 from feel321.study.folder import create_study
 from feel321.study.ledger.withdrawal import withdraw_participant
@@ -156,7 +156,7 @@ def test_the_report_has_the_mean_of_every_reducer(
     """Among its notes; nothing else of it is made here."""
     written: dict[str, Any] = {}
     monkeypatch.setattr(analyze, "write_report", lambda *_, **options: written.update(options))
-    monkeypatch.setattr(analyze, "compute_rotations", lambda *_, **__: Further(pd.DataFrame(), ()))
+    monkeypatch.setattr(metrics, "compute_rotations", lambda *_, **__: Further(pd.DataFrame(), ()))
     study = studies["equal_intensity"]
     analyze.analyze_study(study)
     (note,) = written["further"].notes

@@ -10,9 +10,11 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, product, repeat
 from typing import TYPE_CHECKING
 
 from feel321.analysis import words
+from feel321.analysis.primary.model import FEWEST
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.section import Picture, Section, make_slug
@@ -121,6 +123,11 @@ class MetricCard:
         return self.verdict if self.verdict != PREDICTS or as_declared else OPPOSITE
 
     @property
+    def is_turned(self) -> bool:
+        """Whether the metric predicts one way at equal values of the others, and correlates the other way alone."""
+        return self.verdict == PREDICTS and self.effect * self.correlation < 0
+
+    @property
     def points(self) -> str:
         """The effect with its interval, for the page; empty where there is none."""
         ends = (self.effect, self.effect_low, self.effect_high)
@@ -183,48 +190,84 @@ def write_headline(
     """State the finding in one sentence; where nothing was rated that metrics describe, what there is instead."""
     sections = list(sections)
     if not cards:
+        if others := list_others(sections):
+            return words.capitalise(others[0])
         lines = [line.text for section in sections for line in section.verdict]
         return words.capitalise(lines[0]) if lines else "These ratings do not answer the question."
-    alike: dict[tuple[str, ...], list[str]] = {}
+    alike: dict[tuple[object, ...], list[str]] = {}
     for metric in dict.fromkeys(card.metric for card in cards):
-        own = tuple(card.status for card in cards if card.metric == metric)
+        own = tuple((card.status, card.is_turned) for card in cards if card.metric == metric)
         alike.setdefault(own, []).append(metric)
-    clauses = [part for group in alike.values() for part in _describe_group(cards, group)]
-    if hint := _describe_hint(cards, numbers):
-        last = max(place for place, clause in enumerate(clauses) if " predict" in clause)
-        clauses[last] += hint
-    clauses += _describe_exceptions(sections)
+    hint = _describe_hint(numbers)
+    hints = chain([hint], repeat(" (a hint too)" * bool(hint)))
+    clauses = [part for group in alike.values() for part in _describe_group(cards, group, hints)]
+    clauses += _describe_exceptions(cards, sections)
     return words.capitalise("; ".join(clauses)) + "."
 
 
-def _describe_group(cards: Sequence[MetricCard], metrics: Sequence[str]) -> Iterator[str]:
+def _describe_group(
+    cards: Sequence[MetricCard], metrics: Sequence[str], hints: Iterator[str]
+) -> Iterator[str]:
     """Say what metrics have in common that have the same verdicts on all scales."""
-    subjects = list(dict.fromkeys(card.subject for card in cards))
     one = [card for card in cards if card.metric == metrics[0]]
     names = [words.format_name(name) for name in metrics]
     verb = "predict" if len(metrics) > 1 else "predicts"
-    for status in (PREDICTS, OPPOSITE, OPEN, NOT_ESTIMABLE):
-        own = [card.subject for card in one if card.status == status]
+    for status, turned in product((PREDICTS, OPPOSITE, OPEN, NOT_ESTIMABLE), (False, True)):
+        own = [card for card in one if (card.status, card.is_turned) == (status, turned)]
         if not own:
             continue
-        what = _name_ratings(own, subjects)
+        what, subjects = _name_ratings(own, one), {card.subject for card in own}
+        same = [card for card in cards if card.metric in metrics and card.subject in subjects]
         if status in {PREDICTS, OPPOSITE}:
-            same = [card for card in cards if card.metric in metrics and card.subject in own]
-            text = f"{words.join_words(names)} {verb} {what}"
+            text = f"{words.join_words(names)} {verb} {what}{next(hints)}"
             text += ", but in the direction opposite to the one declared" * (status == OPPOSITE)
-            yield text + _describe_best(same, metrics) + _describe_hinges(same)
+            text += _describe_turns(same, cards) + _describe_best(same, metrics)
         else:
             is_open = "is open" if status == OPEN else "cannot be estimated"
-            yield f"whether {what} follow {words.join_words(names, 'or')} {is_open}"
+            text = f"whether {what} follow {words.join_words(names, 'or')} {is_open}"
+        yield text + _describe_hinges(same)
 
 
-def _name_ratings(own: Sequence[str], subjects: Sequence[str]) -> str:
-    """Name the ratings of some scales, or say that it is all of them."""
-    if len(own) == len(subjects) > 1:
-        every = {2: "both"}.get(len(own), f"all {len(own)}")
-        return f"the ratings on {every} rating scales"
-    names = _list_subjects(own)
+def describe_turn(card: MetricCard, cards: Iterable[MetricCard]) -> str:
+    """Say how ratings go with a metric at equal values of the others and alone, where these ways differ."""
+    if not card.is_turned:
+        return ""
+    place = card.scale, card.level
+    others = [one.metric for one in cards if (one.scale, one.level) == place]
+    names = [words.format_name(name) for name in others if name != card.metric]
+    known = card.correlation_low * card.correlation_high > 0
+    alone = f"with {'higher' if card.correlation > 0 else 'lower'} ratings"
+    return (
+        f"at equal {words.join_words(names) or 'recordings'}, higher {words.format_name(card.metric)} goes with "
+        f"{card.direction} ratings; alone, {alone if known else 'its direction is open'}"
+    )
+
+
+def _describe_turns(same: Sequence[MetricCard], cards: Sequence[MetricCard]) -> str:
+    """Say it in a bracket: once where all cards have it in common."""
+    told = list(dict.fromkeys(filter(None, (describe_turn(card, cards) for card in same))))
+    if not told:
+        return ""
+    mixed = "which way differs between the metric alone and at equal values of the others"
+    return f" ({told[0].replace('; alone,', ', but alone') if len(told) == 1 else mixed})"
+
+
+def _name_ratings(own: Sequence[MetricCard], every: Sequence[MetricCard]) -> str:
+    """Name the ratings of some scales and levels, or say that it is all of them."""
+    if len(own) == len(every) > 1:
+        scales, levels = ({getattr(card, name) for card in own} for name in ("scale", "level"))
+        if len(scales) * len(levels) != len(own):
+            return "all ratings"
+        where = f" at {_count_all(len(levels))} levels" if len(levels) > 1 else ""
+        if len(scales) > 1:
+            return f"the ratings on {_count_all(len(scales))} rating scales{where}"
+        return f"{words.format_name(own[0].scale)} ratings{where}"
+    names = _list_subjects([card.subject for card in own])
     return f"ratings of {names}" if "(" in names else f"{names} ratings"
+
+
+def _count_all(count: int) -> str:
+    return {2: "both"}.get(count, f"all {count}")
 
 
 def _list_subjects(subjects: Sequence[str]) -> str:
@@ -252,37 +295,56 @@ def _describe_hinges(same: Sequence[MetricCard]) -> str:
     return f", which {some}hinges on {which}"
 
 
-def _describe_exceptions(sections: Iterable[Section]) -> Iterator[str]:
-    """Name the reducers that were rated otherwise than the metrics predict."""
+def _describe_exceptions(cards: Sequence[MetricCard], sections: Iterable[Section]) -> Iterator[str]:
+    """Name the reducers, and on which scales, that were rated otherwise than metrics suggest that predict there."""
+    subjects = {
+        f"{card.scale}, {card.level}": card.subject for card in cards if card.verdict == PREDICTS
+    }
     tables = [one.tables["exceptions"] for one in sections if "exceptions" in one.tables]
     rows = [row for table in tables for row in table.to_dict("records") if row["exceptional"]]
-    ways: dict[tuple[str, bool], list[float]] = {}
+    rows = [row for row in rows if row["ratings"] in subjects]
+    ways: dict[tuple[str, bool], dict[str, float]] = {}
     for row in rows:
-        ways.setdefault((str(row["reducer"]), row["excess"] > 0), []).append(abs(row["excess"]))
+        found = ways.setdefault((str(row["reducer"]), row["excess"] > 0), {})
+        found[subjects[row["ratings"]]] = abs(row["excess"])
     if len(ways) > NAMED:
         reducers = words.join_words(list(dict.fromkeys(name for name, _ in ways)))
-        yield f"ratings of {reducers} depart from what the metrics predict"
+        where = _list_subjects(list(dict.fromkeys(subjects[row["ratings"]] for row in rows)))
+        yield f"ratings of {reducers} depart on {where} from what their metrics would suggest"
         return
     for (name, above), points in ways.items():
-        ends = [words.format_number(end, kind="rating") for end in (min(points), max(points))]
+        ends = [words.format_number(end(points.values()), kind="rating") for end in (min, max)]
         size = ends[0] if ends[0] == ends[1] else " to ".join(ends)
-        yield f"{name} was rated {size} points {'higher' if above else 'lower'} than the metrics predict"
+        way = f"{'higher' if above else 'lower'} on {_list_subjects(list(points))}"
+        yield f"{name} was rated {size} points {way} than its metrics would suggest"
 
 
-def _describe_hint(cards: Sequence[MetricCard], numbers: Iterable[words.Number]) -> str:
+def _describe_hint(numbers: Iterable[words.Number]) -> str:
     """Say that a finding with few people or recordings is a hint."""
-    if not any(card.verdict == PREDICTS for card in cards):
-        return ""
-    sizes = {
-        number.name: int(number.value) for number in numbers if number.name.startswith("size.")
-    }
-    few = {
-        f"{name}s": sizes[f"size.{name}"]
-        for name in ("participant", "source" if sizes["size.source"] < sizes["size.recording"] else "recording")
-        if sizes[f"size.{name}"] < FEW
-    }  # fmt: skip
-    told = words.join_words([f"{size} {name}" for name, size in few.items()]) if few else ""
-    return f" (with {told}, a hint rather than a result)" if told else ""
+    few = [
+        words.format_count(count, name)
+        for name, count in _count_units(numbers).items()
+        if count < FEW
+    ]
+    return f" (with {words.join_words(few)}, a hint rather than a result)" if few else ""
+
+
+def _count_units(numbers: Iterable[words.Number]) -> dict[str, float]:
+    """Count participants, and recordings or their sources."""
+    sizes = {number.name: number.value for number in numbers if number.name.startswith("size.")}
+    scene = "source" if sizes["size.source"] < sizes["size.recording"] else "recording"
+    return {name: sizes[f"size.{name}"] for name in ("participant", scene)}
+
+
+def explain_blank(numbers: Iterable[words.Number]) -> str:
+    """Say in a few words why a slope cannot be estimated."""
+    few = [
+        words.format_count(count, name)
+        for name, count in _count_units(numbers).items()
+        if count < FEWEST
+    ]
+    need = f"{words.join_words(few)}: at least {FEWEST} are needed" if few else ""
+    return need or "too few degrees of freedom are left for a test"
 
 
 # What stands where on the page.

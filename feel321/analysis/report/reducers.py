@@ -135,13 +135,15 @@ def _caption_profiles(arms: Sequence[tuple[str, str]], profiles: Sequence[DataFr
         words.format_name(scale) + f" ({words.format_name(level)})" * several
         for scale, level in arms
     ]
-    caption = f"Mean rating per reducer: {words.join_words(names)}"
+    measures = dict.fromkeys(words.MEASURES.get(scale, "rating") for scale, _ in arms)
+    caption = f"Mean {' or '.join(measures)} per reducer: {words.join_words(names)}"
     if max(rows["n_participants"].max() for rows in profiles) < SMALLEST:
         caption += "; one participant each, so no intervals."
     else:
         caption += ", with 95 % t intervals over participants: other people, these recordings."
     caption += " Grey: each participant's mean."
-    caption += " Guessing gives 50 in ABX." if ANSWERED in dict(arms) else ""
+    if ANSWERED in dict(arms):
+        caption += f" Guessing gives 50{' in ABX' * (len(dict(arms)) > 1)}."
     # A manifest may have any of these roles, or none.
     roles = {"reference": "the hidden reference", "anchor": "anchors"}
     apart = [
