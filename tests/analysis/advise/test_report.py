@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import json
 import pickle
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,11 +65,25 @@ def test_the_order_of_recordings_does_not_matter(study: Advice) -> None:
 def test_one_reducer_for_all_scenes_is_named(study: Advice, late: Advice) -> None:
     assert study.common[0] == "pca321_matched"
     assert study.headline == (
-        "pca321_matched suffices for all 2 scenes; for 1 of them a simpler one is enough."
+        "pca321_matched suffices for both scenes with vibration; "
+        "for 1 of them a simpler one is enough; 1 of 3 is silent."
     )
     assert late.headline == (
-        "No one reducer suffices for all 2 scenes; nothing suffices for 1 of them."
+        "No one reducer suffices for both scenes; nothing suffices for 1 of them."
     )
+    moving = study.advices[:2]
+    eager = tuple(replace(one, answer="sax321") for one in moving)
+    assert replace(study, advices=eager).headline == (
+        "pca321_matched suffices for both scenes; for each of them a simpler one is enough."
+    )
+    brief = replace(study.advices[2], reason="it lasts 0.010 s and 20 Hz need 0.05 s")
+    assert replace(study, advices=(moving[0], brief)).headline.endswith(
+        " suffices for the one scene that can be judged; 1 of 2 is silent or too short."
+    )
+    assert replace(late, advices=late.advices[1:]).headline in {
+        f"{(late.advices[1].answer)} suffices for the one scene.",
+        "No reducer suffices for the one scene.",
+    }
     answers = [advice.answer for advice in study.advices if advice.verdicts]
     assert answers.count(study.common[0]) == 1
     assert [advice.answer for advice in late.advices].count(None) == 1
@@ -192,7 +207,7 @@ def test_the_page_shows_all_and_escapes_names(study: Advice, written: Path) -> N
 
 def test_the_page_shows_a_budget_and_what_is_closest(late: Advice, tmp_path: Path) -> None:
     page = late.write(tmp_path / "advice").read_text(encoding="utf-8")
-    assert "at most 5 ms late" in page
+    assert "at most 5 ms delay" in page
     assert "ranked by latency, then memory, operations" in page
 
 

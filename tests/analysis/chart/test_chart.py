@@ -199,8 +199,10 @@ def test_the_sentence_is_about_what_the_results_hold(rated: Chart, written: Path
     best = points[highest]["ns_per_sample"].idxmin()
     assert headline.startswith(f"{best} is the ")
     assert f"(bounded spectral match {points['median'][best]:.2f})" in headline
-    if found := re.search(r"; (\S+) is ([\d.]+) times faster and loses ([\d.]+)\.$", headline):
-        other, times, lost = found.groups()
+    if found := re.search(
+        r"; (\S+) is ([\d.]+) times faster and loses (less than )?([\d.]+)\.$", headline
+    ):
+        other, times, _, lost = found.groups()
         ratio = points["ns_per_sample"][best] / points["ns_per_sample"][other]
         assert float(times) == pytest.approx(ratio, rel=0.06)
         assert float(lost) == pytest.approx(
@@ -254,6 +256,27 @@ def test_few_reducers_and_an_unsteady_one_are_described_truly(tiny: Chart) -> No
     assert "steady" not in describe_finding(still)
     only = keep(merged, COMPARISONS[0])
     assert describe_finding(only).startswith(f"{COMPARISONS[0]} is the most accurate")
+
+
+@pytest.mark.parametrize(
+    ("middle", "fast", "said"),
+    [
+        ((0.94, 85, 70, 110), (0.506, 1, 0.9, 1.1), "pca321 is 100 times faster and loses 0.45."),
+        ((0.936, 20, 19, 21), (0.5, 1, 0.9, 120), "mag321 is 5.0 times faster and loses 0.02."),
+        ((0.954, 20, 19, 21), (0.5, 19, 0.9, 120), "mag321 is 5.0 times faster and loses less than 0.01."),
+        ((0.94, 85, 70, 110), (0.5, 84, 80, 120), "no other is clearly faster."),
+    ],
+)  # fmt: skip
+def test_whoever_is_clearly_faster_is_named(
+    tiny: Chart, middle: tuple[float, ...], fast: tuple[float, ...], said: str
+) -> None:
+    """Accuracy, cost, and the quartiles of the cost are planted."""
+    rows = keep(merge_equal(tiny.to_frames()), "dft321", "mag321", "pca321")
+    planted = {"dft321": (0.956, 100, 90, 130), "mag321": middle, "pca321": fast}
+    points = rows["points"].assign(on_front=True)
+    for column, name in enumerate(("median", "ns_per_sample", "low", "high")):
+        points[name] = points["reducer"].map({key: own[column] for key, own in planted.items()})
+    assert describe_finding({**rows, "points": points}).endswith(f"; {said}")
 
 
 def test_the_middle_lies_on_the_front_above_the_line(tiny: Chart) -> None:

@@ -3,10 +3,12 @@ from __future__ import annotations
 import html
 import itertools
 import json
+import math
 import pickle
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +24,7 @@ from feel321.analysis.tradeoff.stress.heatmap import (
     count_failed_scenes,
     describe_finding,
     draw_stress,
+    find_undefined,
     format_value,
 )
 from feel321.analysis.tradeoff.stress.measures import MEASURES
@@ -105,6 +108,30 @@ def test_the_finding_names_who_fails_least_and_most(result: Any, small: Any, fol
     assert describe_finding({"my321": 0, **many}) == (
         "my321 fails on none of the 18 stress scenes, the fewest; 4 reducers fail on all."
     )
+
+
+def test_what_is_not_defined_is_neither_good_nor_counted(small: Any, tmp_path: Path) -> None:
+    def lack(cell: Any) -> Any:
+        return replace(cell, reducer="own", value=math.nan, worst=math.nan, p90=math.nan)
+
+    both = replace(small, reducers=("own", "mag321"), cells=(*map(lack, small.cells), *small.cells))
+    found = build_map(both.cells, both.reducers)
+    assert [*found["anti_phase"]] == ["mag321", "own"]
+    assert {(row["own"].grade, row["own"].shown) for row in found.values()} == {("undefined", "–")}
+    assert both.answers[0] == f"{small.answers[0][:-1]}; own is not defined on all of them."
+    assert all("own" not in line for line in both.answers[1:])
+    page = read_page(both.write(tmp_path / "both").parent)
+    assert page.count('<span class="quiet">not defined') == len(BATTERY)
+    alone = replace(small, reducers=("own",), cells=tuple(map(lack, small.cells)))
+    assert alone.answers[0].startswith("No reducer can be judged on the 18 stress scenes: own ")
+    assert not re.search(r"nan|amplified most|every scene for own", " ".join(alone.answers))
+    partly = tuple(map(lack, small.cells[: len(MEASURES)])) + tuple(
+        replace(cell, reducer="own") for cell in small.cells[len(MEASURES) :]
+    )
+    assert find_undefined(partly) == {"own": 1}
+    weak = tuple(replace(cell, value=min(cell.value, 0.5)) for cell in small.cells)
+    said = replace(small, cells=weak).answers[1]
+    assert said == "Sensor noise is amplified by no reducer in any scene (median takes)."
 
 
 def test_a_cell_has_the_grade_of_its_worst_measure_and_names_it(result: Any) -> None:

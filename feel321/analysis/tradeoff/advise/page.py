@@ -133,18 +133,25 @@ class Advice(PageResult):
 
     @property
     def headline(self) -> str:
-        """Which one reducer suffices for all scenes, in one sentence."""
+        """Which one reducer suffices for all scenes, and how many have no advice, in one sentence."""
         moving = [advice for advice in self.advices if advice.verdicts]
-        scenes = f"all {len(moving)} scenes" if len(moving) > 1 else "the one scene with vibration"
+        count, of = len(moving), len(self.advices)
+        scenes = {1: "the one scene", 2: "both scenes"}.get(count, f"all {count} scenes")
+        left, mute = "", [advice.reason for advice in self.advices if not advice.verdicts]
+        if mute:
+            silent = all("silent" in reason for reason in mute)
+            scenes += " with vibration" if silent else " that can be judged"
+            why = "silent" if silent else "silent or too short"
+            left = f"; {len(mute)} of {of} {'is' if len(mute) == 1 else 'are'} {why}"
         if not self.common:
             lacking = sum(advice.answer is None for advice in moving)
-            more = (
-                f"; nothing suffices for {lacking} of them" if len(moving) > 1 and lacking else ""
-            )
-            return f"No one reducer suffices for {scenes}{more}."
+            more = f"; nothing suffices for {lacking} of them" if count > 1 and lacking else ""
+            one = "No one" if count > 1 else "No"
+            return f"{one} reducer suffices for {scenes}{more}{left}."
         simpler = sum(self.common[0] not in (one.answer, *one.ties) for one in moving)
-        more = f"; for {simpler} of them a simpler one is enough" if simpler else ""
-        return f"{self.common[0]} suffices for {scenes}{more}."
+        them = "each of them" if simpler == count else f"{simpler} of them"
+        more = f"; for {them} a simpler one is enough" if simpler else ""
+        return f"{self.common[0]} suffices for {scenes}{more}{left}."
 
     @property
     def simulated(self) -> bool:

@@ -152,16 +152,19 @@ def describe_finding(merged: Tables) -> str:
     """Describe in one sentence who is most accurate, how steady it is, and what a faster one loses."""
     every = list_candidates(merged)
     rivals = [one for one in every if one.reducer not in COMPARISONS] or list(every)
-    best, fast = rivals[0], min(rivals, key=lambda one: one.ns_per_sample)
-    said, other = _describe_best(rivals), find_middle(rivals) or fast
+    best, said = rivals[0], _describe_best(rivals)
     if len(rivals) == 1:
         return f"{said}."
-    if other.cost_high >= best.cost_low:
+    clear = [one for one in rivals if one.cost_high < best.cost_low]
+    if not clear:
         return f"{said}; no other is clearly faster."
+    middle = find_middle(rivals)
+    other = middle if middle in clear else min(clear, key=lambda one: one.ns_per_sample)
     ratio = best.ns_per_sample / other.ns_per_sample
     times = f"{ratio:.0f}" if ratio >= 9.95 else f"{ratio:.1f}"  # noqa: PLR2004 - where rounding adds a digit
-    lost = best.accuracy - other.accuracy
-    return f"{said}; {other.reducer} is {times} times faster and loses {lost:.2f}."
+    lost = f"{best.accuracy - other.accuracy:.2f}"
+    lost = lost if float(lost) > 0 else "less than 0.01"
+    return f"{said}; {other.reducer} is {times} times faster and loses {lost}."
 
 
 def _describe_best(rivals: Sequence[Candidate]) -> str:

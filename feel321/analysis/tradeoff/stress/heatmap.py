@@ -7,6 +7,7 @@ map as a table with links, results.json holds its counts, and a figure of it is 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -30,7 +31,7 @@ ROW_CM, HEAD_CM, LABEL_CM, NAME_CM, LINE_CM = 0.56, 0.6, 4.3, 3.9, 0.4
 FILLS = {"good": "#FFFFFF", "caution": "#F6D68F", "fails": "#B34700", "undefined": "#FFFFFF"}
 """White, pale orange and dark red: three steps of lightness, which a grey print keeps; white letters on the last."""
 
-SEVERITY = {"undefined": 0, "good": 0, "caution": 1, "fails": 2}
+SEVERITY = {"undefined": -1, "good": 0, "caution": 1, "fails": 2}
 ROOM = 3
 """Letters that a cell has room for."""
 
@@ -55,7 +56,9 @@ class MapCell:
 
     @property
     def shown(self) -> str:
-        """The letters that a cell has room for."""
+        """The letters that a cell has room for, or a dash where no measure is defined."""
+        if self.grade == "undefined":
+            return words.ABSENT
         return self.letters if len(self.letters) <= ROOM else f"{self.letters[: ROOM - 1]}+"
 
 
@@ -79,34 +82,55 @@ def build_map(
 def _grade_cell(cells: Sequence[StressCell]) -> MapCell:
     ordered = sorted(cells, key=find_severity, reverse=True)
     grade, first = ordered[0].grade, ordered[0]
-    grade = grade if SEVERITY[grade] else "good"
-    worst = [cell for cell in ordered if cell.grade == grade] if SEVERITY[grade] else []
+    worst = [cell for cell in ordered if cell.grade == grade] if SEVERITY[grade] > 0 else []
     letters = "".join(MEASURES[cell.measure].letter for cell in worst)
     shown = (
         f"{MEASURES[one.measure].title.lower()} {format_value(one.value, MEASURES[one.measure].unit)}"
         for one in worst
     )
     title = BATTERY[first.recording].title
-    what = f"{grade}, {', '.join(shown)}" if worst else grade
+    rest = "not defined" if grade == "undefined" else grade
+    what = f"{grade}, {', '.join(shown)}" if worst else rest
     label = f"{first.reducer} on {title[0].lower() + title[1:] if title[1:2].islower() else title}: {what}"
     return MapCell(first.recording, first.reducer, grade, letters, label)
 
 
 def count_failed_scenes(cells: Sequence[StressCell], reducers: Sequence[str]) -> dict[str, int]:
-    """Count the scenes on which each reducer fails by any measure, the fewest first."""
+    """Count the scenes on which each reducer fails by any measure, the fewest first, the undefined last."""
     failed = {(cell.reducer, cell.recording) for cell in cells if cell.grade == "fails"}
     counts = {name: sum(one == name for one, _ in failed) for name in reducers}
-    return dict(sorted(counts.items(), key=lambda one: one[1]))
+    undefined = find_undefined(cells)
+    return dict(sorted(counts.items(), key=lambda one: (one[0] in undefined, one[1])))
 
 
-def describe_finding(counts: Mapping[str, int]) -> str:
-    """Describe in one sentence which reducers fail on the fewest scenes, and which on the most."""
+def find_undefined(cells: Sequence[StressCell]) -> dict[str, int]:
+    """Find the reducers that have scenes without any measure, and the number of these scenes."""
+    places = dict.fromkeys((cell.reducer, cell.recording) for cell in cells)
+    known = {(cell.reducer, cell.recording) for cell in cells if cell.grade != "undefined"}
+    return Counter(name for name, scene in places if (name, scene) not in known)
+
+
+def describe_finding(counts: Mapping[str, int], undefined: Mapping[str, int] | None = None) -> str:
+    """Describe in one sentence which reducers fail on the fewest scenes, and which on the most.
+
+    undefined: reducer -> scenes without any measure; such a reducer is not compared with the others.
+    """
+    undefined = undefined or {}
+    lacking = "; ".join(
+        f"{name} is not defined on {_count(one)} of them" for name, one in undefined.items()
+    )
+    counts = {name: count for name, count in counts.items() if name not in undefined}
+    if not counts:
+        return f"No reducer can be judged on the {len(BATTERY)} stress scenes: {lacking}."
+    found = _compare_counts(counts)
+    return f"{found}; {lacking}." if lacking else f"{found}."
+
+
+def _compare_counts(counts: Mapping[str, int]) -> str:
     least, most, of = min(counts.values()), max(counts.values()), len(BATTERY)
     first, last = ([name for name in counts if counts[name] == one] for one in (least, most))
     found = f"{_name(first)} on {_count(least)} of the {of} stress scenes"
-    return (
-        f"{found}." if least == most else f"{found}, the fewest; {_name(last)} on {_count(most)}."
-    )
+    return found if least == most else f"{found}, the fewest; {_name(last)} on {_count(most)}"
 
 
 def _count(count: int) -> str:

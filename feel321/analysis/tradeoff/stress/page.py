@@ -28,6 +28,7 @@ from feel321.analysis.tradeoff.stress.heatmap import (
     describe_finding,
     describe_letters,
     draw_stress,
+    find_undefined,
     format_value,
 )
 from feel321.analysis.tradeoff.stress.measures import EXPLODED, MEASURES, RANGE_LIMIT, StressCell
@@ -92,7 +93,9 @@ class Stress(PageResult):
     def answers(self) -> tuple[str, ...]:
         """The main findings, in words."""
         return (
-            describe_finding(count_failed_scenes(self.cells, self.reducers)),
+            describe_finding(
+                count_failed_scenes(self.cells, self.reducers), find_undefined(self.cells)
+            ),
             _describe_gains(self),
             _describe_invariance(self),
             _describe_faults(self),
@@ -177,12 +180,16 @@ def _describe_gains(result: Stress) -> str:
         if known and (cell.reducer not in worst or cell.value > worst[cell.reducer].value):
             worst[cell.reducer] = cell
     own = [cell for name, cell in worst.items() if name not in SINGLE_AXES] or [*worst.values()]
+    if not own:
+        return "How much sensor noise is amplified is not defined for any reducer."
     most, limit = max(own, key=lambda cell: cell.value), MEASURES["gain"].fails
     steady = [f"{cell.reducer} ({cell.value:.1f})" for cell in own if cell.value < limit]
+    if most.value <= 1:
+        return "Sensor noise is amplified by no reducer in any scene (median takes)."
     return (
         f"Sensor noise is amplified most by {most.reducer}, {format_value(most.value)} times on the scene "
         f"“{BATTERY[most.recording].title}”; in no scene {limit:g} times or more by "
-        f"{words.join_words(steady) or 'no reducer'} (median takes)."
+        f"{words.join_words(steady or ['no reducer'])} (median takes)."
     )
 
 
@@ -194,17 +201,26 @@ def count_failures(result: Stress, measure: str) -> dict[str, int]:
 
 def _describe_invariance(result: Stress) -> str:
     counts = [count_failures(result, key) for key in MOVED]
-    steady = [name for name in result.reducers if not any(own[name] for own in counts)]
+    known = {
+        cell.reducer for cell in result.cells if cell.measure in MOVED and cell.grade != "undefined"
+    }
+    steady = [
+        name for name in result.reducers if name in known and not any(own[name] for own in counts)
+    ]
     moved = words.join_words([what[0].lower() + what[1:] for what in MOVED.values()], "or")
     return (
         f"{moved[0].upper()}{moved[1:]} changes the output by less than {100 * MEASURES['rotation'].fails:.0f} % in "
-        f"every scene for {words.join_words(steady) or 'no reducer'} (median takes)."
+        f"every scene for {words.join_words(steady or ['no reducer'])} (median takes)."
     )
 
 
 def _describe_faults(result: Stress) -> str:
-    damages = (cell for cell in result.cells if cell.measure == "fault")
-    worst = max(damages, key=lambda cell: -math.inf if math.isnan(cell.value) else cell.value)
+    damages = [
+        cell for cell in result.cells if cell.measure == "fault" and not math.isnan(cell.value)
+    ]
+    if not damages:
+        return "How much sensor faults change the output is not defined for any reducer."
+    worst = max(damages, key=lambda cell: cell.value)
     return (
         "Sensor faults (clipping, steps, gaps, clocks) change the output at most "
         f"{worst.value:.2g} times as much as the input ({worst.reducer}, {BATTERY[worst.recording].title})."
@@ -249,6 +265,7 @@ def build_page(result: Stress) -> dict[str, object]:
         "key": describe_letters(),
         "map": build_map(result.cells, result.reducers),
         "failed": count_failed_scenes(result.cells, result.reducers),
+        "undefined": find_undefined(result.cells),
         "battery": BATTERY,
         "measures": MEASURES,
         "counts": _tabulate_counts(result),
