@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
@@ -27,8 +28,10 @@ def write_points(panels: Sequence[Panel], method: str, info: Mapping[str, Metric
     reducers = list(dict.fromkeys(str(name) for one in panels for name in one.stimuli["reducer"]))
     scenes = list(dict.fromkeys(str(name) for one in panels for name in one.stimuli["recording"]))
     found = list(_list_panels(panels, method, info, names=(reducers, scenes)))
-    text = json.dumps({"reducers": reducers, "recordings": scenes, "panels": found})
-    return text.replace("<", "\\u003c").replace("NaN", "null")
+    text = json.dumps(
+        {"reducers": reducers, "recordings": scenes, "panels": found}, allow_nan=False
+    )
+    return text.replace("<", "\\u003c")
 
 
 def _list_panels(
@@ -63,5 +66,6 @@ def _list_panels(
             }  # fmt: skip
 
 
-def _round(value: object) -> float:
-    return float(f"{float(str(value)):.{DIGITS}g}")
+def _round(value: object) -> float | None:
+    number = float(str(value))
+    return float(f"{number:.{DIGITS}g}") if math.isfinite(number) else None
