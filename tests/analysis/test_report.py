@@ -233,7 +233,7 @@ def test_far_outliers_are_told_in_the_caption(files: Callable[..., object], tmp_
     manifest.loc[[3, 11], "spectral_match"] = [-1.5, -40.0]
     manifest.to_csv(study.manifest, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
-    told = "left edge: 2 with spectral match below −1, counted in full"
+    told = "left edge: 2 with spectral match below −1; r uses their true values"
     assert told in results.figures["scatter"]
     found = {number.name: number.value for number in results.numbers}
     assert found["scatter.realism.as_is.spectral_match.n_below_edge"] == 2

@@ -328,7 +328,7 @@ def draw_profiles(parts: Sequence[Profile], *, looks: Mapping[str, Look]) -> Fig
             axes.set_xlabel(style.label_scale(scale, room, level=level))
             name = f"{capitalise(format_name(scale))}{format_level(level)}"
             said = f"{name}: {describe_extremes(own[0])}".removesuffix(": ")
-            axes.set_title(style.fit_text(said, room, lines=3))
+            axes.set_title(style.fit_text(said, room, lines=4))
         for axes in grid.flat[len(parts) :]:
             axes.remove()
         style.add_title(figure, _describe_people([part["n_participants"] for part, _ in parts]))
