@@ -195,6 +195,17 @@ def format_axis(metric: str) -> str:
     return f"{name} ({more})" if more else name
 
 
+def format_level(level: str) -> str:
+    """Name a level behind a scale; nothing where there is only one, which is given as "".
+
+    Examples
+    --------
+    >>> format_level("as_is"), format_level("")
+    (' (level as is)', '')
+    """
+    return f" (level {format_name(level)})" if level else ""
+
+
 def join_words(names: Sequence[str], last: str = "and") -> str:
     """List names in a sentence.
 

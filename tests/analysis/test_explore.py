@@ -14,6 +14,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.association.correlate import make_panel
+from feel321.analysis.report.explore import write_points
+from feel321.analysis.table.items import split_tests
 from feel321.analysis.words import format_name
 
 if TYPE_CHECKING:
@@ -44,6 +47,10 @@ for (const way of ["up", "down", "again"]) {
   turn.querySelector("button").click();
   put(way, JSON.stringify([turn.getAttribute("aria-sort"), cells(first, place)]));
 }
+const explored = document.querySelector(".explore");
+explored.querySelector("button.small").click();
+put("explored", kept.pop());
+put("heads", String(explored.querySelectorAll("th button.sort").length));
 put("csv", JSON.stringify(kept));
 for (const [kind, name] of Object.entries(GONE)) {
   const box = [...document.querySelectorAll(`.explore input[name=${kind}]`)]
@@ -165,7 +172,25 @@ def test_a_click_on_a_head_sorts_and_a_third_restores(found: Callable[[str], str
 
 def test_a_table_is_downloaded_as_it_stands(found: Callable[[str], str]) -> None:
     (text,) = [one for one in json.loads(found("csv")) if "Judgements" in one][:1]
-    assert text.startswith("\ufeff")
-    head, *rows = csv.reader(text[1:].splitlines())
+    head, *rows = csv.reader(text.splitlines())
+    assert len(set(head)) == len(head)
+    assert head[head.index("Mean") + 1] == "Mean, interval"
     assert [row[head.index("Mean")] for row in rows] == json.loads(found("before"))
     assert {len(row) for row in rows} == {len(head)}
+
+
+def test_what_is_left_is_sorted_and_downloaded_too(found: Callable[[str], str]) -> None:
+    head, *rows = csv.reader(found("explored").splitlines())
+    assert head[:4] == ["Ratings", "Metric", "r", "r, chosen"]
+    assert (len(rows), int(found("heads"))) == (4, len(head))
+
+
+def test_a_name_may_hold_what_json_writes_for_no_number(tidy: Callable[..., pd.DataFrame]) -> None:
+    table = tidy(participants=1).replace({"reducer": {"dft321": "BaNaNa<"}})
+    (part,) = split_tests(table)
+    panel = make_panel(part.rows, ["spectral_match"], draws=2, rng=np.random.default_rng(0))
+    text = write_points([panel], "pearson", {})
+    data = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert "BaNaNa<" in data["reducers"]
+    assert "<" not in text
+    assert data["panels"][0]["points"][0][5] is None  # one participant, no interval

@@ -14,7 +14,7 @@ from matplotlib.image import imread
 
 from feel321.analysis.association.correlate import make_panel
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers
-from feel321.analysis.figures.estimates import draw_profile
+from feel321.analysis.figures.estimates import describe_extremes, draw_profile, draw_profiles
 from feel321.analysis.figures.scatter import (
     describe_relation,
     draw_scatter,
@@ -23,10 +23,12 @@ from feel321.analysis.figures.scatter import (
 )
 from feel321.analysis.figures.style import (
     CM_PER_INCH,
+    MARKERS,
     PNG_DPI,
     WIDTH_CM,
     Look,
     assign_looks,
+    label_scale,
     save_figure,
 )
 from feel321.analysis.table.items import split_tests
@@ -99,6 +101,8 @@ def list_texts(figure: Figure) -> list[Text]:
 def test_no_two_reducers_look_alike() -> None:
     looks = assign_looks([f"reducer{number}" for number in range(77)])
     assert len(set(looks.values())) == 77
+    for (_, one), (_, other) in combinations(list(looks.items())[: len(MARKERS)], 2):
+        assert one.marker != other.marker  # a colour comes again after 7
 
 
 @pytest.mark.parametrize("draw", [scatter, profile])
@@ -161,7 +165,7 @@ def test_every_reducer_is_named_once_at_the_height_of_its_mean(
 def test_scatter_states_its_finding_with_interval_and_n(table: pd.DataFrame) -> None:
     figure = scatter(table)
     title = " ".join(figure.get_suptitle().split())
-    assert title.startswith("Realism ratings rise with spectral match: r = 0.")
+    assert title.startswith("Realism against spectral match, over all stimuli: r = 0.")
     for part in ("36 stimuli of 4 recordings", "95 % two-way interval", "6 participants"):
         assert part in title
     axes = figure.axes[0]
@@ -172,19 +176,19 @@ def test_scatter_states_its_finding_with_interval_and_n(table: pd.DataFrame) -> 
 @pytest.mark.parametrize(
     ("value", "low", "high", "said"),
     [
-        (0.8, 0.5, 0.9, "Realism ratings rise with temporal match: r = 0.80 over all stimuli"),
-        (-0.8, -0.9, -0.5, "Realism ratings fall with temporal match: r = −0.80 over all stimuli"),
-        (0.3, -0.1, 0.6, "Realism ratings show no clear relation with temporal match: r = 0.30 over all stimuli"),
-        (0.3, np.nan, np.nan, "Realism ratings and temporal match: r = 0.30 over all stimuli, no interval"),
-        (np.nan, np.nan, np.nan, "The correlation of realism ratings with temporal match is not estimable"),
+        (0.8, 0.5, 0.9, "r = 0.80 (0.50 to 0.90)"),
+        (-0.8, -0.9, -0.5, "r = −0.80 (−0.90 to −0.50)"),
+        (0.3, np.nan, np.nan, "r = 0.30 (no interval)"),
+        (np.nan, np.nan, np.nan, "r not estimable"),
     ],
-)  # fmt: skip
-def test_a_title_claims_a_direction_only_where_the_interval_does(
+)
+def test_a_scatter_describes_and_leaves_what_is_shown_to_the_verdicts(
     table: pd.DataFrame, value: float, low: float, high: float, said: str
 ) -> None:
     one = find(table).panels[0].associations[-1]
     found = replace(one, metric="temporal_match", value=value, low=low, high=high)
-    assert describe_relation("realism", found) == said
+    lead = "Realism (level as is) against temporal match, over all stimuli: "
+    assert describe_relation("realism", found, "as_is") == lead + said
 
 
 def test_small_multiples_hold_every_scale_and_metric(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -199,8 +203,45 @@ def test_small_multiples_hold_every_scale_and_metric(tidy: Callable[..., pd.Data
         (one,) = (a for a in panel.associations if (a.metric, a.method) == (metric, "pearson"))
         assert axes.get_title(loc="left").startswith(f"r = {one.value:.2f} ")
     title = " ".join(figure.get_suptitle().split())
-    rising = sum(panel.associations[0].low > 0 for panel in panels)
-    assert title.startswith(f"Ratings rise with spectral match on {rising} of 2 scales; they show")
+    assert title.startswith("Mean ratings against spectral match and temporal match Pearson r over")
+
+
+def test_levels_are_named_where_there_are_several(table: pd.DataFrame) -> None:
+    two = [table, table.assign(level="matched", stimulus_id=table["stimulus_id"] + "_m")]
+    found, looks = find(pd.concat(two)), assign_looks(order_reducers(table["reducer"]))
+    metrics = ("spectral_match", "temporal_match")
+    figure = draw_scatters(found.panels, metrics, "pearson", looks=looks)
+    labels = [" ".join(axes.get_ylabel().split()) for axes in figure.axes[::2]]
+    own = [
+        [frame[frame["level"] == level] for frame in (found.profile, found.participants)]
+        for level in ("as_is", "matched")
+    ]
+    axes = draw_profiles(own, looks=looks).axes
+    labels += [" ".join(one.get_xlabel().split()) for one in axes]
+    for label, level in zip(labels, ["as is", "matched"] * 2, strict=True):
+        assert label == f"Mean realism rating, level {level} (0–100)"
+    titles = [" ".join(one.get_title(loc="left").split()) for one in axes]
+    assert titles[0].replace("level as is", "level matched") == titles[1]
+    assert titles[0].startswith("Realism (level as is): ")
+
+
+@pytest.mark.parametrize(
+    ("scale", "low", "said"),
+    [
+        ("realism", 60.0, "a highest, b lowest"),
+        ("realism", 30.0, "highest and lowest do not differ clearly"),
+        ("realism", np.nan, ""),
+        ("dissimilarity", 60.0, "a least like the reference, b most like it"),
+        ("abx", 60.0, "a told apart most, b least"),
+    ],
+)
+def test_ends_are_named_as_the_scale_means_them_and_where_they_differ(
+    scale: str, low: float, said: str
+) -> None:
+    rows = {"scale": scale, "role": "test", "reducer": ["a", "b"], "mean": [70.0, 30.0]}
+    profile = pd.DataFrame({**rows, "low": [low, 20.0], "high": [80.0, 40.0]})
+    assert describe_extremes(profile) == said
+    assert label_scale("abx") == "Mean percentage correct (0–100)"
 
 
 def test_every_mark_can_be_found_in_the_file(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -16,8 +16,8 @@ from feel321.analysis.figures import style
 from feel321.analysis.figures.style import Look
 from feel321.analysis.table.items import format_recordings
 from feel321.analysis.table.metrics import TENTH, Step
-from feel321.analysis.table.schema import HIGHEST, LOWEST, ROLES
-from feel321.analysis.words import capitalise, format_name, format_number, format_span
+from feel321.analysis.table.schema import ANSWERED, HIGHEST, LOWEST, PAIRED, ROLES
+from feel321.analysis.words import capitalise, format_level, format_name, format_number, format_span
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -152,10 +152,11 @@ def draw_slopes(
     *,
     variants: DataFrame | None = None,
     steps: Mapping[str, Step] | None = None,
+    title: str = "",
 ) -> Figure:
     """Draw the slopes of the primary model per attribute and metric, points per step with Satterthwaite intervals.
 
-    steps: of the metrics, +0.1 if left out.
+    steps: of the metrics, +0.1 if left out. title: the verdicts, which intervals that are not adjusted do not tell.
     variants: what `vary_primary` returns of a single attribute: a second panel of standardised slopes, which alone
     compare across units.
     """
@@ -180,7 +181,7 @@ def draw_slopes(
         for axes, rows, label in zip(both, panels, labels, strict=False):
             draw_rows(axes, rows, limits=find_limits(rows, 0), zero=True)
             axes.set_xlabel(label)
-        style.add_title(figure, _describe_slopes(models, variants))
+        style.add_title(figure, f"{title}\n{_describe_slopes(models, variants)}".strip())
         style.add_legend(
             figure, style.make_handles({format_name(name): look for name, look in looks.items()})
         )
@@ -221,34 +222,10 @@ def _mark_slopes(row: Mapping[Hashable, object], looks: Mapping[str, Look]) -> M
     return Mark(value, low, high, looks[str(row["metric"])], filled=not row["singular"])
 
 
-def describe_ways(ways: Mapping[str, Sequence[str | None]], scales: str) -> str:
-    """Say on how many of so many scales ratings clearly "rise" or "fall" with each metric."""
-    parts = []
-    for metric, own in ways.items():
-        name = f" with {format_name(metric)}"
-        found = [way for way in ("rise", "fall") if way in own]
-        counts = [f"{way}{name * (way == found[0])} on {own.count(way)}" for way in found]
-        none = f"show no clear relation{name} on any of {scales}"
-        parts.append(f"{' and '.join(counts)} of {scales}" if counts else none)
-    return f"Ratings {'; they '.join(parts)}"
-
-
-def find_way(low: float, high: float) -> str | None:
-    """Find what an interval says: "rise", "fall", nothing, or None where there is no interval."""
-    if np.isnan([low, high]).any():
-        return None
-    return "rise" if low > 0 else "fall" if high < 0 else ""
-
-
 def _describe_slopes(models: Mapping[str, Primary], variants: DataFrame | None) -> str:
     def span(what: str) -> str:
         return f"{format_span(getattr(model, f'n_{what}') for model in models.values())} {what}"
 
-    ways: dict[str, list[str | None]] = {}
-    for model in models.values():
-        for name, row in model.slopes.iterrows():
-            ways.setdefault(str(name), []).append(find_way(row["tenth_low"], row["tenth_high"]))
-    number = f"{len(models)} scale" + "s" * (len(models) > 1)
     shared = any(model.n_sources < model.n_recordings for model in models.values())
     scenes = f"{span('recordings')} of {span('sources')}" if shared else span("recordings")
     items = format_span(model.n_items for model in models.values())
@@ -258,7 +235,7 @@ def _describe_slopes(models: Mapping[str, Primary], variants: DataFrame | None) 
     hollow = " Hollow: singular fit (a spread estimated as zero)." if singular else ""
     below = "\nBelow: the same slopes, standardised, under other choices." * (variants is not None)
     return (
-        f"{describe_ways(ways, number)}\nSlopes within recordings, mixed model; bars: 95 % Satterthwaite intervals. "
+        "Slopes within recordings, mixed model; bars: 95 % Satterthwaite intervals, not adjusted. "
         f"n = {span('participants')}, {scenes}, {items} stimuli.{hollow}{below}"
     )
 
@@ -316,6 +293,11 @@ CLOUD_OFF, CLOUD_ROWS, CLOUD_EDGE = 0.14, 0.5, 0.01
 HEAD_CM, MOST_NAMED = 2.4, 2
 """Height of a profile's title and axis, and names that a title lists."""
 
+EXTREMES = {
+    PAIRED: ("least like the reference", "most like it"), ANSWERED: ("told apart most", "least"),
+}  # fmt: skip
+"""Scales on which more is not better -> what their highest and lowest mean say of a reducer."""
+
 Profile = tuple["DataFrame", "DataFrame"]
 """Rows per reducer, and means per participant."""
 
@@ -329,7 +311,7 @@ def draw_profile(
 
 def draw_profiles(parts: Sequence[Profile], *, looks: Mapping[str, Look]) -> Figure:
     """Draw rainclouds of several scales and levels beside each other, in each the reducer rated highest on top."""
-    columns = min(2, len(parts))
+    columns, several = min(2, len(parts)), len({own["level"].iloc[0] for own, _ in parts}) > 1
     with style.print_style():
         labels = [_label_rows(part, list(looks), LABEL_CM / columns**0.5) for part, _ in parts]
         places = list(map(_place_rows, labels))
@@ -342,8 +324,11 @@ def draw_profiles(parts: Sequence[Profile], *, looks: Mapping[str, Look]) -> Fig
             _draw_profile(axes, own, labels=labels[at], places=places[at], looks=looks)
             axes.set_ylim(lowest[at] - 0.6, 0.8)
             room = style.WIDTH_CM / columns - LABEL_CM / columns**0.5 - 1.0
-            axes.set_xlabel(style.label_scale(own[0]["scale"].iloc[0], room))
-            axes.set_title(style.fit_text(_describe_extremes(own[0]), room, lines=3))
+            scale, level = own[0]["scale"].iloc[0], own[0]["level"].iloc[0] if several else ""
+            axes.set_xlabel(style.label_scale(scale, room, level=level))
+            name = f"{capitalise(format_name(scale))}{format_level(level)}"
+            said = f"{name}: {describe_extremes(own[0])}".removesuffix(": ")
+            axes.set_title(style.fit_text(said, room, lines=4))
         for axes in grid.flat[len(parts) :]:
             axes.remove()
         style.add_title(figure, _describe_people([part["n_participants"] for part, _ in parts]))
@@ -374,20 +359,20 @@ def _draw_profile(
         axes.axhline(line, color=style.GREY, linewidth=style.THIN, linestyle=":")
 
 
-def _describe_extremes(profile: DataFrame) -> str:
-    """Say which reducers were rated highest and lowest; more than two alike are counted."""
-    tests = profile[profile["role"] == ROLES[0]]
-    name = capitalise(format_name(profile["scale"].iloc[0]))
-    ends = [
-        tests.loc[tests["mean"] == end, "reducer"]
-        for end in (tests["mean"].max(), tests["mean"].min())
-    ]
-    if tests["mean"].max() == tests["mean"].min():
-        return name
-    high, low = (
-        " and ".join(end) if len(end) <= MOST_NAMED else f"{len(end)} reducers" for end in ends
+def describe_extremes(profile: DataFrame) -> str:
+    """Say which reducers are at either end where their intervals are apart; more than two alike are counted."""
+    tests, means = (own := profile[profile["role"] == ROLES[0]]), own["mean"]
+    high, low = (tests[means == end] for end in (means.max(), means.min()))
+    if means.nunique() < MOST_NAMED or tests[["low", "high"]].isna().any(axis=None):
+        return ""
+    if high["low"].min() <= low["high"].max():
+        return "highest and lowest do not differ clearly"
+    names = (
+        " and ".join(end["reducer"]) if len(end) <= MOST_NAMED else f"{len(end)} reducers"
+        for end in (high, low)
     )
-    return f"{name}: {high} highest, {low} lowest"
+    ways = EXTREMES.get(profile["scale"].iloc[0], ("highest", "lowest"))
+    return ", ".join(f"{name} {way}" for name, way in zip(names, ways, strict=True))
 
 
 def _describe_people(columns: Sequence[Series]) -> str:

@@ -16,10 +16,11 @@ from feel321.analysis.words import (
     capitalise,
     format_axis,
     format_interval,
-    format_measure,
+    format_level,
     format_name,
     format_number,
     format_span,
+    join_words,
 )
 
 if TYPE_CHECKING:
@@ -51,26 +52,33 @@ SCATTER_CM, CELL_CM, KEYS_CM = 7.4, 3.9, 1.4
 
 
 def draw_scatter(
-    panel: Panel, association: Association, *, looks: Mapping[str, Look], place: str = "0-0"
+    panel: Panel,
+    association: Association,
+    *,
+    looks: Mapping[str, Look],
+    place: str = "0-0",
+    level: str = "",
 ) -> Figure:
     """Draw the mean rating of each test stimulus against a metric; reducers are named at the height of their mean.
 
-    place: what the names of marks in the SVG file hold after `KEPT`.
+    place: what the names of marks in the SVG file hold after `KEPT`; level: named where there are several.
     """
     means = panel.stimuli.groupby("reducer", observed=True)["mean"].mean()
     with style.print_style():
         figure, axes = style.new_figure(height_cm=SCATTER_CM + KEYS_CM)
         shown = _draw_stimuli(axes, panel.stimuli, association, looks=looks, place=place)
-        axes.set(xlabel=format_axis(association.metric), ylabel=style.label_scale(panel.scale))
+        axes.set(
+            xlabel=format_axis(association.metric),
+            ylabel=style.label_scale(panel.scale, level=level),
+        )
         heights = {str(name): float(mean) for name, mean in means.items()}
         if not style.label_ends(axes, heights, looks, height_cm=SCATTER_CM):
             style.add_legend(figure, shown)
         size = format_recordings(association.n_recordings, association.n_sources)
-        interval = format_interval(association.low, association.high)
         style.add_title(
             figure,
-            f"{describe_relation(panel.scale, association)}\n{association.method.capitalize()}; 95 % two-way interval "
-            f"{interval}; {association.n_items} stimuli of {size}, {association.n_participants} participants",
+            f"{describe_relation(panel.scale, association, level)}\n{association.method.capitalize()}, 95 % two-way "
+            f"interval; {association.n_items} stimuli of {size}, {association.n_participants} participants",
         )
     return figure
 
@@ -79,13 +87,14 @@ def draw_scatters(
     panels: Sequence[Panel], metrics: Sequence[str], method: str, *, looks: Mapping[str, Look]
 ) -> Figure:
     """Draw mean ratings against metrics: a row per scale and level, a column per metric."""
+    several = len({panel.level for panel in panels}) > 1
     with style.print_style():
         figure = style.new_canvas(CELL_CM * len(panels) + KEYS_CM)
         grid = figure.subplots(len(panels), len(metrics), sharex="col", sharey=True, squeeze=False)
         shown: dict[str, Line2D] = {}
         for row, panel in enumerate(panels):
-            label = style.label_scale(panel.scale, CELL_CM - 0.4)
-            grid[row, 0].set_ylabel(label)
+            level = panel.level if several else ""
+            grid[row, 0].set_ylabel(style.label_scale(panel.scale, CELL_CM - 0.4, level=level))
             for one in (one for one in panel.associations if one.method == method):
                 column = list(metrics).index(one.metric)
                 axes, place = grid[row, column], f"{row}-{column}"
@@ -96,41 +105,22 @@ def draw_scatters(
                 axes.set_title(f"r = {value} ({interval})")
         for axes, metric in zip(grid[-1], metrics, strict=True):
             axes.set_xlabel(style.fit_text(format_axis(metric), style.WIDTH_CM / len(metrics) - 1))
-        style.add_title(figure, _summarise(panels, metrics, method))
+        names = join_words([format_name(metric) for metric in metrics])
+        over = "r over all stimuli, in brackets its 95 % two-way interval"
+        style.add_title(figure, f"Mean ratings against {names}\n{method.capitalize()} {over}")
         style.add_legend(figure, {name: shown[name] for name in looks if name in shown})
     return figure
 
 
-def describe_relation(scale: str, one: Association) -> str:
-    """Say what a correlation shows: its direction only where the interval leaves zero out."""
-    ratings, metric = capitalise(format_measure(scale)), format_name(one.metric)
+def describe_relation(scale: str, one: Association, level: str = "") -> str:
+    """Say what is drawn and its correlation: whether a metric predicts, and how, the verdicts say."""
+    lead = f"{capitalise(format_name(scale))}{format_level(level)} against {format_name(one.metric)}, over all stimuli"
     if np.isnan(one.value):
-        return f"The correlation of {format_measure(scale)}s with {metric} is not estimable"
-    value = f"r = {format_number(one.value)} over all stimuli"
-    direction = estimates.find_way(one.low, one.high)
-    if direction is None:
-        return f"{ratings}s and {metric}: {value}, no interval"
-    if not direction:
-        return f"{ratings}s show no clear relation with {metric}: {value}"
-    return f"{ratings}s {direction} with {metric}: {value}"
-
-
-def _summarise(panels: Sequence[Panel], metrics: Sequence[str], method: str) -> str:
-    """Say on how many scales ratings rise or fall with each metric."""
-    several = len({panel.level for panel in panels}) > 1
-    scales = f"{len(panels)} scale{'s' * (len(panels) > 1)}{' and levels' * several}"
-    ways = {
-        metric: [
-            estimates.find_way(one.low, one.high)
-            for panel in panels
-            for one in panel.associations
-            if one.metric == metric and one.method == method
-        ]
-        for metric in metrics
-    }
-    return (
-        f"{estimates.describe_ways(ways, scales)}\nr over all stimuli, with 95 % two-way intervals"
+        return f"{lead}: r not estimable"
+    interval = (
+        "no interval" if np.isnan([one.low, one.high]).any() else format_interval(one.low, one.high)
     )
+    return f"{lead}: r = {format_number(one.value)} ({interval})"
 
 
 def _draw_stimuli(
@@ -241,6 +231,7 @@ def draw_mapping(
     *,
     scale: str,
     looks: Mapping[str, Look],
+    level: str = "",
 ) -> Figure:
     """Draw mean ratings against a metric in one panel per recording; bars: 95 % t intervals over participants."""
     recordings = list(dict.fromkeys(stimuli["recording"]))
@@ -251,9 +242,7 @@ def draw_mapping(
         upper, lower = figure.subfigures(2, 1, height_ratios=heights, squeeze=False)[:, 0]
         shown = _draw_panels(upper, stimuli, judged, metric=association.metric, looks=looks)
         upper.supxlabel(format_axis(association.metric))
-        upper.supylabel(
-            style.fit_text(style.label_scale(scale).replace("\n", " "), ROW_CM * rows + 1, lines=3)
-        )
+        upper.supylabel(style.label_scale(scale, ROW_CM * rows + 1, level=level))
         _draw_strip(lower.add_subplot(), association)
         style.add_title(figure, _describe_mapping(stimuli, judged, association))
         style.add_legend(figure, {name: shown[name] for name in looks if name in shown})

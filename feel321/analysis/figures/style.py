@@ -151,10 +151,11 @@ LONGEST = 200
 TITLE_LINES = 10
 
 
-def label_scale(scale: str, length_cm: float = AXIS_CM) -> str:
-    """Label an axis of that length by the scale that was rated."""
-    name = wrap_name(format_name(scale), SCALE_LETTERS, lines=1)
-    return fit_text(f"Mean {format_measure(name)} ({LOWEST:.0f}–{HIGHEST:.0f})", length_cm, lines=3)
+def label_scale(scale: str, length_cm: float = AXIS_CM, *, level: str = "") -> str:
+    """Label an axis of that length by the scale that was rated, and by the level where there are several."""
+    measure = wrap_name(format_measure(scale), SCALE_LETTERS, lines=1)
+    of = f", level {wrap_name(format_name(level), SCALE_LETTERS, lines=1)}" if level else ""
+    return fit_text(f"Mean {measure}{of} ({LOWEST:.0f}–{HIGHEST:.0f})", length_cm, lines=3)
 
 
 def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) -> str:

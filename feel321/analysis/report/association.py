@@ -166,7 +166,8 @@ def compute_association(table: Table, choices: Choices) -> Section:
     pictures, coefficients = list(_picture_scatters(panels, looks)), []
     for part, panel in zip(parts, panels, strict=True):
         leading = [one for one in panel.associations if one.method == LEADING]
-        for picture, rows in _map_panel(part, panel, leading=leading, looks=looks, info=table.info):
+        mapped = partial(_map_panel, looks=looks, info=table.info, level=_name_level(panel, panels))
+        for picture, rows in mapped(part, panel, leading=leading):
             pictures.append(picture)
             coefficients += rows
     associations, differences = (
@@ -233,6 +234,7 @@ def _map_panel(
     leading: Sequence[Association],
     looks: Mapping[str, Look],
     info: Mapping[str, MetricInfo],
+    level: str = "",
 ) -> Iterator[tuple[Picture, list[Row]]]:
     """Map every metric to the ratings; what P.1401 refuses is noted beside its table."""
     for one in leading:
@@ -247,7 +249,15 @@ def _map_panel(
                 f"{_describe_bars([panel])} Below: the correlation with its 95 % two-way "
                 "interval, and the highest correlation that the noise in the ratings allows."
             )
-            draw = partial(draw_mapping, panel.stimuli, judged, one, scale=panel.scale, looks=looks)
+            draw = partial(
+                draw_mapping,
+                panel.stimuli,
+                judged,
+                one,
+                scale=panel.scale,
+                looks=looks,
+                level=level,
+            )
             slug = make_slug("mapping", panel.scale, panel.level, one.metric)
             yield Picture(slug, caption, draw, detail=True), [
                 {
@@ -264,13 +274,16 @@ def _picture_scatters(panels: Sequence[Panel], looks: Mapping[str, Look]) -> Ite
     strongest = max(first, key=lambda one: abs(one.value) if one.value == one.value else -1.0)
     panel, one = panels[0], strongest
     place = f"0-{first.index(one)}"
+    level = _name_level(panel, panels)
     name, metric = words.format_name(panel.scale), words.format_name(one.metric)
     caption = (
-        f"Mean {name} rating of each test stimulus against its {metric}. Names stand at the reducers' means. "
+        f"Mean {name} rating{words.format_level(level)} of each test stimulus against its {metric}. "
+        "Names stand at the reducers' means. "
         f"{_describe_bars([panel])}{_describe_clipped([panel], [one.metric])}"
     )
     slug = make_slug("scatter", panel.scale, panel.level, one.metric)
-    yield Picture(slug, caption, partial(draw_scatter, panel, one, looks=looks, place=place))
+    draw = partial(draw_scatter, panel, one, looks=looks, place=place, level=level)
+    yield Picture(slug, caption, draw)
     metrics = [one.metric for one in first]
     if len(panels) * len(metrics) > 1:
         caption = (
@@ -285,10 +298,13 @@ def _picture_scatters(panels: Sequence[Panel], looks: Mapping[str, Look]) -> Ite
         )
 
 
+def _name_level(panel: Panel, panels: Sequence[Panel]) -> str:
+    """Name a panel's level where there are several."""
+    return panel.level if len({panel.level for panel in panels}) > 1 else ""
+
+
 def _name_panel(panel: Panel, panels: Sequence[Panel]) -> str:
-    several = len({panel.level for panel in panels}) > 1
-    level = f" ({words.format_name(panel.level)})" if several else ""
-    return f"{words.format_name(panel.scale)}{level}"
+    return f"{words.format_name(panel.scale)}{words.format_level(_name_level(panel, panels))}"
 
 
 def _describe_clipped(panels: Sequence[Panel], metrics: Sequence[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
@@ -64,5 +65,6 @@ def _list_panels(
             }  # fmt: skip
 
 
-def _round(value: object) -> float:
-    return float(f"{float(str(value)):.{DIGITS}g}")
+def _round(value: object) -> float | None:
+    number = float(str(value))
+    return float(f"{number:.{DIGITS}g}") if math.isfinite(number) else None

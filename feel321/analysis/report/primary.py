@@ -1,6 +1,7 @@
 """Section: the primary model's slopes, what single stimuli, recordings and reducers do to them, and what they need."""
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -10,7 +11,7 @@ from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.figures.scatter import draw_residuals
 from feel321.analysis.primary.model import Primary, fit_primary, fit_slopes, tabulate_slopes
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.primary.sensitivity import find_candidates, measure_influence
+from feel321.analysis.primary.sensitivity import PREDICTS, find_candidates, measure_influence
 from feel321.analysis.report import parts
 from feel321.analysis.report.answer import (
     NEEDED,
@@ -43,7 +44,7 @@ from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import Step
 from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import STAND_INS
-from feel321.analysis.words import COUNT, TWO_WAY, Claim, Line
+from feel321.analysis.words import COUNT, TWO_WAY, Claim, Line, capitalise, format_name
 
 Row = dict[Any, Any]
 Fits = Mapping[str, tuple[parts.RatingsPart, Primary]]
@@ -164,7 +165,7 @@ def compute(table: Table, choices: Choices) -> Section:
                 ({"ratings": one.part.lead}, one.influence.exceptions.reset_index()) for one in first
             ),
         },
-        pictures=tuple(_draw_models(fits, parts.find_table_steps(table))),
+        pictures=tuple(_draw_models(fits, parts.find_table_steps(table), describe_claims(claims))),
         notes=notes,
         how=read_methods("primary"),
     )  # fmt: skip
@@ -292,7 +293,30 @@ def _build_influence(
     yield EXCEPTIONS.build(odd)
 
 
-def _draw_models(fits: Fits, steps: Mapping[str, Step]) -> Iterator[Picture]:
+def describe_claims(claims: Sequence[Claim]) -> str:
+    """Count the verdicts on each metric over scales and levels, in their own words."""
+    scales, levels = ({getattr(one, name) for one in claims} for name in ("scale", "level"))
+    number, nouns = len({(one.scale, one.level) for one in claims}), ("scale", "level")
+    some = [noun for noun, of in zip(nouns, (scales, levels), strict=True) if len(of) > 1]
+    all_of = f" of {number} {' and '.join(f'{noun}s' for noun in some)}"
+    told = []
+    for metric in dict.fromkeys(one.metric for one in claims):
+        counts = Counter(
+            f"predicts {one.direction} ratings" if one.verdict == PREDICTS else one.verdict.replace("_", " ")
+            for one in claims if one.metric == metric
+        )  # fmt: skip
+        first = next(iter(counts))
+        own = [
+            f"{verdict} on {count}{all_of * (verdict == first)}"
+            if number > 1
+            else f"{verdict} on the scale"
+            for verdict, count in counts.items()
+        ]
+        told.append(f"{format_name(metric)}: {', '.join(own)}")
+    return capitalise("; ".join(told))
+
+
+def _draw_models(fits: Fits, steps: Mapping[str, Step], title: str) -> Iterator[Picture]:
     if not fits:
         return
     per = parts.join_steps(steps)
@@ -301,7 +325,7 @@ def _draw_models(fits: Fits, steps: Mapping[str, Step]) -> Iterator[Picture]:
         "Satterthwaite intervals; hollow: singular fit."
     )
     models = {lead: model for lead, (_, model) in fits.items()}
-    yield Picture("slopes", caption, partial(draw_slopes, models, steps=steps))
+    yield Picture("slopes", caption, partial(draw_slopes, models, steps=steps, title=title))
     caption = (
         "Residuals of the primary models: left against normal quantiles with a pointwise 95 % band, right against "
         "fitted values."

@@ -40,14 +40,22 @@
   }
   function makeCsv(table) {
     const quote = (text) => (/[",\n]/.test(text) ? `"${text.replace(/"/g, '""')}"` : text);
-    return [...table.rows].map((row) => cellsOf(row).map((text) => quote(plain(text))).join(",")).join("\n") + "\n";
+    const rows = [...table.rows].map((row) => cellsOf(row).map(plain)), seen = new Map();
+    let estimate = "";  // whose interval a column of that name holds
+    rows[0] = rows[0].map((text) => {
+      estimate = text === "Interval" ? estimate : text;
+      const name = text === "Interval" ? `${estimate}, interval` : text;
+      seen.set(name, (seen.get(name) || 0) + 1);
+      return seen.get(name) > 1 ? `${name} (${seen.get(name)})` : name;
+    });
+    return rows.map((row) => row.map(quote).join(",")).join("\n") + "\n";
   }
   function addDownload(table, place) {
     const name = (table.caption?.textContent || `table ${place + 1}`).trim();
     const button = make("button", { type: "button", class: "small" }, "Download as CSV");
     button.setAttribute("aria-label", `Download as CSV: ${name}`);
     button.addEventListener("click", () => {
-      const file = new Blob(["\ufeff", makeCsv(table)], { type: "text/csv" });
+      const file = new Blob([makeCsv(table)], { type: "text/csv;charset=utf-8" });
       const link = make("a", { href: URL.createObjectURL(file), download: `table-${place + 1}.csv` });
       link.click();
       setTimeout(() => URL.revokeObjectURL(link.href), 1000);
@@ -204,6 +212,8 @@
   const panel = make("details", { class: "explore" }, make("summary", {}, "Leave out reducers or recordings"),
     makeChoice("Reducers", "reducers"), makeChoice("Recordings", "recordings"), status, region);
   const last = marks.length ? marks[marks.length - 1].element.closest("figure") : null;
+  makeSortable(table);
+  addDownload(table, document.querySelectorAll("main table").length);
   if (last) last.before(panel);
   update();
 })();

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,8 @@ import pytest
 
 from feel321.analysis.figures.estimates import draw_slopes
 from feel321.analysis.primary.model import Primary, fit_primary
+from feel321.analysis.report.primary import describe_claims
+from feel321.analysis.words import Claim
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -134,3 +137,26 @@ def test_long_names_stay_inside_and_apart(
 def test_nothing_to_draw_is_refused() -> None:
     with pytest.raises(ValueError, match="models must hold one or more"):
         draw_slopes({})
+
+
+def test_the_title_is_what_the_verdicts_say(model: Primary, said: Callable[[Figure], str]) -> None:
+    def claim(scale: str, metric: str, verdict: str, way: str = "") -> Claim:
+        return Claim(scale, "as_is", metric, verdict, way, "")
+
+    one = [claim("realism", "spectral_match", "predicts", "lower"), claim("realism", "x", "open")]
+    assert (
+        describe_claims(one)
+        == "Spectral match: predicts lower ratings on the scale; x: open on the scale"
+    )
+    more = [claim("mushra", "spectral_match", "not_estimable"), claim("mushra", "x", "open")]
+    title = describe_claims(one + more)
+    assert (
+        title
+        == "Spectral match: predicts lower ratings on 1 of 2 scales, not estimable on 1; x: open on 2 of 2 scales"
+    )
+    levels = [replace(claim, scale="realism", level=claim.scale) for claim in one + more]
+    assert "x: open on 2 of 2 levels" in describe_claims(levels)
+    # The model's own intervals are not adjusted, and claim nothing.
+    figure = draw_slopes({"realism": model}, title=title)
+    assert " ".join(figure.get_suptitle().split()).startswith(title)
+    assert not re.search("rise|fall|relation", said(draw_slopes({"realism": model})))
