@@ -468,6 +468,9 @@ def test_the_page_opens_in_a_real_browser_and_its_script_works(
       document.querySelector(".point").dispatchEvent(new Event("focus"));
       document.body.dataset.tip = document.getElementById("tip").textContent;
       document.body.dataset.points = document.querySelectorAll(".point").length;
+      document.body.style.width = "388px";
+      const controls = document.getElementById("controls");
+      document.body.dataset.fits = controls.scrollWidth <= controls.clientWidth;
       document.querySelector('button[data-of="scene"]').click();
     </script></body>"""
     page.write_text(page.read_text(encoding="utf-8").replace("</body>", steps), encoding="utf-8")
@@ -475,6 +478,7 @@ def test_the_page_opens_in_a_real_browser_and_its_script_works(
     assert console == ""
     points = len(json.loads(dump(rated))["methods"])
     assert f'data-points="{points}"' in document
+    assert 'data-fits="true"' in document  # a telephone does not scroll the page sideways
     assert re.search(
         r'data-tip="sax/say/saz321[^"]*Cost of one sample \(ns\): [\d.]+ \[[\d.]+ to', document
     )

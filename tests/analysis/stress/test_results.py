@@ -129,6 +129,11 @@ def test_what_is_not_defined_is_neither_good_nor_counted(small: Any, tmp_path: P
         replace(cell, reducer="own") for cell in small.cells[len(MEASURES) :]
     )
     assert find_undefined(partly) == {"own": 1}
+    loud = tuple(replace(cell, value=20.0) for cell in small.cells)
+    said = replace(small, cells=loud).answers[1]
+    assert said.endswith(
+        "; every reducer amplifies it 10 times or more in some scene (median takes)."
+    )
     weak = tuple(replace(cell, value=min(cell.value, 0.5)) for cell in small.cells)
     said = replace(small, cells=weak).answers[1]
     assert said == "Sensor noise is amplified by no reducer in any scene (median takes)."

@@ -186,10 +186,14 @@ def _describe_gains(result: Stress) -> str:
     steady = [f"{cell.reducer} ({cell.value:.1f})" for cell in own if cell.value < limit]
     if most.value <= 1:
         return "Sensor noise is amplified by no reducer in any scene (median takes)."
+    rest = (
+        f"in no scene {limit:g} times or more by {words.join_words(steady)}"
+        if steady
+        else f"every reducer amplifies it {limit:g} times or more in some scene"
+    )
     return (
         f"Sensor noise is amplified most by {most.reducer}, {format_value(most.value)} times on the scene "
-        f"“{BATTERY[most.recording].title}”; in no scene {limit:g} times or more by "
-        f"{words.join_words(steady or ['no reducer'])} (median takes)."
+        f"“{BATTERY[most.recording].title}”; {rest} (median takes)."
     )
 
 
@@ -236,8 +240,10 @@ def describe_metrics(rows: Sequence[MetricRow]) -> Iterator[str]:
     )
     if exploding:
         worst = min(exploding, key=lambda row: row.spectral)
+        known = worst.recording in BATTERY
+        title = f"“{BATTERY[worst.recording].title}”" if known else worst.recording
         yield (
-            f"Spectral match falls below {EXPLODED:g} in {len(exploding)} of {len(rows)}, lowest on {worst.recording} "
+            f"Spectral match falls below {EXPLODED:g} in {len(exploding)} of {len(rows)}, lowest on {title} "
             f"({worst.worst_reducer}: {worst.spectral:.3g}); the bounded one stays between 0 and 1 "
             f"({worst.spectral_bounded:.2f} there)."
         )
