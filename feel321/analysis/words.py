@@ -178,10 +178,10 @@ def format_measure(scale: str) -> str:
 
     Examples
     --------
-    >>> format_measure("realism"), format_measure("abx")
+    >>> format_measure("realism"), format_measure("ABX")
     ('realism rating', 'percentage correct')
     """
-    return MEASURES.get(scale, f"{format_name(scale)} rating")
+    return MEASURES.get(scale.casefold(), f"{format_name(scale)} rating")
 
 
 def format_axis(metric: str) -> str:

@@ -15,6 +15,7 @@ from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.analysis.words import (
     capitalise,
     format_axis,
+    format_count,
     format_interval,
     format_level,
     format_name,
@@ -75,10 +76,11 @@ def draw_scatter(
         if not style.label_ends(axes, heights, looks, height_cm=SCATTER_CM):
             style.add_legend(figure, shown)
         size = format_recordings(association.n_recordings, association.n_sources)
+        people = format_count(association.n_participants, "participant")
         style.add_title(
             figure,
             f"{describe_relation(panel.scale, association, level)}\n{association.method.capitalize()}, 95 % two-way "
-            f"interval; {association.n_items} stimuli of {size}, {association.n_participants} participants",
+            f"interval; {association.n_items} stimuli of {size}, {people}",
         )
     return figure
 
