@@ -103,7 +103,7 @@ def read_comment(module: ModuleType, name: str) -> list[str]:
 def write_commands(path: Path, group: click.Group) -> None:
     """Write the page of the command line: as `--help` has it, verb by verb."""
     verbs = sorted(group.commands.items())
-    context = click.Context(group, info_name="feel321")
+    context = click.Context(group, info_name="feel321", **group.context_settings)
     links = [
         (f":ref:`{verb} <verb-{verb}>`", str(one.get_short_help_str(200))) for verb, one in verbs
     ]

@@ -142,7 +142,9 @@ def calls(root: Path) -> list[Call]:
 def parse(words: list[str]) -> None:
     """Read a verb's arguments as the program would, without running it."""
     verb, *rest = words
-    feel321.commands[verb].make_context(verb, rest, parent=click.Context(feel321))
+    feel321.commands[verb].make_context(
+        verb, rest, parent=click.Context(feel321, **feel321.context_settings)
+    )
 
 
 def test_every_command_of_every_page_is_valid_and_the_quick_ones_run(

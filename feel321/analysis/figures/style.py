@@ -166,7 +166,7 @@ def fit_text(text: str, width_cm: float, *, lines: int = 2, size: float = SIZE) 
     Examples
     --------
     >>> fit_text("dft321_windowed_by_its_authors_2026", 2.0).splitlines()
-    ['dft321_', 'window…_2026']
+    ['dft321_', 'windo…2026']
     """
     if len(text) > 2 * LONGEST:
         text = f"{text[:LONGEST]}…{text[-LONGEST:]}"

@@ -38,7 +38,7 @@ def test_one_line_per_scene_and_where_the_page_is(
     first, second, common, page = capsys.readouterr().out.splitlines()
     assert first.startswith("constrained_drag: pca321, runner-up pca321_matched, margin ")
     assert second.startswith("circular_motion: pca321_matched, ")
-    assert common.startswith("pca321_matched suffices for all 2 scenes")
+    assert common.startswith("pca321_matched suffices for both scenes")
     assert page == str(study / "advice" / "index.html")
     assert (study / "advice" / "index.html").is_file()
 
