@@ -36,7 +36,9 @@ VIEWS = {
 def save(path: Path, made: Path, *, colours: int = 32) -> None:
     """Save a picture with few colours: screens have few, and the checkout stays small."""
     with Image.open(made) as picture:
-        picture.convert("RGB").quantize(colours).save(path, optimize=True)
+        picture.convert("RGB").quantize(colours, Image.Quantize.MAXCOVERAGE).save(
+            path, optimize=True
+        )
 
 
 def save_screens(folder: Path) -> None:
@@ -94,11 +96,11 @@ def save_report(folder: Path) -> None:
 def save_pages(text: str, folder: Path, made: Path) -> None:
     """Save the pictures of a report's page."""
     page, shot = made / "page.html", made / "report.png"
-    options = ["--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1100,1000"]
+    options = ["--headless", "--no-sandbox", "--hide-scrollbars", "--window-size=1440,1000"]
     for name, body in (("report", text), ("report-explained", mark(text))):
         page.write_text(body, encoding="utf-8")
         subprocess.run(["chromium", *options, f"--screenshot={shot}", page.as_uri()], check=True)
-        save(folder / f"{name}.png", shot, colours=64)
+        save(folder / f"{name}.png", shot, colours=256)
 
 
 if __name__ == "__main__":
