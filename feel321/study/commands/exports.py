@@ -27,21 +27,9 @@ Example: feel321 export my-study --r for-r
     type=shared.FILE,
     help="Folder for R and JASP: judgements as the primary models use them, wide tables, model.R.",
 )
-@click.option(
-    "--ratings",
-    type=shared.FILE,
-    help="Ratings from elsewhere; with --manifest, no study is needed.",
-)
-@click.option(
-    "--manifest", type=shared.FILE, help="The stimuli that were rated.  [default: the study's]"
-)
-@click.option(
-    "--metric",
-    "metrics",
-    multiple=True,
-    metavar="NAME",
-    help="A numeric column of the manifest as a metric of the primary analysis; repeatable.  [default: as declared]",
-)
+@shared.ratings_option
+@shared.manifest_option
+@shared.metric_option
 def export(
     folder: Path,
     *,

@@ -56,6 +56,19 @@ folder_argument = click.argument("folder", metavar="[STUDY]", default=Path(), ty
 participant_option = click.option(
     "--participant", metavar="ID", required=True, help="The participant's code."
 )
+ratings_option = click.option(
+    "--ratings", type=FILE, help="Ratings from elsewhere; with --manifest, no study is needed."
+)
+manifest_option = click.option(
+    "--manifest", type=FILE, help="The stimuli that were rated.  [default: the study's]"
+)
+metric_option = click.option(
+    "--metric",
+    "metrics",
+    multiple=True,
+    metavar="NAME",
+    help="A numeric column of the manifest as a metric of the primary analysis; repeatable.  [default: as declared]",
+)
 rehearsals_option = flag(
     "--rehearsals", "Take the rehearsals (run --rehearse) instead of the sessions."
 )

@@ -414,24 +414,12 @@ Example: feel321 analyze my-study
 
 @click.command(epilog=EXAMPLE)
 @shared.folder_argument
-@click.option(
-    "--ratings",
-    type=shared.FILE,
-    help="Ratings from elsewhere; with --manifest, no study is needed.",
-)
-@click.option(
-    "--manifest", type=shared.FILE, help="The stimuli that were rated.  [default: the study's]"
-)
+@shared.ratings_option
+@shared.manifest_option
 @click.option(
     "--out", type=shared.FILE, help="Folder of the report.  [default: report/ in the study]"
 )
-@click.option(
-    "--metric",
-    "metrics",
-    multiple=True,
-    metavar="NAME",
-    help="A numeric column of the manifest as a metric of the primary analysis; repeatable.  [default: as declared]",
-)
+@shared.metric_option
 @click.option(
     "--rivals",
     is_flag=True,
