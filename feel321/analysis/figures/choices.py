@@ -8,7 +8,7 @@ import numpy as np
 
 from feel321.analysis.figures import style
 from feel321.analysis.figures.style import Look
-from feel321.analysis.words import MINUS, format_name, format_span
+from feel321.analysis.words import MINUS, format_count, format_name, format_span
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -129,8 +129,8 @@ def draw_raters(screening: Screening) -> Figure:
         number = table["participant"].nunique()
         style.add_title(
             figure,
-            f"Screening, n = {number} participants, a point each; line: the rule's limit; cross: flagged. No "
-            "intervals: values describe these ratings. Flagged raters should be followed up, not automatically "
+            f"Screening, {format_count(number, 'participant')}, a point each; line: the rule's limit; cross: flagged. "
+            "No intervals: values describe these ratings. Flagged raters should be followed up, not automatically "
             "excluded.",
         )
     return figure

@@ -17,7 +17,14 @@ from feel321.analysis.figures.style import Look
 from feel321.analysis.table.items import format_recordings
 from feel321.analysis.table.metrics import TENTH, Step
 from feel321.analysis.table.schema import ANSWERED, HIGHEST, LOWEST, PAIRED, ROLES
-from feel321.analysis.words import capitalise, format_level, format_name, format_number, format_span
+from feel321.analysis.words import (
+    capitalise,
+    format_count,
+    format_level,
+    format_name,
+    format_number,
+    format_span,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -266,8 +273,8 @@ def draw_equivalence(
         style.add_title(
             figure,
             f"Bars: 90 % intervals, of two one-sided tests at 5 %. Shaded: margin, {margin} points of rating. "
-            f"Filled: equivalent, {shown} of {len(contrasts)}; hollow: not shown. n = {n_participants} participants, "
-            f"{format_recordings(n_recordings, n_sources)}.",
+            f"Filled: equivalent, {shown} of {len(contrasts)}; hollow: not shown. "
+            f"{format_count(n_participants, 'participant')}, {format_recordings(n_recordings, n_sources)}.",
         )
     return figure
 

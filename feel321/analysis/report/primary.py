@@ -306,6 +306,12 @@ def describe_claims(claims: Sequence[Claim]) -> str:
             for one in claims if one.metric == metric
         )  # fmt: skip
         first = next(iter(counts))
+        if len(counts) == 1 and number > 1:
+            every = "both" if number == 2 else f"all {number}"  # noqa: PLR2004 - what both means
+            told.append(
+                f"{format_name(metric)}: {first} on {every}{all_of.removeprefix(f' of {number}')}"
+            )
+            continue
         own = [
             f"{verdict} on {count}{all_of * (verdict == first)}"
             if number > 1

@@ -33,7 +33,7 @@ def test_intervals_stand_against_the_margin(said: Callable[[Figure], str]) -> No
         "90 % intervals",
         "margin, −5.0 to 5.0 points of rating",
         "equivalent, 1 of 2",
-        "n = 12 participants",
+        "not shown. 12 participants, ",
     ):
         assert part in words
     assert axes.get_xlabel() == "Difference (points of rating)"

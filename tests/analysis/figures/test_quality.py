@@ -40,7 +40,7 @@ def test_every_rater_stands_at_the_share_of_every_rule(
     assert limits == sorted(screening.table.groupby("rule")["limit"].first())
     assert axes.get_xlim()[0] <= min(0, shares.min())
     words = said(figure)
-    assert "n = 20 participants" in words
+    assert "Screening, 20 participants, " in words
     assert "p03" in words
     assert "more than 15 % of items (ITU-R BS.1534-3)" in words
     # Of 18 pairs it is 0.3 itself; what a rater's number of pairs makes of it is no limit of the rule.

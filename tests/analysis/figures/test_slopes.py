@@ -152,10 +152,10 @@ def test_the_title_is_what_the_verdicts_say(model: Primary, said: Callable[[Figu
     title = describe_claims(one + more)
     assert (
         title
-        == "Spectral match: predicts lower ratings on 1 of 2 scales, not estimable on 1; x: open on 2 of 2 scales"
+        == "Spectral match: predicts lower ratings on 1 of 2 scales, not estimable on 1; x: open on both scales"
     )
     levels = [replace(claim, scale="realism", level=claim.scale) for claim in one + more]
-    assert "x: open on 2 of 2 levels" in describe_claims(levels)
+    assert "x: open on both levels" in describe_claims(levels)
     # The model's own intervals are not adjusted, and claim nothing.
     figure = draw_slopes({"realism": model}, title=title)
     assert " ".join(figure.get_suptitle().split()).startswith(title)
