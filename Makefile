@@ -90,5 +90,5 @@ clean: ## remove everything that can be made again
 .venv/.tests: pyproject.toml constraints.txt .ci/packages.txt | .venv/bin/python
 	sed 's/#.*//' .ci/packages.txt | xargs .ci/apt-install
 	@echo "Installing into .venv, PsychoPy included: one to three minutes and 2 GB, once"
-	$(PIP) -e '.[dev,docs,rig,ide,monitor]'
+	$(PIP) -e '.[dev,docs,rig,ide,monitor,cluster,server,parquet]'
 	touch $@ .venv/.runs

@@ -21,6 +21,7 @@ FACES = {
     "feel321.study": "Studies and sessions",
     "feel321.analysis": "Statistics, figures, reports",
     "feel321.results": "What functions return",
+    "feel321.jobs": "Who does the work",
     "feel321.types": "Types that signatures name",
 }
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from feel321.analysis.report.write import Results
     from feel321.analysis.table.reading import Table
+    from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.findings import Audit, Problems
@@ -291,13 +292,13 @@ class Study(Contents):
         with follow(self.progress, "check") as step:
             return check_study(self.folder, progress=step)
 
-    def build(self, workers: int = 1, *, page: bool = True) -> StimulusSet:
+    def build(self, workers: int | Workers = 1, *, page: bool = True) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
 
         Parameters
         ----------
-        workers : int
-            Number of processes.
+        workers : int or Workers
+            Number of processes, or who else does the work.
         page : bool
             Whether the set gets a page on which stimuli are seen, measured and heard, `stimuli/index.html`.
 

@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from feel321.doors import announce
+from feel321.jobs import Workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
@@ -43,7 +44,11 @@ Progress = Callable[[int, int], None]
 
 
 def build_study(
-    study: StudyFolder, *, workers: int = 1, page: bool = True, progress: Progress | None = None
+    study: StudyFolder,
+    *,
+    workers: int | Workers = 1,
+    page: bool = True,
+    progress: Progress | None = None,
 ) -> tuple[list[Recording], StimulusSet]:
     """Build the stimulus set of a study, and its page."""
     settings = read_settings(study.settings)

@@ -111,7 +111,7 @@ def annotated_names(node: ast.AST) -> Iterator[str]:
 
 PUBLIC = {
     name
-    for face in (*ROOMS, "feel321.types", "feel321.results")
+    for face in (*ROOMS, "feel321.types", "feel321.results", "feel321.jobs")
     for name in importlib.import_module(face).__all__
 } | {"np", "pd", "click"}
 

@@ -11,9 +11,7 @@ import hashlib
 import json
 import math
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from pathlib import Path, PurePath
@@ -24,6 +22,7 @@ import numpy as np
 from feel321 import __version__
 from feel321.doors import announce, as_path, describe, follow
 from feel321.files import hold_lock
+from feel321.jobs import Job, Workers, as_workers, run_jobs
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.sets import render
@@ -32,8 +31,6 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
 from feel321.stimuli.sets.recipe import Recipe, check_names, describe_recipe
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.types import PathLike, Progress
-
-Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
 PARTS = ".parts"
 FINISHED = "finished"
@@ -112,7 +109,7 @@ def build_stimuli(
     folder: PathLike,
     recipe: Recipe | None = None,
     *,
-    workers: int = 1,
+    workers: int | Workers = 1,
     progress: Progress | None = None,
     **changes: Any,  # noqa: ANN401 - fields of a recipe, checked there
 ) -> StimulusSet:
@@ -126,8 +123,8 @@ def build_stimuli(
         Where to; made if missing. Files of an earlier build that are no longer wanted are removed.
     recipe : Recipe, optional
         What is made of every recording; `Recipe()` if left out.
-    workers : int
-        Number of processes. The result does not depend on it.
+    workers : int or Workers
+        Number of processes, or who else does the work. The result does not depend on it.
     progress : bool or callable, optional
         True for a progress bar, or what is called with (steps done, steps in all) after each step.
     **changes
@@ -156,8 +153,6 @@ def build_stimuli(
     >>> [stimulus.role for stimulus in built], samples.shape, rate_hz
     (['test', 'test', 'reference', 'anchor', 'anchor'], (24000,), 48000)
     """
-    if workers < 1:
-        raise ValueError(f"workers must be 1 or more, got {workers}")
     recordings = [recordings] if isinstance(recordings, Recording) else recordings
     for one in recordings:
         if not isinstance(one, Recording):
@@ -168,7 +163,7 @@ def build_stimuli(
     folder.mkdir(parents=True, exist_ok=True)
     busy = "another build is running here; let it finish or stop it first"
     with hold_lock(folder / ".lock", busy=busy), follow(progress or False, "build") as move:
-        return _build(recordings, folder, recipe=recipe, workers=workers, move=move)
+        return _build(recordings, folder, recipe=recipe, workers=as_workers(workers), move=move)
 
 
 def _build(
@@ -176,7 +171,7 @@ def _build(
     folder: Path,
     *,
     recipe: Recipe,
-    workers: int,
+    workers: Workers,
     move: Callable[[int, int], None],
 ) -> StimulusSet:
     parts = _make_parts_folder(folder)
@@ -190,14 +185,14 @@ def _build(
         for r in new
     ]
     threads = 1 if recipe.methods else THREADS
-    for found in _run_jobs(jobs, workers=workers, threads=threads):
+    for _, found in run_jobs(jobs, workers=workers, threads=threads):
         measured.update(found)
         move(next(done), total)
     orders = _place(wanted, measured, recipe)
     how = {"recipe": recipe, "folder": folder, "history": history}
     written: dict[str, Stimulus] = {}
     jobs = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
-    for rows in _run_jobs(jobs, workers=workers, threads=threads):
+    for _, rows in run_jobs(jobs, workers=workers, threads=threads):
         written.update((row.stimulus_id, row) for row in rows)
         move(next(done), total)
     in_order = [order for recording in recordings for order in orders[recording.name]]
@@ -360,16 +355,3 @@ def _list_details(
         "keys": {order.stimulus_id: order.key for order in orders},
         "measured": {order.key: asdict(order.measured) for order in orders},
     }
-
-
-def _run_jobs(jobs: Sequence[Job], *, workers: int, threads: int) -> Iterator[Any]:
-    """Yield results as they are done; in this process where one worker is enough."""
-    if workers == 1 or len(jobs) <= 1:
-        # Each job has a context of its own, in which it can say what is being done.
-        own = [(copy_context(), job) for job in jobs]
-        with ThreadPoolExecutor(threads) as pool:
-            yield from pool.map(lambda one: one[0].run(one[1][0], *one[1][1], **one[1][2]), own)
-        return
-    from joblib import Parallel
-
-    yield from Parallel(n_jobs=workers, return_as="generator_unordered")(jobs)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from feel321.doors import announcing, follow
+from feel321.jobs import Workers
 from feel321.study.folder import require_study
 from feel321.study.study import Study
 
@@ -72,6 +73,18 @@ metric_option = click.option(
 rehearsals_option = flag(
     "--rehearsals", "Take the rehearsals (run --rehearse) instead of the sessions."
 )
+
+
+def workers_option(verb: Verb) -> Verb:
+    """Give a verb the option that says who does the work; it receives `workers`, a Workers."""
+
+    def employ(_context: click.Context, _parameter: click.Parameter, count: int) -> Workers:
+        return Workers(count)
+
+    return click.option(
+        "--workers", type=click.IntRange(min=1), default=1, show_default=True, callback=employ,
+        help="Number of processes.",
+    )(verb)  # fmt: skip
 
 
 def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]:

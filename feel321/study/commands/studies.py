@@ -6,12 +6,16 @@ import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from shlex import quote
+from typing import TYPE_CHECKING
 
 import click
 
 from feel321.study.commands import shared
 from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
 from feel321.study.study import Study
+
+if TYPE_CHECKING:
+    from feel321.jobs import Workers
 
 DEMO_PARTICIPANTS = 16
 
@@ -112,16 +116,10 @@ def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -
 
 @click.command(epilog="Example: feel321 build my-study --workers 2")
 @shared.study_argument
-@click.option(
-    "--workers",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Number of processes.",
-)
+@shared.workers_option
 @shared.flag("--no-page", "Do not write stimuli/index.html, the page of the set.")
 @shared.json_option
-def build(*, study: Study, workers: int, no_page: bool, as_json: bool) -> None:
+def build(*, study: Study, workers: Workers, no_page: bool, as_json: bool) -> None:
     """Build the stimulus set; only what changed is made again.
 
     Open stimuli/index.html in a browser to see, measure and hear every stimulus.
