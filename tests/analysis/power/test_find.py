@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     Make = Callable[..., Scenario]
 
-STUDIES = 80
+STUDIES = 60
 FAR = 1e-4
 """Chance that a right share lies outside the limits of a test."""
 
@@ -220,19 +220,19 @@ def test_a_killed_simulation_goes_on_where_it_was(
 
 
 def test_screening_leaves_out_whom_the_rules_flag(make_scenario: Make) -> None:
-    careless = {"straight_liners": 0.3, "participants": 12, "slopes": {"spectral": 60.0}}
+    careless = {"straight_liners": 0.4, "participants": 10, "slopes": {"spectral": 60.0}}
     plain = make_scenario(**careless)
     screened = make_scenario(**careless, screening=("straight_lining",))
     found = [
         simulate.simulate_studies(one.design, one.truth, studies=4) for one in (plain, screened)
     ]
-    assert (found[0].people == 12).all()
-    assert 5 < found[1].people.mean() < 11
+    assert (found[0].people == 10).all()
+    assert 3 < found[1].people.mean() < 9
     # A straight liner has no slope: with them the mean slope is smaller.
     means = [one.tests[:, 0, 0, 0, 0].mean() for one in found]
     assert means[1] > means[0] * 1.1
     alone = make_scenario(straight_liners=1.0, screening=("straight_lining",))
-    none = find_power(alone.design, alone.truth, studies=2)
+    none = find_power(alone.design, alone.truth, studies=1)
     assert none.table["tests"].tolist() == [0, 0]
     assert none.table["simulated"].isna().all()
     assert "screening leaves fewer than 3 participants" in none.notes[-1]
