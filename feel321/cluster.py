@@ -49,10 +49,13 @@ ANSWER_S = 20.0
 SLOWER_S = 3.0
 """How much longer than the first worker the others have for that."""
 
+READ_S = 10.0
+"""How long a worker has to hand a result over, before the job is given to another."""
+
 LOOK_S = 0.5
 """Between two looks at the cluster while no result comes."""
 
-OVERDUE = 4.0
+OVERDUE = 3.0
 """A job that takes so many times longer than the longest before it, and `LEAST_S` more, is given to a second worker."""
 
 LEAST_S = 5.0
@@ -162,31 +165,38 @@ class _Link:
                 continue
             if place not in running:  # done by another worker before
                 continue
-            reply = self._read(future)
-            if reply is None:
-                self._connect_again(running)
-                continue
-            self._slowest = max(self._slowest, time.monotonic() - self._sent.pop(place)[0])
-            return place, reply
+            reply = self._read(place, future, running)
+            if reply is not None:
+                since, futures = self._sent.pop(place)
+                if len(futures) == 1:
+                    self._slowest = max(self._slowest, time.monotonic() - since)
+                return place, reply
 
-    def _read(self, future: Any) -> bytes | None:  # noqa: ANN401 - a future of distributed
-        """Read the reply of a job; None if the connection was lost."""
+    def _read(self, place: int, future: Any, running: Mapping[int, bytes]) -> bytes | None:  # noqa: ANN401 - a future of distributed
+        """Read the reply of a job; None if it was lost, and the job is sent again."""
         from concurrent.futures import CancelledError
 
-        from distributed import KilledWorker
-
+        if future.status == "error":
+            raise OSError(self._explain(future.exception()))
         try:
-            reply: bytes = future.result(timeout=PATIENCE_S)
-        except KilledWorker as error:
-            lost = error.allowed_failures + 1
-            raise OSError(
-                f"{self._address}: {lost} workers were lost one after the other while doing the same job, perhaps for "
-                "lack of memory; start workers with fewer threads or a higher --memory-limit and run the command "
-                "again: what is finished is kept"
-            ) from None
-        except (OSError, CancelledError, TimeoutError):
-            return None
-        return reply
+            reply: bytes = future.result(timeout=READ_S)
+        except TimeoutError:  # its worker does not hand it over
+            self._copy(place, running[place])
+        except (OSError, CancelledError):
+            self._connect_again(running)
+        else:
+            return reply
+        return None
+
+    def _explain(self, error: Exception) -> str:
+        lost = getattr(error, "allowed_failures", None)
+        if lost is None:
+            return f"{self._address}: {error}"
+        return (
+            f"{self._address}: {lost + 1} workers were lost one after the other while doing the same job, perhaps for "
+            "lack of memory; start workers with fewer threads or a higher --memory-limit and run the command again: "
+            "what is finished is kept"
+        )
 
     def _look(self, running: Mapping[int, bytes]) -> None:
         """Look after the cluster while nothing comes: it may be lost, or without workers, or one may be stuck."""
@@ -206,14 +216,17 @@ class _Link:
         """Give what is long overdue to a second worker: the first to finish counts."""
         if not self._slowest:
             return
-        for place in [*running]:
+        for place, content in running.items():
             since, futures = self._sent[place]
             if len(futures) == 1 and now - since > OVERDUE * self._slowest + LEAST_S:
-                holders = self._client.processing()
-                key = futures[0].key
-                others = [name for name, keys in holders.items() if key not in keys]
-                if others:
-                    self.send(place, running[place], others)
+                self._copy(place, content)
+
+    def _copy(self, place: int, content: bytes) -> None:
+        """Send a job once more, to workers that do not have it, if there are any."""
+        key = self._sent[place][1][0].key
+        doing, done = self._client.processing(), self._client.has_what()
+        others = [name for name in doing if key not in doing[name] and key not in done[name]]
+        self.send(place, content, others)
 
     def _connect_again(self, running: Mapping[int, bytes]) -> None:
         """Connect anew and send all that has no result."""

@@ -58,7 +58,7 @@ def build(
             then()
 
     workers = Workers(1, cluster.address, share)
-    build_stimuli(make_scenes(), folder, workers=workers, progress=follow, **SOME)  # type: ignore[arg-type]  # fields
+    build_stimuli(make_scenes(), folder, workers=workers, progress=follow, **SOME)  # type: ignore[arg-type]  # fields of a recipe
     return contents(folder)
 
 
