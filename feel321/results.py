@@ -15,6 +15,7 @@ from feel321.analysis.contrasts.bradley_terry import BradleyTerry
 from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, ReducerDifference
 from feel321.analysis.contrasts.discrimination import Discrimination
 from feel321.analysis.mixed.model import Estimate, MixedFit
+from feel321.analysis.power.design import Power, PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.published import Published
@@ -74,6 +75,8 @@ __all__ = [
     "PaperClaim",
     "Part",
     "Place",
+    "Power",
+    "PowerPlan",
     "Primaries",
     "Primary",
     "Problems",
