@@ -20,6 +20,7 @@ VERBS = {
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
     "signals": ("match", "port", "reduce"),
+    "stations": ("collect",),
     "studies": (
         "analyze",
         "audit",
@@ -39,7 +40,7 @@ VERBS = {
 }
 """Module of `feel321.study.commands` -> its verbs."""
 
-RESUMED = {"build", "demo", "run", "simulate", "withdraw"}
+RESUMED = {"build", "collect", "demo", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 
