@@ -19,6 +19,7 @@ VERBS = {
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
+    "planning": ("power",),
     "signals": ("match", "port", "reduce"),
     "studies": (
         "analyze",
@@ -39,7 +40,7 @@ VERBS = {
 }
 """Module of `feel321.study.commands` -> its verbs."""
 
-RESUMED = {"build", "demo", "run", "simulate", "withdraw"}
+RESUMED = {"build", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 

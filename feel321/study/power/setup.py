@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from feel321.analysis.power import design as records
 from feel321.analysis.primary import model as primary
 from feel321.analysis.report import parts
+from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table import reading
-from feel321.doors import refuse_name
+from feel321.doors import check_name
 from feel321.protocols import trial
 from feel321.stimuli.sets import build, manifest
 from feel321.study import minutes, ratings, sessions
@@ -23,7 +23,9 @@ from feel321.study.session import plan
 from feel321.study.settings import read, schema
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
+
+    from pandas import DataFrame
 
     from feel321.analysis.power.design import PowerDesign, Truth
     from feel321.analysis.report.parts import RatingsPart
@@ -32,13 +34,14 @@ if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
 
-    Progress = Callable[[int, int], None]
-
 OWN, OBSERVERS = "study", "observers"
 """Pilots that are no file: the study's own ratings, and those of its simulated observers."""
 
 SAMPLE = 48
 """Simulated observers from whose ratings their standard deviations are estimated."""
+
+MOST_POINTS = 100
+"""More than the whole scale per step of a metric is a slip."""
 
 WHO, SCENE, REDUCER, ITEM, RATING = "participant", "recording", "reducer", "item", "rating"
 
@@ -50,7 +53,7 @@ class Effects:
     points: per step of each metric, by attribute; given: whether a user said so; steps: by metric.
     """
 
-    points: pd.DataFrame
+    points: DataFrame
     steps: Mapping[str, Step]
     given: tuple[str, ...] = ()
 
@@ -84,7 +87,7 @@ class PowerTask:
         """Measure how long a session of a design takes, whatever the number of participants."""
         key = design.recordings, design.reducers, design.repeats
         if key not in self.lengths:
-            self.lengths[key] = _measure_length(self, *key)
+            self.lengths[key] = _measure_length(self, design)
         return self.lengths[key]
 
     def find_minutes(self, design: PowerDesign) -> float:
@@ -101,55 +104,64 @@ def set_up(
     effects: Mapping[str, float] | None = None,
     pilot: str | Path | None = None,
     pilot_manifest: Path | None = None,
+    screening: Sequence[str] = (),
     participants: int = 16,
-    progress: Progress | None = None,
 ) -> PowerTask:
     """Set up the power analysis of a study.
 
     effects: metric, or attribute/metric -> points per step of the metric; others are as simulated observers plant them.
     pilot: a table of ratings, `study` or `observers`; the usual standard deviations if left out.
     """
+    for name in screening:
+        check_name(name, RULES, "screening")
     settings = read.read_settings(study.settings)
-    stimuli = _open_stimuli(study, settings, progress)
+    stimuli = _open_stimuli(study, settings)
     further = measure_declared(study, settings) if study.manifest.exists() else None
-    choosing = {
-        name: levels for name, levels in settings.between.items() if name in trial.CHOOSING
-    }
+    choosing = {name: levels for name, levels in settings.between.items() if name in trial.CHOOSING}
     share = schema.count_groups(choosing)
     paper = whole.PaperStudy.draw(
-        settings, study.path, stimuli, participants=share, further=further
+        settings,
+        study.path,
+        stimuli,
+        participants=share,
+        further=further,
+        screening=tuple(screening),
     )
-    table = paper.tabulate(paper.simulate(0, expected=True))
-    rated = list(parts.split_parts(table))
-    if not rated:
-        names = ", ".join(settings.session.protocols)
-        raise ValueError(
-            f"{study.settings.name}: session.protocols ({names}) ask for no rating of a single stimulus, so there is no "
-            "slope to plan for; add realism or similarity"
-        )
-    steps = parts.find_table_steps(table)
-    planted = whole.regress_expected(rated, steps)
-    found = _plant(Effects(planted.set_axis(_name_attributes(rated)), steps), effects or {})
-    own = _make_design(rated, found, settings, participants // share)
+    rated, found = _plant(paper, effects or {})
+    own = _make_design(
+        rated, found, settings, participants=participants // share, screening=paper.screening
+    )
     truth, notes = _find_truth(study, paper, found, pilot=pilot, listed=pilot_manifest)
     pace = minutes.read_pace(study, stimuli)
     return PowerTask(own, truth, found, paper, share, pace, (*_note_levels(rated), *notes))
 
 
-def _open_stimuli(
-    study: StudyFolder, settings: Settings, progress: Progress | None
-) -> StimulusSet:
+def split_expected(
+    paper: whole.PaperStudy,
+) -> tuple[list[RatingsPart], DataFrame, Mapping[str, Step]]:
+    """Split mean ratings by attribute; also their slopes in points per step of each metric, and these steps."""
+    table = paper.tabulate(paper.simulate(0, expected=True))
+    rated = list(parts.split_parts(table))
+    if not rated:
+        names = ", ".join(paper.settings.session.protocols)
+        raise ValueError(
+            f"session.protocols ({names}) ask for no rating of a single stimulus, so there is no slope to plan for; "
+            "add realism or similarity"
+        )
+    steps = parts.find_table_steps(table)
+    return rated, whole.regress_expected(rated, steps).set_axis(_name_attributes(rated)), steps
+
+
+def _open_stimuli(study: StudyFolder, settings: Settings) -> StimulusSet:
     """Read the stimulus set; where none is built, measure what it would hold and write nothing."""
     if study.manifest.exists():
         sessions.require_current_set(study, settings)
         return manifest.read_stimuli(study.stimuli)
     recordings = read.open_recordings(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
-    foreseen = build.foresee_stimuli(recordings, study.stimuli, recipe=recipe, progress=progress)
+    foreseen = build.foresee_stimuli(recordings, study.stimuli, recipe=recipe)
     crop_s = settings.stimuli.conditioning.crop_s
-    lengths = {
-        one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in recordings
-    }
+    lengths = {one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in recordings}
     rows = tuple(_foresee(one, lengths[one.recording], recipe.rate_hz) for one in foreseen)
     return manifest.StimulusSet(study.stimuli, rows, "0" * 64)
 
@@ -174,7 +186,12 @@ def _name_attributes(rated: Sequence[RatingsPart]) -> list[str]:
 
 
 def _make_design(
-    rated: Sequence[RatingsPart], effects: Effects, settings: Settings, participants: int
+    rated: Sequence[RatingsPart],
+    effects: Effects,
+    settings: Settings,
+    *,
+    participants: int,
+    screening: tuple[str, ...],
 ) -> PowerDesign:
     metrics = list(effects.steps)
     columns = [SCENE, REDUCER, ITEM, *metrics]
@@ -184,7 +201,7 @@ def _make_design(
         items = items.assign(source=items[SCENE].map(origin))
     return records.PowerDesign(
         items, tuple(metrics), tuple(effects.points.index), participants=participants,
-        repeats=settings.session.repeats, screening=settings.analysis.screening,
+        repeats=settings.session.repeats, screening=screening,
     )  # fmt: skip
 
 
@@ -198,19 +215,22 @@ def _note_levels(rated: Sequence[RatingsPart]) -> list[str]:
 # What is planted.
 
 
-def _plant(found: Effects, effects: Mapping[str, float]) -> Effects:
-    """Plant slopes that were asked for in the place of the observers'."""
-    points, metrics = found.points.copy(), list(found.steps)
+def _plant(
+    paper: whole.PaperStudy, effects: Mapping[str, float]
+) -> tuple[list[RatingsPart], Effects]:
+    """Plant the slopes that are asked for, and those of the observers elsewhere."""
+    rated, points, steps = split_expected(paper)
     for name, value in effects.items():
         attribute, _, metric = name.rpartition("/")
-        if metric not in metrics:
-            refuse_name(metric, metrics, "effect: the metric")
-        if attribute and attribute not in points.index:
-            refuse_name(attribute, list(points.index), "effect: the attribute")
-        if not np.isfinite(value):
-            raise ValueError(f"effect: points of {name} must be a finite number, got {value}")
+        check_name(metric, steps, "effect, metric")
+        if attribute:
+            check_name(attribute, list(points.index), "effect, attribute")
+        if not abs(value) <= MOST_POINTS:
+            raise ValueError(
+                f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value:g}"
+            )
         points.loc[attribute or points.index, metric] = value
-    return replace(found, points=points, given=tuple(effects))
+    return rated, Effects(points, steps, tuple(effects))
 
 
 def _find_truth(
@@ -228,13 +248,13 @@ def _find_truth(
     if pilot is None:
         return records.Truth(**known), []
     if str(pilot) == OBSERVERS:
-        truth = fit_truths(_split_observers(paper), known)
+        truth = fit_truths(split_observers(paper, len(paper.plans)), known)
         source = f"{SAMPLE} simulated observers"
         return replace(truth, source=source), [
             "The standard deviations are those of simulated observers, who are not people: plan a real study with "
             "those of a pilot, or with the usual ones."
         ]
-    rated, simulated = _split_pilot(study, paper, pilot, listed)
+    rated, simulated = _split_pilot(study, paper, pilot, listed=listed)
     truth = fit_truths(rated, known)
     people = len({who for part in rated for who in part.rows[WHO]})
     what = "this study" if str(pilot) == OWN else Path(pilot).name
@@ -242,19 +262,19 @@ def _find_truth(
     return replace(truth, source=f"the primary model of {people} people's ratings in {what}"), notes
 
 
-def _split_observers(paper: whole.PaperStudy) -> list[RatingsPart]:
+def split_observers(paper: whole.PaperStudy, share: int) -> list[RatingsPart]:
     """Simulate a large study, with two repeats at least, which tell noise from taste."""
     settings = paper.settings
     session = settings.session.model_copy(update={"repeats": max(2, settings.session.repeats)})
     large = whole.PaperStudy.draw(
         settings.model_copy(update={"session": session}), paper.folder, paper.stimuli,
-        participants=SAMPLE * len(paper.plans), further=paper.further,
+        participants=SAMPLE * share, further=paper.further,
     )  # fmt: skip
     return large.split(large.simulate(settings.study.seed))
 
 
 def _split_pilot(
-    study: StudyFolder, paper: whole.PaperStudy, pilot: str | Path, listed: Path | None
+    study: StudyFolder, paper: whole.PaperStudy, pilot: str | Path, *, listed: Path | None
 ) -> tuple[list[RatingsPart], bool]:
     """Read pilot ratings, of the study's own stimuli or of others; and whether simulated participants gave them."""
     path = Path(pilot)
@@ -263,9 +283,13 @@ def _split_pilot(
         if study.journals:
             ratings.write_ratings(study, paper.stimuli)
         if not path.is_file():
-            raise FileNotFoundError(f"{path}: no ratings yet; give a file with --pilot, or leave it out")
+            raise FileNotFoundError(
+                f"{path}: no ratings yet; give a file with --pilot, or leave it out"
+            )
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such table of ratings; --pilot takes a file, {OWN} or {OBSERVERS}")
+        raise FileNotFoundError(
+            f"{path}: no such table of ratings; --pilot takes a file, {OWN} or {OBSERVERS}"
+        )
     table = reading.read_table(
         path,
         paper.stimuli.to_frame() if listed is None else listed,
@@ -281,40 +305,42 @@ def _split_pilot(
 def fit_truths(rated: Sequence[RatingsPart], known: Mapping[str, Any]) -> Truth:
     """Fit the primary model of every attribute and pool the standard deviations, as their root mean square."""
     found = [_fit_truth(part, known) for part in rated]
-    names = (*records.SPREADS,)
-    pooled = {
-        name: float(np.sqrt(np.mean([getattr(one, name) ** 2 for one in found]))) for name in names
+    pooled: dict[str, Any] = {
+        name: _pool([getattr(one, name) for one in found]) for name in records.SPREADS
     }
-    slopes = {
-        metric: float(np.sqrt(np.mean([one.slope_sds[metric] ** 2 for one in found])))
-        for metric in set.intersection(*(set(one.slope_sds) for one in found))
-    }
+    metrics = set.intersection(*(set(one.slope_sds) for one in found))
+    sds = {name: _pool([one.slope_sds[name] for one in found]) for name in sorted(metrics)}
     mean = float(np.mean([one.mean for one in found]))
-    return replace(found[0], **pooled, slope_sds=slopes, mean=mean)
+    return replace(found[0], slope_sds=sds, mean=mean, **pooled)
+
+
+def _pool(sds: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(sds))))
 
 
 def _fit_truth(part: RatingsPart, known: Mapping[str, Any]) -> Truth:
+    """Take the spreads of one attribute; what repeats differ by is told from taste where there are repeats."""
     rows = part.rows
-    metrics = [name.split("/")[-1] for name in known["slopes"]]
-    fit = primary.fit_primary(rows, list(dict.fromkeys(metrics)), explain=False)
+    metrics = list(dict.fromkeys(name.split("/")[-1] for name in known["slopes"]))
+    fit = primary.fit_primary(rows, metrics, explain=False)
     cells = rows.groupby([WHO, ITEM], observed=True)[RATING]
-    spare = len(rows) - cells.ngroups
-    noise = {} if not spare else {"rating_sd": float(np.sqrt((cells.var(ddof=1) * (cells.size() - 1)).sum() / spare))}
+    spare, noise = len(rows) - cells.ngroups, {}
+    if spare:
+        squares = ((rows[RATING] - cells.transform("mean")) ** 2).sum()
+        noise["rating_sd"] = float(np.sqrt(squares / spare))
     return records.Truth.from_fit(fit, **known, **noise)
 
 
 # How long a session takes.
 
 
-def _measure_length(
-    task: PowerTask, recordings: int, reducers: int, repeats: int
-) -> minutes.Length:
+def _measure_length(task: PowerTask, sizes: PowerDesign) -> minutes.Length:
     """Work through sessions with other numbers of recordings and reducers: the study's own, and copies of them."""
     paper = task.paper
     design = read.make_design(paper.settings, paper.folder)
     choosing = {name: own for name, own in design.between.items() if name in trial.CHOOSING}
-    design = replace(design, repeats=repeats, between=choosing)
-    items, durations = _resize(paper.stimuli, recordings, reducers)
+    design = replace(design, repeats=sizes.repeats, between=choosing)
+    items, durations = _resize(paper.stimuli, sizes.recordings, sizes.reducers)
     numbers = range(1, schema.count_groups(choosing) + 1)
     courses = [plan.make_trials(design, items, number=number) for number in numbers]
     sittings = [minutes.Sitting.plan(course, design.flow, durations) for course in courses]
@@ -332,7 +358,11 @@ def _resize(
     for name, scene in _number_copies(list(known), recordings):
         durations[name] = known[scene]
         for one in (one for one in stimuli if one.recording == scene):
-            made = [new for new, of in kept if of == one.reducer] if one.role == "test" else [one.reducer]
+            made = (
+                [new for new, of in kept if of == one.reducer]
+                if one.role == "test"
+                else [one.reducer]
+            )
             items += [
                 trial.Item(f"{name}__{reducer}__{one.level}", name, reducer, one.level, one.role)
                 for reducer in made

@@ -18,14 +18,14 @@ import pandas as pd
 from feel321 import __version__
 from feel321.analysis.primary import model as primary
 from feel321.analysis.report import parts
-from feel321.analysis.screening import rules, screen
+from feel321.analysis.screening import screen
 from feel321.analysis.table import reading
 from feel321.files import write_text
 from feel321.jobs import Job, run_jobs
 from feel321.protocols.texts import make_scales
+from feel321.protocols.trial import RATING_RANGE
 from feel321.records import to_json_value
-from feel321.study import simulation
-from feel321.study.observer import participant, simulated
+from feel321.study.observer import casting, participant, simulated
 from feel321.study.ratings import decode_judgements
 from feel321.study.session import codes, engine, events, journal, plan
 from feel321.study.settings import read
@@ -57,22 +57,27 @@ class PaperJournal(journal.Journal):
         self.records.append(record)
 
 
+@dataclass(frozen=True, slots=True)
 class ExpectedRater(participant.Rater):
-    """Gives the mean rating that the study's simulated participants give: what is planted, without any noise."""
+    """Gives the mean rating of the study's simulated participants: what is planted, without any noise."""
 
-    __slots__ = ("model",)
+    model: ObserverModel
 
-    def __init__(self, model: ObserverModel) -> None:
-        super().__init__(participant.NORMAL, 0.0, 1.0, 0.0, 0.0, 0.5)
-        object.__setattr__(self, "model", model)
-
-    def rate(self, percept: float, *, sure: float = 0.0, **_: Any) -> float:  # type: ignore[override]  # noqa: ANN401
-        """Average over participants; who reverses the scale does so to the mean, too."""
-        model = self.model
+    def rate(
+        self,
+        percept: float,
+        *,
+        sure: float = RATING_RANGE[0],
+        shift: float,
+        growth: float,
+        rng: np.random.Generator,
+    ) -> float:
+        """Average over participants; who takes the ends of the scale for each other does so to the mean, too."""
+        del shift, growth, rng
+        model, top = self.model, sum(RATING_RANGE)
         careful = participant.expect_rating(model, [percept], sure=sure)[0]
-        idle, reversed_ = model.straight_liners + model.random_clickers, model.scale_reversers
-        top = sum(participant.RATING_RANGE)
-        return (1 - idle - reversed_) * careful + reversed_ * (top - careful) + idle * top / 2
+        idle, turned = model.straight_liners + model.random_clickers, model.scale_reversers
+        return (1 - idle - turned) * careful + turned * (top - careful) + idle * top / 2
 
 
 class Fit(NamedTuple):
@@ -87,7 +92,8 @@ class Fit(NamedTuple):
 class PaperStudy:
     """A study that can be run again and again without a disk.
 
-    plans: those of all participants, the same in every run; further: metrics that the manifest lacks.
+    plans: those of all participants, the same in every run; further: metrics that the manifest lacks; screening: rules
+    by which participants are left out.
     """
 
     settings: Settings
@@ -95,6 +101,7 @@ class PaperStudy:
     stimuli: StimulusSet
     plans: tuple[Plan, ...]
     further: Further | None = None
+    screening: tuple[str, ...] = ()
 
     @classmethod
     def draw(
@@ -105,6 +112,7 @@ class PaperStudy:
         *,
         participants: int,
         further: Further | None = None,
+        screening: tuple[str, ...] = (),
     ) -> PaperStudy:
         """Plan the sessions of so many participants."""
         design = read.make_design(settings, folder)
@@ -113,42 +121,48 @@ class PaperStudy:
             plan.make_plan(design, stimuli, f"sim{number:03d}", number=number, simulated=True)
             for number in range(1, participants + 1)
         )
-        return cls(settings, folder, stimuli, tuple(plans), further)
+        return cls(settings, folder, stimuli, tuple(plans), further, screening)
 
     @cached_property
     def _scales(self) -> Mapping[str, Any]:
         return make_scales(read.read_study_texts(self.settings, self.folder))
 
     @cached_property
-    def _casting(self) -> simulation.Casting:
-        return simulation.cast_observers(self.settings, self.stimuli, seed=0)
+    def _casting(self) -> casting.Casting:
+        return casting.cast_observers(self.settings, self.stimuli, seed=0)
 
     def simulate(self, seed: int, *, expected: bool = False) -> pd.DataFrame:
         """Run the sessions of simulated participants of this seed; one row per judgement, as in `ratings.csv`.
 
         expected: everybody gives the mean rating instead.
         """
-        casting = replace(self._casting, seed=seed)
-        rows = [row for one in self.plans for row in self._run(one, casting, expected=expected)]
+        cast = replace(self._casting, seed=seed)
+        rows = [row for one in self.plans for row in self._run(one, cast, expected=expected)]
         return pd.DataFrame(rows)
 
-    def _run(self, own: Plan, casting: simulation.Casting, *, expected: bool) -> list[dict[str, Any]]:
+    def _run(self, own: Plan, cast: casting.Casting, *, expected: bool) -> list[dict[str, Any]]:
+        number = casting.find_person(own.participant)
         observer = simulated.SimulatedObserver(
-            casting.model, seed=casting.seed, number=simulation.find_person(own.participant),
-            percepts=casting.percepts,
-        )  # fmt: skip
+            cast.model, seed=cast.seed, number=number, percepts=cast.percepts
+        )
         if expected:
-            observer.rater = ExpectedRater(casting.model)
-        kept = PaperJournal(self.folder / own.participant, journal.utc_now)
-        identity = {"presenter": participant.identify_observer(casting.model, seed=casting.seed)}
-        kept.write(
-            events.SessionBegun(
-                plan.JOURNAL_FORMAT, own.participant, own.sha256, own.stimuli_sha256, own.seed, identity, 1, {}, "", {}
-            )
-        )  # fmt: skip
+            careful = participant.NORMAL, 0.0, 1.0, 0.0, 0.0, 0.5
+            observer.rater = ExpectedRater(*careful, cast.model)
+        kept = self._begin_journal(own, cast)
         engine.run_session(own, observer, stimuli=self.stimuli, journal=kept, scales=self._scales)
         by_code = codes.list_by_code(self.stimuli, seed=own.seed)
         return decode_judgements(own, kept.records, by_code, levels={}, path=kept.path)
+
+    def _begin_journal(self, own: Plan, cast: casting.Casting) -> PaperJournal:
+        identity = {"presenter": participant.identify_observer(cast.model, seed=cast.seed)}
+        digests = own.sha256, own.stimuli_sha256
+        kept = PaperJournal(self.folder / own.participant, journal.utc_now)
+        kept.write(
+            events.SessionBegun(
+                plan.JOURNAL_FORMAT, own.participant, *digests, own.seed, identity, 1, {}, "", {}
+            )
+        )
+        return kept
 
     def tabulate(self, rows: pd.DataFrame) -> Table:
         """Join ratings with the metrics that the analysis declares."""
@@ -165,31 +179,34 @@ class PaperStudy:
         return list(parts.split_parts(self.tabulate(rows)))
 
     def analyze(self, seed: int) -> Fit:
-        """Run a study and analyse it: screening as declared, the primary model of every attribute, Holm's adjustment."""
+        """Run a study and analyse it: screening, the primary model of every attribute, Holm's method."""
         table = self.tabulate(self.simulate(seed))
         out = self._screen(table)
         table = replace(table, rows=table.rows[~table.rows[WHO].isin(out)])
         found, failed = [], []
         for part in parts.split_parts(table):
             try:
-                fit = primary.fit_primary(part.rows, table.metrics, explain=False)
+                found.append(_fit_part(part, table.metrics))
             except ValueError as error:
                 failed.append(f"{part.lead}: {error}")
-                continue
-            own = fit.slopes.reindex(list(table.metrics))[list(FITTED)].reset_index()
-            found.append(own.assign(part=part.lead, singular=fit.fit.singular))
         if not found:
             return Fit(pd.DataFrame(), len(out), tuple(failed))
         slopes = pd.concat(found, ignore_index=True)
-        return Fit(slopes.assign(p_holm=primary.adjust_holm(slopes["p"])), len(out), tuple(failed))
+        adjusted = primary.adjust_holm(slopes["p"].tolist())
+        return Fit(slopes.assign(p_holm=adjusted), len(out), tuple(failed))
 
     def _screen(self, table: Table) -> set[object]:
-        """Find the participants whom the declared rules flag."""
-        declared = rules.find_rules(self.settings.analysis.screening, self.folder)
-        if not declared:
+        """Find the participants whom the rules flag."""
+        if not self.screening:
             return set()
-        found = screen.screen_raters(table, [], own=declared)
+        found = screen.screen_raters(table, self.screening)
         return {who for hit in found.hits.values() for who in hit}
+
+
+def _fit_part(part: RatingsPart, metrics: Sequence[str]) -> pd.DataFrame:
+    fit = primary.fit_primary(part.rows, metrics, explain=False)
+    slopes = fit.slopes.reindex(list(metrics))[list(FITTED)].reset_index()
+    return slopes.assign(part=part.lead, singular=fit.fit.singular)
 
 
 def regress_expected(rated: Sequence[RatingsPart], steps: Mapping[str, Step]) -> pd.DataFrame:
@@ -231,27 +248,31 @@ def run_wholes(
     seed: int,
     workers: Workers,
     keep: Path,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Wholes:
     """Run whole studies, each with a seed of its own; those that an interrupted call had run are kept."""
     place = keep / f"whole-{_digest(paper, seed)}"
     place.mkdir(parents=True, exist_ok=True)
     chunks = [range(first, min(first + CHUNK, studies)) for first in range(0, studies, CHUNK)]
     files = [place / f"{chunk.start}-{chunk.stop}.json" for chunk in chunks]
-    left = [(chunk, file) for chunk, file in zip(chunks, files, strict=True) if not file.is_file()]
-    todo: list[Job] = [(_run_chunk, (paper, seed, chunk), {}) for chunk, _ in left]
-    done = len(chunks) - len(left)
-    for turn, found in run_jobs(todo, workers=workers):
-        write_text(left[turn][1], json.dumps(found))
-        done += 1
-        if progress:
-            progress(done, len(chunks))
+    left = [place for place, file in enumerate(files) if not file.is_file()]
+    todo: list[Job] = [(_run_chunk, (paper, seed, chunks[place]), {}) for place in left]
+    for done, (turn, found) in enumerate(run_jobs(todo, workers=workers), start=1):
+        write_text(files[left[turn]], json.dumps(found))
+        progress(len(files) - len(left) + done, len(files))
     return _gather([one for file in files for one in json.loads(file.read_text("utf-8"))])
 
 
 def _digest(paper: PaperStudy, seed: int) -> str:
     """Digest what decides the results of whole studies."""
-    known = (paper.settings.model_dump_json(), paper.stimuli.sha256, len(paper.plans), seed, __version__)
+    known = (
+        paper.settings.model_dump_json(),
+        paper.stimuli.sha256,
+        len(paper.plans),
+        paper.screening,
+        seed,
+        __version__,
+    )
     return hashlib.sha256(repr(known).encode()).hexdigest()[:16]
 
 
