@@ -403,9 +403,11 @@ class Balanced(Profile):
 
 
 def _is_identity(stand: Stand) -> bool:
-    size, diagonal = len(stand.columns), np.abs(stand.columns.diagonal())
-    square = stand.columns.shape == (size, size) and np.count_nonzero(stand.columns) == size
-    return bool(square and (diagonal == diagonal[0]).all())
+    """Check for a level of its own for every row, in any order: a multiple of the identity as a covariance."""
+    columns = np.abs(stand.columns)
+    square = columns.shape[0] == columns.shape[1] and np.count_nonzero(columns) == len(columns)
+    largest = columns.max(axis=1)
+    return bool(square and (columns.any(axis=0)).all() and (largest == largest[0]).all())
 
 
 def find_slope(profile: Profile, state: State, weight: float | None = None) -> Samples:
