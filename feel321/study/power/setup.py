@@ -7,32 +7,35 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pandas import DataFrame
 
 from feel321.analysis.power import design as records
-from feel321.analysis.primary import model as primary
+from feel321.analysis.power import find
+from feel321.analysis.power import plan as planning
 from feel321.analysis.report import parts
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table import reading
-from feel321.doors import check_name
+from feel321.doors import announce, check_name
 from feel321.protocols import trial
 from feel321.stimuli.sets import build, manifest
 from feel321.study import minutes, ratings, sessions
 from feel321.study.metrics import measure_declared
-from feel321.study.power import whole
-from feel321.study.session import plan
+from feel321.study.observer.participant import SPECTRAL
+from feel321.study.power import assume, lengths, page, whole
 from feel321.study.settings import read, schema
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from pandas import DataFrame
-
-    from feel321.analysis.power.design import PowerDesign, Truth
+    from feel321.analysis.power.design import Power, PowerDesign, PowerPlan, Truth
     from feel321.analysis.report.parts import RatingsPart
     from feel321.analysis.table.metrics import Step
+    from feel321.jobs import Workers
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
+
+    Progress = Callable[[int, int], None]
 
 OWN, OBSERVERS = "study", "observers"
 """Pilots that are no file: the study's own ratings, and those of its simulated observers."""
@@ -40,30 +43,13 @@ OWN, OBSERVERS = "study", "observers"
 SAMPLE = 48
 """Simulated observers from whose ratings their standard deviations are estimated."""
 
+PEOPLE = 16
+"""Raters of each attribute in the design around which others are compared."""
+
 MOST_POINTS = 100
 """More than the whole scale per step of a metric is a slip."""
 
-WHO, SCENE, REDUCER, ITEM, RATING = "participant", "recording", "reducer", "item", "rating"
-
-
-@dataclass(frozen=True, slots=True)
-class Effects:
-    """What is planted and where it comes from.
-
-    points: per step of each metric, by attribute; given: whether a user said so; steps: by metric.
-    """
-
-    points: DataFrame
-    steps: Mapping[str, Step]
-    given: tuple[str, ...] = ()
-
-    def to_slopes(self) -> dict[str, float]:
-        """Return the slopes of a Truth: points per unit of the metric, by attribute/metric."""
-        return {
-            f"{attribute}/{metric}": float(self.points.loc[attribute, metric]) / step.size
-            for attribute in self.points.index
-            for metric, step in self.steps.items()
-        }
+WHO, SCENE, REDUCER, ITEM = "participant", "recording", "reducer", "item"
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +62,7 @@ class PowerTask:
 
     design: PowerDesign
     truth: Truth
-    effects: Effects
+    effects: assume.Effects
     paper: whole.PaperStudy
     share: int = 1
     pace: minutes.Pace = field(default_factory=minutes.Pace)
@@ -87,7 +73,14 @@ class PowerTask:
         """Measure how long a session of a design takes, whatever the number of participants."""
         key = design.recordings, design.reducers, design.repeats
         if key not in self.lengths:
-            self.lengths[key] = _measure_length(self, design)
+            paper = self.paper
+            self.lengths[key] = lengths.measure_sessions(
+                read.make_design(paper.settings, paper.folder),
+                paper.stimuli,
+                design,
+                groups=self.share,
+                pace=self.pace,
+            )
         return self.lengths[key]
 
     def find_minutes(self, design: PowerDesign) -> float:
@@ -105,7 +98,7 @@ def set_up(
     pilot: str | Path | None = None,
     pilot_manifest: Path | None = None,
     screening: Sequence[str] = (),
-    participants: int = 16,
+    wanted: float = records.ENOUGH,
 ) -> PowerTask:
     """Set up the power analysis of a study.
 
@@ -128,9 +121,8 @@ def set_up(
         screening=tuple(screening),
     )
     rated, found = _plant(paper, effects or {})
-    own = _make_design(
-        rated, found, settings, participants=participants // share, screening=paper.screening
-    )
+    own = _make_design(rated, found, paper)
+    own = replace(own, wanted=wanted)
     truth, notes = _find_truth(study, paper, found, pilot=pilot, listed=pilot_manifest)
     pace = minutes.read_pace(study, stimuli)
     return PowerTask(own, truth, found, paper, share, pace, (*_note_levels(rated), *notes))
@@ -186,22 +178,17 @@ def _name_attributes(rated: Sequence[RatingsPart]) -> list[str]:
 
 
 def _make_design(
-    rated: Sequence[RatingsPart],
-    effects: Effects,
-    settings: Settings,
-    *,
-    participants: int,
-    screening: tuple[str, ...],
+    rated: Sequence[RatingsPart], effects: assume.Effects, paper: whole.PaperStudy
 ) -> PowerDesign:
-    metrics = list(effects.steps)
-    columns = [SCENE, REDUCER, ITEM, *metrics]
-    items = rated[0].rows[columns].drop_duplicates(ITEM)
+    """Make the design of the study itself, with a usual number of people who rate each attribute."""
+    metrics = tuple(effects.steps)
+    items = rated[0].rows[[SCENE, REDUCER, ITEM, *metrics]].drop_duplicates(ITEM)
     origin = rated[0].rows.drop_duplicates(SCENE).set_index(SCENE)["source"]
     if not origin.is_unique:
         items = items.assign(source=items[SCENE].map(origin))
     return records.PowerDesign(
-        items, tuple(metrics), tuple(effects.points.index), participants=participants,
-        repeats=settings.session.repeats, screening=screening,
+        items, metrics, tuple(effects.points.index), participants=PEOPLE,
+        repeats=paper.settings.session.repeats, screening=paper.screening,
     )  # fmt: skip
 
 
@@ -217,7 +204,7 @@ def _note_levels(rated: Sequence[RatingsPart]) -> list[str]:
 
 def _plant(
     paper: whole.PaperStudy, effects: Mapping[str, float]
-) -> tuple[list[RatingsPart], Effects]:
+) -> tuple[list[RatingsPart], assume.Effects]:
     """Plant the slopes that are asked for, and those of the observers elsewhere."""
     rated, points, steps = split_expected(paper)
     for name, value in effects.items():
@@ -230,13 +217,13 @@ def _plant(
                 f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value:g}"
             )
         points.loc[attribute or points.index, metric] = value
-    return rated, Effects(points, steps, tuple(effects))
+    return rated, assume.Effects(points, steps, tuple(effects))
 
 
 def _find_truth(
     study: StudyFolder,
     paper: whole.PaperStudy,
-    effects: Effects,
+    effects: assume.Effects,
     *,
     pilot: str | Path | None,
     listed: Path | None,
@@ -248,14 +235,14 @@ def _find_truth(
     if pilot is None:
         return records.Truth(**known), []
     if str(pilot) == OBSERVERS:
-        truth = fit_truths(split_observers(paper, len(paper.plans)), known)
+        truth = assume.fit_truths(split_observers(paper, len(paper.plans)), known)
         source = f"{SAMPLE} simulated observers"
         return replace(truth, source=source), [
             "The standard deviations are those of simulated observers, who are not people: plan a real study with "
             "those of a pilot, or with the usual ones."
         ]
     rated, simulated = _split_pilot(study, paper, pilot, listed=listed)
-    truth = fit_truths(rated, known)
+    truth = assume.fit_truths(rated, known)
     people = len({who for part in rated for who in part.rows[WHO]})
     what = "this study" if str(pilot) == OWN else Path(pilot).name
     notes = [f"{what}: ratings come from simulated participants, not from people."] * simulated
@@ -302,81 +289,160 @@ def _split_pilot(
     return rated, bool(table.rows["simulated"].any())
 
 
-def fit_truths(rated: Sequence[RatingsPart], known: Mapping[str, Any]) -> Truth:
-    """Fit the primary model of every attribute and pool the standard deviations, as their root mean square."""
-    found = [_fit_truth(part, known) for part in rated]
-    pooled: dict[str, Any] = {
-        name: _pool([getattr(one, name) for one in found]) for name in records.SPREADS
-    }
-    metrics = set.intersection(*(set(one.slope_sds) for one in found))
-    sds = {name: _pool([one.slope_sds[name] for one in found]) for name in sorted(metrics)}
-    mean = float(np.mean([one.mean for one in found]))
-    return replace(found[0], slope_sds=sds, mean=mean, **pooled)
+# The plan, and whole studies beside it.
+
+KEPT = ".studies"
+"""Folder, in that of the results, of simulated studies: an interrupted call is continued from there."""
+
+FACTORS = ("participants", "recordings", "reducers", "repeats")
 
 
-def _pool(sds: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(sds))))
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """The numbers that are compared, those of `plan_power` where nothing is said, and how well.
 
-
-def _fit_truth(part: RatingsPart, known: Mapping[str, Any]) -> Truth:
-    """Take the spreads of one attribute; what repeats differ by is told from taste where there are repeats."""
-    rows = part.rows
-    metrics = list(dict.fromkeys(name.split("/")[-1] for name in known["slopes"]))
-    fit = primary.fit_primary(rows, metrics, explain=False)
-    cells = rows.groupby([WHO, ITEM], observed=True)[RATING]
-    spare, noise = len(rows) - cells.ngroups, {}
-    if spare:
-        squares = ((rows[RATING] - cells.transform("mean")) ** 2).sum()
-        noise["rating_sd"] = float(np.sqrt(squares / spare))
-    return records.Truth.from_fit(fit, **known, **noise)
-
-
-# How long a session takes.
-
-
-def _measure_length(task: PowerTask, sizes: PowerDesign) -> minutes.Length:
-    """Work through sessions with other numbers of recordings and reducers: the study's own, and copies of them."""
-    paper = task.paper
-    design = read.make_design(paper.settings, paper.folder)
-    choosing = {name: own for name, own in design.between.items() if name in trial.CHOOSING}
-    design = replace(design, repeats=sizes.repeats, between=choosing)
-    items, durations = _resize(paper.stimuli, sizes.recordings, sizes.reducers)
-    numbers = range(1, schema.count_groups(choosing) + 1)
-    courses = [plan.make_trials(design, items, number=number) for number in numbers]
-    sittings = [minutes.Sitting.plan(course, design.flow, durations) for course in courses]
-    return minutes.measure_length(sittings, task.pace)
-
-
-def _resize(
-    stimuli: StimulusSet, recordings: int, reducers: int
-) -> tuple[list[trial.Item], dict[str, float]]:
-    """List the stimuli of so many recordings and reducers, the set's own first and then copies of them."""
-    known, durations = minutes.find_durations(stimuli), {}
-    own = list(dict.fromkeys(one.reducer for one in stimuli if one.role == "test"))
-    kept = _number_copies(own, reducers)
-    items = []
-    for name, scene in _number_copies(list(known), recordings):
-        durations[name] = known[scene]
-        for one in (one for one in stimuli if one.recording == scene):
-            made = (
-                [new for new, of in kept if of == one.reducer]
-                if one.role == "test"
-                else [one.reducer]
-            )
-            items += [
-                trial.Item(f"{name}__{reducer}__{one.level}", name, reducer, one.level, one.role)
-                for reducer in made
-            ]
-    return items, durations
-
-
-def _number_copies(names: Sequence[str], wanted: int) -> list[tuple[str, str]]:
-    """List so many names, each with the one it is a copy of.
-
-    Examples
-    --------
-    >>> _number_copies(["a", "b"], 3)
-    [('a', 'a'), ('b', 'b'), ('a (2)', 'a')]
+    hypothesis: attribute/metric; whole: number of whole studies.
     """
-    found = [(name, turn) for turn in range(1, wanted // len(names) + 2) for name in names][:wanted]
-    return [(name if turn == 1 else f"{name} ({turn})", name) for name, turn in found]
+
+    participants: Sequence[int] = ()
+    recordings: Sequence[int] = ()
+    reducers: Sequence[int] = ()
+    repeats: Sequence[int] = ()
+    hypothesis: str = ""
+    studies: int = 1000
+    whole: int = 0
+    seed: int = 0
+
+    def list_factors(self, share: int) -> dict[str, tuple[int, ...]]:
+        """List the numbers of each factor; participants become those who rate each attribute."""
+        if odd := [number for number in self.participants if number % share]:
+            raise ValueError(
+                f"participants must be multiples of {share}, the groups of [between] that rate different things; got "
+                f"{odd[0]}"
+            )
+        numbers = {name: tuple(getattr(self, name)) for name in FACTORS}
+        return numbers | {"participants": tuple(one // share for one in self.participants)}
+
+
+def plan_study(
+    task: PowerTask, sizes: Sizes, *, keep: Path, workers: Workers, progress: Progress
+) -> page.StudyPower:
+    """Compute the power of all designs, and run whole studies where they are asked for."""
+    factors = sizes.list_factors(task.share)
+    near = min(factors["participants"] or (PEOPLE,), key=lambda number: abs(number - PEOPLE))
+    keep.mkdir(parents=True, exist_ok=True)
+    how: dict[str, Any] = {"seed": sizes.seed, "workers": workers, "keep": keep}
+    known: dict[str, Any] = {**factors, **how}
+    plan = planning.plan_power(
+        task.design.change(participants=near), task.truth, **known,
+        hypothesis=_find_hypothesis(task, sizes.hypothesis), minutes=task.find_minutes, studies=sizes.studies,
+        progress=progress,
+    )  # fmt: skip
+    if not plan.powers:
+        plan = replace(plan, powers=_find_closed(task, plan, near))
+    name, effects = task.paper.settings.study.name, tabulate_effects(task)
+    found = page.StudyPower(plan, name, effects, task.share, DataFrame(), tuple(_list_notes(task)))
+    if not sizes.whole:
+        return found
+    return replace(
+        found, whole=check_whole(task, found.shown.design, sizes, how=how, progress=progress)
+    )
+
+
+def _find_closed(task: PowerTask, plan: PowerPlan, participants: int) -> tuple[Power, ...]:
+    """Find the closed form of the given design and of the recommended one."""
+    given = task.design.change(participants=participants)
+    return tuple(
+        find.find_power(one, task.truth, studies=0) for one in (given, plan.recommended) if one
+    )
+
+
+def _find_hypothesis(task: PowerTask, name: str) -> tuple[str, str] | None:
+    if not name:
+        return None
+    known = {
+        f"{attribute}/{metric}": (attribute, metric) for attribute, metric in task.design.hypotheses
+    }
+    return known[check_name(name, known, "hypothesis")]
+
+
+def tabulate_effects(task: PowerTask) -> DataFrame:
+    """List what is planted, a row per hypothesis."""
+    effects, rows = task.effects, []
+    for (attribute, metric), slope in zip(
+        task.design.hypotheses, effects.to_slopes().values(), strict=True
+    ):
+        step, said = effects.steps[metric], {metric, f"{attribute}/{metric}"} & set(effects.given)
+        rows.append({
+            "attribute": attribute, "metric": metric, "points": slope * step.size, "per": step.per, "size": step.size,
+            "source": "given" if said else "simulated observers",
+        })  # fmt: skip
+    return DataFrame(rows)
+
+
+def _list_notes(task: PowerTask) -> list[str]:
+    notes = list(task.notes)
+    if task.share > 1:
+        notes.append(
+            f"Each attribute is rated by one in {task.share} participants, as [between] says."
+        )
+    if len(task.effects.given) < len(task.effects.steps):
+        notes.append(
+            "Slopes without --effect are those that the simulated observers of study.toml feel: give the smallest "
+            "slope that would matter to you."
+        )
+    pace = task.pace.participants
+    who = f"{pace} participants so far" if pace else "simulated participants"
+    return [*notes, f"Minutes are those of one session, at the pace of {who}."]
+
+
+def check_whole(
+    task: PowerTask, shown: PowerDesign, sizes: Sizes, *, how: dict[str, Any], progress: Progress
+) -> DataFrame:
+    """Compare whole studies with the fast simulation of the same observers: a row per hypothesis.
+
+    The study has its own recordings and reducers, and as many participants and repeats as the design that is shown.
+    """
+    paper = _plant_observers(task, shown)
+    announce(f"{sizes.whole} whole studies")
+    wholes = whole.run_wholes(paper, sizes.whole, progress=progress, **how)
+    rated, points, steps = split_expected(paper)
+    truth = assume.fit_truths(
+        split_observers(paper, task.share), {"slopes": assume.Effects(points, steps).to_slopes()}
+    )
+    fast = find.find_power(
+        task.design.change(participants=shown.participants, repeats=shown.repeats),
+        replace(truth, bounded=False, source=f"{SAMPLE} simulated observers"),
+        studies=max(sizes.studies, 1), **how,
+    )  # fmt: skip
+    names = {part.lead: str(name) for part, name in zip(rated, points.index, strict=True)}
+    return whole.compare(wholes, fast.table, names)
+
+
+def _plant_observers(task: PowerTask, shown: PowerDesign) -> whole.PaperStudy:
+    """Plan the study for observers who feel the planted slopes."""
+    paper, effects = task.paper, task.effects
+    settings = paper.settings
+    spectral = next((name for name in effects.steps if name in SPECTRAL), SPECTRAL[0])
+    felt = {spectral: "spectral", "temporal_match": "temporal"}
+    if strange := [name for name in effects.given if name not in felt]:
+        raise ValueError(
+            f"--full plants slopes in simulated observers, who feel {' and '.join(felt)} on every scale alike; got "
+            f"--effect {strange[0]}; leave out --full"
+        )
+    slopes = {
+        felt[name]: float(effects.points[name].iloc[0]) / effects.steps[name].size
+        for name in effects.given
+    }
+    settings = settings.model_copy(update={
+        "observer": settings.observer.model_copy(update=slopes),
+        "session": settings.session.model_copy(update={"repeats": shown.repeats}),
+    })  # fmt: skip
+    return whole.PaperStudy.draw(
+        settings,
+        paper.folder,
+        paper.stimuli,
+        participants=shown.participants * task.share,
+        further=paper.further,
+        screening=paper.screening,
+    )

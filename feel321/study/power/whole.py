@@ -16,6 +16,8 @@ import numpy as np
 import pandas as pd
 
 from feel321 import __version__
+from feel321.analysis.power import find
+from feel321.analysis.power.design import LEVEL
 from feel321.analysis.primary import model as primary
 from feel321.analysis.report import parts
 from feel321.analysis.screening import screen
@@ -291,3 +293,40 @@ def _gather(found: list[dict[str, Any]]) -> Wholes:
     slopes = pd.DataFrame([row for one in found for row in one["rows"]])
     failed = tuple(reason for one in found for reason in one["failed"])
     return Wholes(slopes, len(found), sum(one["screened"] for one in found), failed)
+
+
+def compare(wholes: Wholes, fast: pd.DataFrame, names: Mapping[str, str]) -> pd.DataFrame:
+    """Put whole studies beside the fast simulation and the closed form: a row per hypothesis.
+
+    fast: the table of a `Power`; names: what the report calls an attribute -> what the design calls it.
+    """
+    slopes = wholes.slopes.assign(attribute=wholes.slopes["part"].map(names))
+    rows = []
+    for row in fast.to_dict("records"):
+        same = (slopes["attribute"] == row["attribute"]) & (slopes["metric"] == row["metric"])
+        own = slopes[same & slopes["estimable"].astype(bool)]
+        given = {name: row[column] for name, column in BESIDE.items()}
+        rows.append({**given, **_describe_whole(wholes, own, slope=row["slope"])})
+    return pd.DataFrame(rows)
+
+
+BESIDE = {
+    "attribute": "attribute", "metric": "metric", "slope": "slope", "closed": "power", "fast": "simulated",
+    "fast_low": "simulated_low", "fast_high": "simulated_high", "closed_width": "width",
+    "fast_width": "simulated_width", "fast_coverage": "coverage",
+}  # fmt: skip
+"""Column of the comparison -> that of a Power's table."""
+
+
+def _describe_whole(wholes: Wholes, own: pd.DataFrame, *, slope: float) -> dict[str, float]:
+    known = np.ones(len(own), dtype=bool)
+    power = find.find_share((own["p_holm"] < LEVEL).to_numpy(bool), known)
+    held = ((own["low"] <= slope) & (own["high"] >= slope)).to_numpy(bool)
+    coverage = find.find_share(held, known)
+    return {
+        "studies": wholes.studies, "tests": len(own), "failed": len(wholes.failed), "screened": wholes.screened,
+        "singular": int(own["singular"].sum()), "mean": float(own["estimate"].mean()),
+        "whole": power.share, "whole_low": power.low, "whole_high": power.high,
+        "whole_width": float((own["high"] - own["low"]).median()),
+        "coverage": coverage.share, "coverage_low": coverage.low, "coverage_high": coverage.high,
+    }  # fmt: skip
