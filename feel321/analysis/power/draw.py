@@ -59,7 +59,7 @@ class Stimuli:
         return len(np.unique(self.source)) < len(np.unique(self.scene))
 
 
-class Planted(NamedTuple):
+class PlantedSlopes(NamedTuple):
     """A truth for one design; slopes: (n_attributes, n_metrics), slope_sds, centre: (n_metrics,)."""
 
     slopes: Samples
@@ -75,7 +75,7 @@ class Scenario:
     truth: Truth
 
     @cached_property
-    def planted(self) -> Planted:
+    def planted(self) -> PlantedSlopes:
         """The truth in the units of the design's metrics."""
         metrics, truth = self.design.metrics, self.truth
         known = {*metrics, *map("/".join, self.design.hypotheses)}
@@ -90,7 +90,7 @@ class Scenario:
             [truth.find_slope(one, name) for name in metrics] for one in self.design.attributes
         ]
         centre = self.stimuli.metrics.mean(axis=0)
-        return Planted(np.array(slopes), np.array(sds, dtype=np.float64), centre)
+        return PlantedSlopes(np.array(slopes), np.array(sds, dtype=np.float64), centre)
 
     @cached_property
     def stimuli(self) -> Stimuli:
@@ -227,7 +227,7 @@ def _cut_means(means: Samples, spread: Samples) -> Samples:
     return found
 
 
-def _add_variances(truth: Truth, stimuli: Stimuli, planted: Planted) -> Samples:
+def _add_variances(truth: Truth, stimuli: Stimuli, planted: PlantedSlopes) -> Samples:
     """Add up how far single ratings of every stimulus lie from its mean, (n_items,)."""
     whole = sum(getattr(truth, name) ** 2 for name in SPREADS)
     added: Samples = whole + (stimuli.within * planted.slope_sds) ** 2 @ np.ones(

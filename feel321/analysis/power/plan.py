@@ -126,7 +126,7 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     """
     aim = _choose_aim(design, truth, hypothesis)
     wanted = dict(zip(SIZES, (participants, recordings, reducers, repeats), strict=True))
-    rows = list(_tabulate(_list_designs(design, wanted), truth, aim, minutes))
+    rows = list(_tabulate(_list_designs(design, wanted), truth, aim=aim, minutes=minutes))
     enough = sorted((row for row in rows if row.power >= design.wanted), key=_rank)
     runs: dict[tuple[int, ...], Power] = {}
 
@@ -145,7 +145,7 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
             enough = _confirm(enough, run, aim)
             for row in [row for row in rows if _is_further(row.design, design)][:FURTHER]:
                 run(row.design)
-    return _build_plan(rows, runs, enough[0] if enough else None, aim)
+    return _build_plan(rows, runs, chosen=enough[0] if enough else None, aim=aim)
 
 
 class _Row(NamedTuple):
@@ -222,30 +222,33 @@ def _list_sizes(name: str, design: PowerDesign, wanted: Sequence[int]) -> list[i
 def _tabulate(
     designs: Iterator[tuple[str, PowerDesign]],
     truth: Truth,
+    *,
     aim: Aim,
     minutes: Callable[[PowerDesign], float] | None,
 ) -> Iterator[_Row]:
     """Compute every design, and with the recordings, reducers and repeats of each the fewest participants."""
-    smallest: dict[tuple[int, ...], int] = {}
+    known = set()
     for kind, design in designs:
         form, slope = aim.compute(design, truth)
-        yield _make_row(kind, design, form, slope, minutes)
+        yield _make_row(kind, form, slope, minutes=minutes)
         others = _key(design)[1:]
-        if others not in smallest:
+        number = math.nan
+        if others not in known:
             number = form.find_participants(slope, design.wanted)
-            smallest[others] = design.participants
-            if math.isfinite(number) and number != design.participants:
-                fewest = design.change(participants=int(number))
-                yield _make_row("smallest", fewest, *aim.compute(fewest, truth), minutes)
+        known.add(others)
+        if math.isfinite(number) and number != design.participants:
+            form, slope = aim.compute(design.change(participants=int(number)), truth)
+            yield _make_row("smallest", form, slope, minutes=minutes)
 
 
 def _make_row(
     kind: str,
-    design: PowerDesign,
     form: closed.ClosedForm,
     slope: float,
+    *,
     minutes: Callable[[PowerDesign], float] | None,
 ) -> _Row:
+    design = form.scenario.design
     return _Row(
         kind, design, form.find_power(slope), form.find_ceiling(slope), form.find_detectable(design.wanted),
         form.find_width(), float(minutes(design)) if minutes else math.nan,
@@ -266,7 +269,7 @@ def _find_place(design: PowerDesign, aim: Aim) -> int:
 
 
 def _build_plan(
-    rows: list[_Row], runs: Mapping[tuple[int, ...], Power], chosen: _Row | None, aim: Aim
+    rows: list[_Row], runs: Mapping[tuple[int, ...], Power], *, chosen: _Row | None, aim: Aim
 ) -> PowerPlan:
     import pandas as pd
 
@@ -304,8 +307,8 @@ def _recommend(row: _Row, table: DataFrame, aim: Aim) -> str:
         low, high = 100 * found["simulated_low"], 100 * found["simulated_high"]
         power += f" in closed form, {found['simulated']:.0%} simulated ({low:.0f} to {high:.0f} %),"
     return (
-        f"Recommended: {find.describe_design(row.design)} ({each} per participant), with a power of {power} to find the "
-        f"planted slope of {aim.metric} on {aim.attribute}."
+        f"Recommended: {find.describe_design(row.design)} ({each} per participant), with a power of {power} to find "
+        f"the planted slope of {aim.metric} on {aim.attribute}."
     )
 
 
