@@ -28,7 +28,7 @@ CAPTION = (
 OTHERS = "Power with other numbers of reducers and of repeated ratings, all else as in the study. Line: closed form."
 
 
-class StudyPower(Planned):
+class StudyPower(Planned, results.PageResult):
     """The power of a study, planned from its own settings and stimuli.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.tradeoff import results
+from feel321.records import Result
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Planned(results.PageResult):
+class Planned(Result):
     """The fields of a `StudyPower`."""
 
     plan: PowerPlan

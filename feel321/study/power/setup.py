@@ -108,6 +108,11 @@ def set_up(
     for name in screening:
         check_name(name, RULES, "screening")
     settings = read.read_settings(study.settings)
+    if settings.session.recordings_per_participant:
+        raise ValueError(
+            f"{study.settings.name}: session.recordings_per_participant deals people different recordings, and power "
+            "plans studies in which all rate the same; plan without it"
+        )
     stimuli = _open_stimuli(study, settings)
     further = measure_declared(study, settings) if study.manifest.exists() else None
     choosing = {name: levels for name, levels in settings.between.items() if name in trial.CHOOSING}
@@ -358,12 +363,11 @@ def _find_closed(task: PowerTask, plan: PowerPlan, participants: int) -> tuple[P
 
 
 def _find_hypothesis(task: PowerTask, name: str) -> tuple[str, str] | None:
-    if not name:
-        return None
-    known = {
-        f"{attribute}/{metric}": (attribute, metric) for attribute, metric in task.design.hypotheses
-    }
-    return known[check_name(name, known, "hypothesis")]
+    """Find the hypothesis of a name; None, for the one with the least power, where any slope is planted."""
+    known = {"/".join(one): one for one in task.design.hypotheses}
+    if name:
+        return known[check_name(name, known, "hypothesis")]
+    return None if any(task.truth.slopes.values()) else task.design.hypotheses[0]
 
 
 def tabulate_effects(task: PowerTask) -> DataFrame:

@@ -82,7 +82,7 @@ class ExpectedRater(participant.Rater):
         return (1 - idle - turned) * careful + turned * (top - careful) + idle * top / 2
 
 
-class Fit(NamedTuple):
+class WholeFit(NamedTuple):
     """The slopes of one whole study: a row per attribute and metric; participants left out; fits that failed."""
 
     slopes: pd.DataFrame
@@ -180,7 +180,7 @@ class PaperStudy:
         """Split ratings by attribute: scale and level."""
         return list(parts.split_parts(self.tabulate(rows)))
 
-    def analyze(self, seed: int) -> Fit:
+    def analyze(self, seed: int) -> WholeFit:
         """Run a study and analyse it: screening, the primary model of every attribute, Holm's method."""
         table = self.tabulate(self.simulate(seed))
         out = self._screen(table)
@@ -192,10 +192,10 @@ class PaperStudy:
             except ValueError as error:
                 failed.append(f"{part.lead}: {error}")
         if not found:
-            return Fit(pd.DataFrame(), len(out), tuple(failed))
+            return WholeFit(pd.DataFrame(), len(out), tuple(failed))
         slopes = pd.concat(found, ignore_index=True)
         adjusted = primary.adjust_holm(slopes["p"].tolist())
-        return Fit(slopes.assign(p_holm=adjusted), len(out), tuple(failed))
+        return WholeFit(slopes.assign(p_holm=adjusted), len(out), tuple(failed))
 
     def _screen(self, table: Table) -> set[object]:
         """Find the participants whom the rules flag."""
