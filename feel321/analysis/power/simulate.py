@@ -169,9 +169,8 @@ def _write_truth(truth: Truth) -> str:
 def _read_code() -> str:
     """Digest the code that simulates and fits; another version's results are not taken for this one's."""
     folder = Path(__file__).parents[1]
-    files = sorted(
-        path for name in ("mixed", "power", "primary") for path in (folder / name).glob("*.py")
-    )
+    folders = [folder / name for name in ("mixed", "power", "primary", "screening")]
+    files = [path for each in folders for path in sorted(each.glob("*.py"))]
     return sha256(b"\n".join(path.read_bytes() for path in files)).hexdigest()
 
 

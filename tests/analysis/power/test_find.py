@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     Make = Callable[..., Scenario]
 
-STUDIES = 80
+STUDIES = 60
 FAR = 1e-4
 """Chance that a right share lies outside the limits of a test."""
 
@@ -79,6 +79,18 @@ def test_power_grows_with_people_to_the_ceiling_that_stimuli_set(make_scenario: 
     assert form.find_power(slope * 1.1, participants=int(needed)) >= 0.8
     assert form.find_power(slope * 1.1, participants=int(needed) - 1) < 0.8
     assert np.isnan(form.find_participants(slope / 3, 0.8))
+
+
+def test_more_hypotheses_are_tested_at_a_lower_level(make_scenario: Make) -> None:
+    one = make_scenario()
+    two = replace(one.design, attributes=("real", "like"))
+    found = [find_power(design, one.truth, studies=0).table for design in (one.design, two)]
+    assert len(found[1]) == 2 * len(found[0]) == 4
+    for table, level in zip(found, (0.05 / 2, 0.05 / 4), strict=True):
+        se, df, power = table.loc[0, ["se", "df", "power"]]
+        limit = student.ppf(1 - level / 2, df)
+        assert power == pytest.approx(nct.sf(limit, df, 25 / se) + nct.cdf(-limit, df, 25 / se))
+    assert "adjusted for 4 tests" in find_power(two, one.truth, studies=0).summary().splitlines()[0]
 
 
 def test_points_of_another_size_change_no_power(make_scenario: Make) -> None:
@@ -220,31 +232,31 @@ def test_a_killed_simulation_goes_on_where_it_was(
 
 
 def test_screening_leaves_out_whom_the_rules_flag(make_scenario: Make) -> None:
-    careless = {"straight_liners": 0.3, "participants": 12, "slopes": {"spectral": 60.0}}
+    careless = {"straight_liners": 0.4, "participants": 10, "slopes": {"spectral": 60.0}}
     plain = make_scenario(**careless)
     screened = make_scenario(**careless, screening=("straight_lining",))
     found = [
         simulate.simulate_studies(one.design, one.truth, studies=4) for one in (plain, screened)
     ]
-    assert (found[0].people == 12).all()
-    assert 5 < found[1].people.mean() < 11
+    assert (found[0].people == 10).all()
+    assert 3 < found[1].people.mean() < 9
     # A straight liner has no slope: with them the mean slope is smaller.
     means = [one.tests[:, 0, 0, 0, 0].mean() for one in found]
     assert means[1] > means[0] * 1.1
     alone = make_scenario(straight_liners=1.0, screening=("straight_lining",))
-    none = find_power(alone.design, alone.truth, studies=2)
+    none = find_power(alone.design, alone.truth, studies=1)
     assert none.table["tests"].tolist() == [0, 0]
     assert none.table["simulated"].isna().all()
     assert "screening leaves fewer than 3 participants" in none.notes[-1]
 
 
 def test_pilot_data_give_the_spreads(make_scenario: Make) -> None:
-    given = make_scenario(own=(12, 10), participants=40, step=0.0, bounded=False)
+    given = make_scenario(own=(12, 10), participants=40, repeats=4, step=0.0, bounded=False)
     rng = np.random.default_rng(8)
     ratings, _ = draw.draw_ratings(given, given.stimuli, rng)
     table = draw.tabulate_ratings(given.stimuli, ratings[0], given.design.metrics)
     primary = analysis.fit_primary(table, given.design.metrics, explain=False)
-    truth = analysis.Truth.from_fit(primary, rating_sd=12.5, mean=60.0)
+    truth = analysis.Truth.from_fit(primary, repeats=4, rating_sd=12.5, mean=60.0)
     assert truth.slopes["spectral"] == pytest.approx(25, abs=20)
     assert (truth.mean, truth.rating_sd, truth.source) == (
         60.0,

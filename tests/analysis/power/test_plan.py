@@ -85,7 +85,7 @@ def test_a_simulation_that_contradicts_the_closed_form_is_believed(make_scenario
     """Half of the people click at random, which the closed form does not know."""
     case = make_scenario(participants=8, slopes={"spectral": 70.0}, random_clickers=0.5)
     sizes = {"participants": (8,), "recordings": (6,), "reducers": (6,), "repeats": (1,)}
-    plan = analysis.plan_power(case.design, case.truth, studies=12, **sizes)
+    plan = analysis.plan_power(case.design, case.truth, studies=8, **sizes)
     assert plan.table["enough"].any()
     seen = plan.table.dropna(subset="simulated")
     refuted = seen[seen["enough"] & (seen["simulated_high"] < 0.8)]
