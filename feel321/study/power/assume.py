@@ -60,12 +60,11 @@ def _pool(sds: Sequence[float]) -> float:
 
 def _fit_truth(part: RatingsPart, known: Mapping[str, Any]) -> Truth:
     """Take the spreads of one attribute; what repeats differ by is told from taste where there are repeats."""
-    rows = part.rows
+    rows, changes = part.rows, dict(known)
     metrics = list(dict.fromkeys(name.split("/")[-1] for name in known["slopes"]))
     fit = primary.fit_primary(rows, metrics, explain=False)
     cells = rows.groupby([WHO, ITEM], observed=True)[RATING]
-    spare, noise = len(rows) - cells.ngroups, {}
-    if spare:
+    if spare := len(rows) - cells.ngroups:
         squares = ((rows[RATING] - cells.transform("mean")) ** 2).sum()
-        noise["rating_sd"] = float(np.sqrt(squares / spare))
-    return records.Truth.from_fit(fit, **known, **noise)
+        changes["rating_sd"] = float(np.sqrt(squares / spare))
+    return records.Truth.from_fit(fit, repeats=round(len(rows) / cells.ngroups), **changes)
