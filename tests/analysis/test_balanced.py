@@ -71,6 +71,18 @@ def pair_engines(
     )
 
 
+def test_stimuli_cost_no_columns_whatever_their_order() -> None:
+    table = make_study(3)
+    _, quick = pair_engines(build_design(FULL, table))
+    names = np.random.default_rng(4).permutation(table["item"].max() + 1)
+    _, named = pair_engines(build_design(FULL, table.assign(item=names[table["item"]])))
+    # A person's level, two slopes, 4 scenes and 4 kinds; everybody's 4 scenes and 4 kinds; none for the 16 stimuli.
+    assert quick.n_random == named.n_random == 19
+    theta = np.random.default_rng(5).uniform(0, 2, len(quick.diagonal))
+    states = [profile.evaluate(theta) for profile in (quick, named)]
+    np.testing.assert_allclose(quick.deviance(states[0]), named.deviance(states[1]), rtol=1e-12)
+
+
 @pytest.mark.parametrize("reml", [True, False])
 @pytest.mark.parametrize(
     "formula", [FULL, f"y ~ {GROUPS}", "y ~ a + (1 | who)", "y ~ a + (1 | who) + (1 | item)"]

@@ -403,11 +403,10 @@ class Balanced(Profile):
 
 
 def _is_identity(stand: Stand) -> bool:
-    """Check for a level of its own for every row, in any order: a multiple of the identity as a covariance."""
-    columns = np.abs(stand.columns)
-    square = columns.shape[0] == columns.shape[1] and np.count_nonzero(columns) == len(columns)
-    largest = columns.max(axis=1)
-    return bool(square and (columns.any(axis=0)).all() and (largest == largest[0]).all())
+    """Check that every row has a level of its own, in whatever order; a row has one level of each factor."""
+    sizes = np.abs(stand.columns[stand.columns != 0])
+    square = len(sizes) == len(stand.columns) == stand.columns.shape[1]
+    return bool(square and (sizes == sizes[0]).all())
 
 
 def find_slope(profile: Profile, state: State, weight: float | None = None) -> Samples:
