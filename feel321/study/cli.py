@@ -21,6 +21,7 @@ VERBS = {
     "methods": ("advise", "chart", "published", "stress"),
     "planning": ("power",),
     "signals": ("match", "port", "reduce"),
+    "stations": ("collect",),
     "studies": (
         "analyze",
         "audit",
@@ -40,7 +41,7 @@ VERBS = {
 }
 """Module of `feel321.study.commands` -> its verbs."""
 
-RESUMED = {"build", "demo", "power", "run", "simulate", "withdraw"}
+RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 
