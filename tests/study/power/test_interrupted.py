@@ -54,7 +54,11 @@ def test_interrupted_and_continued_and_two_workers_give_the_same_bytes(
     assert (first.returncode, read(one)) == (130, {})
     assert "the same command continues" in error
     kept = {file: file.stat().st_mtime_ns for file in one.glob(".studies/*.json")}
-    assert start(built, one).wait() == 0
+    second = start(built, one)
+    assert second.communicate() == (None, "")
+    assert second.returncode == 0
     assert kept == {file: file.stat().st_mtime_ns for file in kept}
-    assert start(built, two, "--workers", "2").wait() == 0
+    third = start(built, two, "--workers", "2")
+    third.communicate()
+    assert third.returncode == 0
     assert read(one) == read(two)
