@@ -85,7 +85,7 @@ def workers_option(verb: Verb) -> Verb:
         type=click.IntRange(min=1),
         default=1,
         show_default=True,
-        help="Number of processes.",
+        help="Number of processes; each takes a second or two to start, which a few short recordings do not repay.",
     )
     @click.option(
         "--dask",
@@ -108,7 +108,7 @@ def workers_option(verb: Verb) -> Verb:
             raise click.UsageError(f"--{error}") from None
         verb(workers=workers, **own)
 
-    return employ_then_do  # fmt: skip
+    return employ_then_do
 
 
 def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]:
