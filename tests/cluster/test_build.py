@@ -192,7 +192,7 @@ def test_a_bundled_study_is_built_by_a_cluster_as_by_one_process(
     cluster.start_worker()
     create_study(tmp_path / "here")
     create_study(tmp_path / "there")
-    Study(tmp_path / "here").build()
+    Study.open(tmp_path / "here").build()
     command = "import sys; from feel321.study.cli import main; sys.exit(main(sys.argv[1:]))"
     words = [sys.executable, "-W", "error", "-c", command, "build", "there"]
     done = subprocess.run(
