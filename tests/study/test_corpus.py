@@ -264,3 +264,29 @@ def test_the_page_of_a_large_set_shows_a_part_and_says_so(
     assert [f"tap{n:03d}__dft321__as_is.wav" in page for n in range(8)] == [
         n in {0, 3, 6} for n in range(8)
     ]
+
+
+@pytest.mark.soak
+def test_a_build_of_a_thousand_that_is_killed_twice_gives_the_same_bytes(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """What was done is not done again, but for the few recordings that were under way."""
+    write_corpus(tmp_path, 1000)
+    other = StudyFolder(tmp_path_factory.mktemp("whole"))
+    write_corpus(other.path, 1000)
+    build_study(other, page=False)
+    for steps in (500, 1500):
+        command = [sys.executable, "-c", KILLED, str(tmp_path), str(steps)]
+        assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+        parts = tmp_path / "stimuli" / ".parts"
+        assert len(list(parts.glob("*.json"))) >= min(steps, 1000) * 3
+    written = {path.name: path.stat().st_mtime_ns for path in (parts / "finished").glob("*.wav")}
+    assert len(written) >= 500 * 3
+    rendered: list[str] = []
+    with announcing(rendered.append):
+        build_study(StudyFolder(tmp_path), page=False)
+    assert not rendered
+    for name, time_ns in written.items():
+        assert (tmp_path / "stimuli" / name).stat().st_mtime_ns == time_ns
+    assert read_files(tmp_path / "stimuli") == read_files(other.stimuli)
+    assert check_study(StudyFolder(tmp_path)).problems == ()
