@@ -251,7 +251,7 @@ def gauge_raters(
     tests, means = judgements.of_kind("test"), judgements.means()
     people = list(tests.groupby("participant", observed=True))
     between = [
-        _mean_squares(ratings, *_average_items(own["item"].to_numpy(), ratings))[0][0]
+        _mean_squares(ratings, _average_items(own["item"].to_numpy(), ratings))[0][0]
         for _, own in people
         for ratings in [own["rating"].to_numpy()[None]]
     ]
@@ -274,7 +274,7 @@ def _gauge(
     shuffled = rng.permuted(np.broadcast_to(trials.rating, shape), axis=1)
     ratings = np.vstack([trials.rating, shuffled])
     averages = _average_items(trials.item, ratings)
-    between, within = _mean_squares(ratings, *averages)
+    between, within = _mean_squares(ratings, averages)
     with np.errstate(invalid="ignore", divide="ignore"):
         agreement = _agree(trials, averages[0])
         measured = between / within, trials.panel_square / within, agreement
@@ -290,8 +290,9 @@ def _gauge(
 
 
 def _mean_squares(
-    ratings: Values, means: Values, counts: Values, place: NDArray[np.intp]
+    ratings: Values, averages: tuple[Values, Values, NDArray[np.intp]]
 ) -> tuple[Values, Values]:
+    means, counts, place = averages
     n_items, spare = len(counts), len(place) - len(counts)
     nothing = np.full(len(ratings), np.nan)
     if n_items < 2 or not spare:  # noqa: PLR2004 - a variance needs two
