@@ -233,3 +233,11 @@ def test_spreads_are_known_as_well_as_the_curvature_of_what_was_minimised_says()
 def test_penalties_refused(penalty: list[str], formula: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Profile(build_design(formula, make_study(1)), reml=True, penalty=penalty)
+
+
+def test_a_level_for_every_row_takes_no_columns_in_whatever_order_rows_stand() -> None:
+    for table in (make_study(1), make_study(1).sample(frac=1, random_state=1)):
+        _, quick = pair_engines(build_design(FULL, table))
+        assert quick.each is not None
+        # Of one person: level, two slopes, 4 scenes, 4 kinds; of everybody: 4 scenes, 4 kinds; none for the 16 items.
+        assert quick.n_random == 3 + 4 + 4 + 4 + 4
