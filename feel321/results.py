@@ -16,6 +16,7 @@ from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, Redu
 from feel321.analysis.contrasts.discrimination import Discrimination
 from feel321.analysis.mixed.model import Estimate, MixedFit
 from feel321.analysis.p1401 import P1401, P1401Difference
+from feel321.analysis.power.design import Power, PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.published import Published
@@ -74,6 +75,8 @@ __all__ = [
     "PaperClaim",
     "Part",
     "Place",
+    "Power",
+    "PowerPlan",
     "Primaries",
     "Primary",
     "Problems",

@@ -35,6 +35,7 @@ from feel321.analysis.plots import (
     plot_spectrogram,
     plot_spectrum,
 )
+from feel321.analysis.power.design import PowerDesign, Truth
 from feel321.analysis.primary.model import fit_attributes, fit_primary
 from feel321.analysis.primary.multiverse import run_multiverse
 from feel321.analysis.published import correlate_published, map_published
@@ -50,8 +51,9 @@ from feel321.analysis.tradeoff.face import advise, benchmark, chart, stress
 from feel321.doors import forward_old_names as _forward_old_names
 
 __all__ = [
-    "RULES", "Table", "advise", "align_spaces", "benchmark", "bradley_terry", "chart", "compare_dependent",
-    "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate", "correlate_published",
+    "RULES", "PowerDesign", "Table", "Truth", "advise", "align_spaces", "benchmark", "bradley_terry", "chart",
+    "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate",
+    "correlate_published",
     "discriminate", "embed_triplets", "equivalence", "export_r", "fit_attributes", "fit_choices", "fit_mixed",
     "fit_primary", "fit_space", "intraclass", "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority",
     "p1401", "plan_choices", "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter",

@@ -9,22 +9,78 @@ References
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise, permutations, product
+from itertools import chain, pairwise
 from math import sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from feel321.doors import describe
 from feel321.protocols.trial import Trial
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Iterable
 
     from numpy.random import Generator
     from pandas import DataFrame
 
     Square = tuple[tuple[int, ...], ...]
+    Group = tuple[Collection[str], Collection[Any]]
+    """Conditions, and what each of them may meet: places, or each other."""
+
+
+class Counts(Mapping[tuple[str, Any], int]):
+    """How often conditions met places, or each other; what never met counts 0 and takes no memory."""
+
+    def __init__(self, seen: Mapping[tuple[str, Any], int], groups: Iterable[Group]) -> None:
+        """Take the counts above 0, and which could be: in each group, conditions and what they may meet."""
+        self.seen, self.groups = seen, tuple(groups)
+        self._met: dict[str, list[Collection[Any]]] = {}
+        for conditions, others in self.groups:
+            for condition in conditions:
+                self._met.setdefault(condition, []).append(others)
+        self._size = sum(
+            len(self._list_met(one)) - (one in self._list_met(one)) for one in self._met
+        )
+
+    def _list_met(self, condition: str) -> Collection[Any]:
+        first, *more = self._met.get(condition, [()])
+        return dict.fromkeys(chain(first, *more)) if more else first
+
+    def __getitem__(self, cell: tuple[str, Any]) -> int:
+        """Return a count."""
+        if cell in self.seen:
+            return self.seen[cell]
+        condition, other = cell
+        if condition == other or all(other not in one for one in self._met.get(condition, ())):
+            raise KeyError(cell)
+        return 0
+
+    def __iter__(self) -> Iterator[tuple[str, Any]]:
+        """Iterate over all that could meet."""
+        return ((one, met) for one in self._met for met in self._list_met(one) if met != one)
+
+    def __len__(self) -> int:
+        """Count what could meet."""
+        return self._size
+
+    def __repr__(self) -> str:
+        """Say how much of what could meet has met."""
+        return f"<{len(self.seen)} of {len(self)} met>"
+
+    def find_ends(self) -> tuple[int, int]:
+        """Find the lowest and the highest count; 0 where nothing could meet."""
+        lowest = min(self.seen.values(), default=0) if len(self.seen) == len(self) else 0
+        return lowest, max(self.seen.values(), default=0)
+
+    def measure_variation(self) -> float:
+        """Coefficient of variation, 0 where nothing was counted."""
+        if not (total := sum(self.seen.values())):
+            return 0.0
+        mean, missing = total / len(self), len(self) - len(self.seen)
+        squares = sum((count - mean) ** 2 for count in self.seen.values()) + missing * mean**2
+        return sqrt(squares / len(self)) / mean
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -50,8 +106,8 @@ class Balance(Result):
     Balance(repeats=0, position_index=0, carry_over_index=0)
     """
 
-    positions: Mapping[tuple[str, int], int]
-    carry_over: Mapping[tuple[str, str], int]
+    positions: Counts
+    carry_over: Counts
     repeats: int
     position_index: float
     carry_over_index: float
@@ -108,13 +164,11 @@ def measure_balance(sequences: Sequence[Sequence[str | Trial]]) -> Balance:
     if not conditions:
         raise ValueError("sequences must hold at least one condition that was run, got none")
     places = range(1, max(map(len, named)) + 1)
+    own = dict.fromkeys(conditions)
     positions = Counter(spot for names in named for spot in zip(names, places, strict=False))
     neighbours = Counter(pair for names in named for pair in pairwise(names))
-    return _summarise(
-        {spot: positions[spot] for spot in product(conditions, places)},
-        {pair: neighbours[pair] for pair in permutations(conditions, 2)},
-        repeats=sum(neighbours[condition, condition] for condition in conditions),
-    )
+    repeats = sum(neighbours.pop((condition, condition), 0) for condition in conditions)
+    return _summarise(Counts(positions, [(own, places)]), Counts(neighbours, [(own, own)]), repeats)
 
 
 def _name_condition(entry: str | Trial) -> str:
@@ -123,31 +177,25 @@ def _name_condition(entry: str | Trial) -> str:
 
 def pool_balances(balances: Iterable[Balance]) -> Balance:
     """Pool the balances of several groups of conditions, such as those of each recording."""
-    positions: Counter[tuple[str, int]] = Counter()
-    carry_over: Counter[tuple[str, str]] = Counter()
-    repeats = 0
-    for balance in balances:
-        positions.update(balance.positions)
-        carry_over.update(balance.carry_over)
-        repeats += balance.repeats
-    if not positions:
+    pooled = tuple(balances)
+    if not pooled:
         raise ValueError("balances must be at least one, got none")
-    return _summarise(dict(positions), dict(carry_over), repeats=repeats)
+    positions, carry_over = (
+        _pool([getattr(one, kind) for one in pooled]) for kind in ("positions", "carry_over")
+    )
+    return _summarise(positions, carry_over, sum(one.repeats for one in pooled))
 
 
-def _summarise(
-    positions: dict[tuple[str, int], int], carry_over: dict[tuple[str, str], int], *, repeats: int
-) -> Balance:
-    indices = (_measure_variation(counts.values()) for counts in (positions, carry_over))
+def _pool(several: Sequence[Counts]) -> Counts:
+    seen: Counter[tuple[str, Any]] = Counter()
+    for counts in several:
+        seen.update(counts.seen)
+    return Counts(seen, chain.from_iterable(counts.groups for counts in several))
+
+
+def _summarise(positions: Counts, carry_over: Counts, repeats: int) -> Balance:
+    indices = (counts.measure_variation() for counts in (positions, carry_over))
     return Balance(positions, carry_over, repeats, *indices)
-
-
-def _measure_variation(counts: Collection[int]) -> float:
-    """Coefficient of variation, 0 where nothing was counted."""
-    if not (total := sum(counts)):
-        return 0.0
-    mean = total / len(counts)
-    return sqrt(sum((count - mean) ** 2 for count in counts) / len(counts)) / mean
 
 
 MIXABLE = 3
@@ -168,20 +216,51 @@ def williams_square(n: int) -> Square:
     >>> williams_square(4)
     ((0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1))
     """
+    return tuple(williams_row(n, number) for number in range(count_rows(n)))
+
+
+def count_rows(n: int) -> int:
+    """Count the sequences of a Williams square of n conditions."""
     if n < 1:
         raise ValueError(f"n must be a number of conditions from 1, got {n}")
-    zigzag = [(place + 1) // 2 if place % 2 else -place // 2 for place in range(n)]
-    rows = tuple(tuple((step + shift) % n for step in zigzag) for shift in range(n))
-    backwards = tuple(row[::-1] for row in rows) if n % 2 and n > 1 else ()
-    return rows + backwards
+    return 2 * n if n % 2 and n > 1 else n
 
 
-def shuffle_rows(square: Square, rng: Generator) -> Square:
+def williams_row(n: int, number: int) -> tuple[int, ...]:
+    """Make one sequence of a Williams square, from 0."""
+    shift = number % n
+    zigzag = ((place + 1) // 2 if place % 2 else -place // 2 for place in range(n))
+    row = tuple((step + shift) % n for step in zigzag)
+    return row[::-1] if number >= n else row
+
+
+class Rows(Sequence[tuple[int, ...]]):
+    """Sequences of a Williams square of n conditions in some order; each is made when it is asked for."""
+
+    def __init__(self, n: int, order: Sequence[int]) -> None:
+        """Take the numbers of the sequences."""
+        self.n, self.order = n, order
+
+    def __len__(self) -> int:
+        """Count the sequences."""
+        return len(self.order)
+
+    def __getitem__(self, place: Any) -> Any:  # noqa: ANN401 - a sequence, or several for a slice
+        """Make a sequence."""
+        if isinstance(place, slice):
+            return tuple(williams_row(self.n, number) for number in self.order[place])
+        return williams_row(self.n, self.order[place])
+
+
+def shuffle_rows(n: int, rng: Generator) -> Rows:
     """Shuffle the rows of a square so that no row ends with the condition that the next one begins with."""
+    middle = williams_row(n, 0)[-1]
+    ends = [(shift, (middle + shift) % n) for shift in range(n)]
+    ends += [end[::-1] for end in ends] if count_rows(n) > n else []
     while True:
-        rows = tuple(square[i] for i in rng.permutation(len(square)))
+        order = rng.permutation(len(ends)).tolist()
         # About e**-1 of all orders pass for even and e**-2 for odd n, so a few draws do.
-        if len(rows) < MIXABLE or all(
-            this[-1] != after[0] for this, after in pairwise((*rows, rows[0]))
+        if len(order) < MIXABLE or all(
+            ends[this][1] != ends[after][0] for this, after in pairwise((*order, order[0]))
         ):
-            return rows
+            return Rows(n, order)

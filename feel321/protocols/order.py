@@ -10,7 +10,7 @@ from math import gcd
 from typing import TYPE_CHECKING, Any
 
 from feel321.doors import Registry, as_rng, check_name, describe
-from feel321.protocols.balance import MIXABLE, shuffle_rows, williams_square
+from feel321.protocols.balance import MIXABLE, Rows, count_rows, shuffle_rows, williams_row
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import (
     RATING_RANGE,
@@ -42,13 +42,14 @@ class TaskTrials:
     task: Task
     groups: Groups
     lessons: Groups
+    places: Mapping[str, int]
 
     def draft_trial(self, spot: Spot, *, turn: int, phase: str = "main") -> Trial:
         """Make a trial of a comparison, before it has a number, a block and a repeat."""
         recording, index = spot
         task, protocol = self.task, PROTOCOLS[self.task.protocol]
         groups = self.lessons if phase == "training" else self.groups
-        turn += index + list(self.groups).index(recording)
+        turn += index + self.places[recording]
         chosen = protocol.arrange(groups[recording][index], turn)
         names = (protocol.name, protocol.scale, task.timing, recording)
         asked = ask_on_scales(chosen.judgements, task.scales, own=protocol.scale)
@@ -71,7 +72,8 @@ def _gather_trials(items: Sequence[Item], tasks: Sequence[Task]) -> Iterator[Tas
                 f"{task.protocol}: no stimulus of the set is to be judged; build a set with reducers to test"
             )
         lessons = {name: protocol.make_lessons(by_recording[name], task) for name in groups}
-        yield TaskTrials(task, groups, lessons)
+        places = {name: place for place, name in enumerate(groups)}
+        yield TaskTrials(task, groups, lessons, places)
 
 
 def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
@@ -87,9 +89,7 @@ def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) ->
     """
     sizes = [{len(groups) for groups in rounds}, {len(g) for own in rounds for g in own.values()}]
     # Sorted, so that the same state of the generator always gives the same rows.
-    outer, inner = (
-        {n: shuffle_rows(williams_square(n), rng) for n in sorted(own)} for own in sizes
-    )
+    outer, inner = ({n: shuffle_rows(n, rng) for n in sorted(own)} for own in sizes)
     for turn, groups in enumerate(rounds):
         recordings, blocks = tuple(groups), []
         for place in _take_row(outer[len(recordings)], number, turn=turn, touching=True):
@@ -101,12 +101,11 @@ def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) ->
         yield tuple(blocks)
 
 
-def _take_row(
-    square: Sequence[tuple[int, ...]], start: int, *, turn: int, touching: bool
-) -> tuple[int, ...]:
+def _take_row(square: Rows, start: int, *, turn: int, touching: bool) -> tuple[int, ...]:
     """Take the row whose turn it is. Where successive rows touch, two conditions can only come in the same order."""
     moves = 0 if touching and len(square) < MIXABLE else turn
-    return square[(start + moves) % len(square)]
+    row: tuple[int, ...] = square[(start + moves) % len(square)]
+    return row
 
 
 def _find_stride(n_rows: int, n_used: int) -> int:
@@ -372,14 +371,40 @@ def _as_tasks(tasks: Sequence[Task | str]) -> list[Task]:
     return [make_task(task) if isinstance(task, str) else task for task in tasks]
 
 
+def select_share(
+    items: Sequence[Item], count: int | None, *, number: int, seed: int
+) -> tuple[Item, ...]:
+    """Select the stimuli of as many recordings as each participant feels, for participant `number` (from 1).
+
+    After any number of participants, the recordings have been given equally often, or once more: shuffled anew, they
+    are dealt out like cards, and those that the last hand of a round holds already come last in the next.
+    """
+    import numpy as np
+
+    recordings = list(dict.fromkeys(item.recording for item in items))
+    if count is None or count >= len(recordings):
+        return tuple(items)
+    rng = np.random.default_rng([seed, count])
+    hand: list[str] = []
+    pile: list[str] = []
+    for _ in range(number):
+        hand, pile = pile[:count], pile[count:]
+        if (lacking := count - len(hand)) > 0:
+            held = set(hand)
+            fresh = sorted(_shuffle(recordings, rng), key=held.__contains__)
+            hand, pile = hand + fresh[:lacking], fresh[lacking:]
+    own = set(hand)
+    return tuple(item for item in items if item.recording in own)
+
+
 TASK_ORDERS = ("fixed", "counterbalanced")
 """Whether all participants have the tasks in the same order, or in those of a Williams square."""
 
 
 def order_tasks(tasks: Sequence[Task], *, number: int) -> tuple[Task, ...]:
     """Order the tasks of participant `number` (from 1) by successive rows of a Williams square."""
-    square = williams_square(len(tasks))
-    return tuple(tasks[place] for place in square[(number - 1) % len(square)])
+    n = len(tasks)
+    return tuple(tasks[place] for place in williams_row(n, (number - 1) % count_rows(n)))
 
 
 def arrange_sections(trials: Iterable[Trial], tasks: Sequence[Task]) -> Trials:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from feel321.doors import name_of
-from feel321.protocols.balance import williams_square
+from feel321.protocols.balance import count_rows
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.sets.recipe import ORIGINAL
@@ -64,7 +64,7 @@ def _compare_people(settings: Settings, paper: PaperTable) -> Iterator[str]:
             PROTOCOLS[task.protocol].compare(items, task)
         )
     for what, size in sizes.items():
-        cycle = len(williams_square(size)) if size > 1 else 1
+        cycle = count_rows(size) if size > 1 else 1
         if left := known.value % cycle:
             fewer, more = known.value - left, known.value - left + cycle
             even = f"{fewer} or {more}" if fewer else f"{more}"

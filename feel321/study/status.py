@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from feel321.doors import announce
 from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
-from feel321.protocols.balance import measure_balance, pool_balances, williams_square
+from feel321.protocols.balance import count_rows, measure_balance, pool_balances
 from feel321.protocols.order import TASK_ORDERS
 from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
@@ -172,13 +172,12 @@ def _gather_blocks(trials: Iterable[Trial]) -> dict[int, list[Trial]]:
 
 def _measure(task: str, what: str, sequences: Sequences, *, cycles: int) -> Evenness:
     balance = pool_balances(measure_balance(group) for group in sequences.values())
-    positions, neighbours = balance.positions.values(), balance.carry_over.values()
     return Evenness(
         task=task,
         what=what,
-        cycle=cycles * lcm(*(len(williams_square(len(among))) for among in sequences)),
-        positions=(min(positions, default=0), max(positions, default=0)),
-        carry_over=(min(neighbours, default=0), max(neighbours, default=0)),
+        cycle=cycles * lcm(*(count_rows(len(among)) for among in sequences)),
+        positions=balance.positions.find_ends(),
+        carry_over=balance.carry_over.find_ends(),
         position_index=balance.position_index,
         carry_over_index=balance.carry_over_index,
     )

@@ -241,6 +241,9 @@ def test_every_setting_is_accepted(blocks: tuple[Block, ...], tmp_path: Path) ->
     toml = [block.text for block in blocks if block.language == "toml"]
     assert toml
     add_methods(create_study(tmp_path))  # whose files pages name
+    (tmp_path / "corpus").mkdir()
+    for number in range(20):
+        (tmp_path / "corpus" / f"tap{number}.wav").touch()
     for text in toml:
         given = tomllib.loads(text)
         if {"actuators", "keys"} & given.keys():

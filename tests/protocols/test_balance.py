@@ -1,7 +1,9 @@
 from __future__ import annotations
 
-from collections import defaultdict
+import tracemalloc
+from collections import Counter, defaultdict
 from functools import cache
+from itertools import pairwise
 from math import sqrt
 from typing import TYPE_CHECKING
 
@@ -11,7 +13,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from feel321.protocols.balance import measure_balance, pool_balances, williams_square
-from feel321.protocols.order import make_order
+from feel321.protocols.order import make_order, select_share
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import Item
 
@@ -179,3 +181,70 @@ def test_shuffled_orders_are_worse_than_williams_and_as_good_as_chance(
     if order == "blocked":
         assert shuffled.carry_over_index > williams.carry_over_index
         assert shuffled.carry_over_index == pytest.approx(chance, rel=0.1)
+
+
+def count_every_cell(groups: list[list[str]]) -> tuple[dict[tuple[str, int], int], ...]:
+    """Count by going through every cell of every group, as long as there are few."""
+    positions: dict[tuple[str, int], int] = {}
+    carry_over: dict[tuple[str, str], int] = {}
+    for rows in groups:
+        names = sorted(set("".join(rows)))
+        for name in names:
+            for place in range(max(map(len, rows))):
+                found = sum(row[place : place + 1] == name for row in rows)
+                positions[name, place + 1] = positions.get((name, place + 1), 0) + found
+            for other in set(names) - {name}:
+                found = sum((name, other) == pair for row in rows for pair in pairwise(row))
+                carry_over[name, other] = carry_over.get((name, other), 0) + found
+    return positions, carry_over
+
+
+def vary(counts: dict[tuple[str, int], int]) -> float:
+    values = np.array(list(counts.values()), float)
+    return float(values.std() / values.mean()) if values.any() else 0.0
+
+
+@given(st.lists(letters.filter(any), min_size=1, max_size=3))
+def test_counts_are_those_of_every_cell_also_of_groups_that_overlap(
+    groups: list[list[str]],
+) -> None:
+    pooled = pool_balances(map(measure_balance, groups))
+    for counts, cells in zip(
+        (pooled.positions, pooled.carry_over), count_every_cell(groups), strict=True
+    ):
+        assert counts == cells
+        assert counts.find_ends() == (
+            min(cells.values(), default=0),
+            max(cells.values(), default=0),
+        )
+        assert counts.measure_variation() == pytest.approx(vary(cells), rel=1e-12)
+
+
+def measure_peak(n: int) -> int:
+    """Memory that the balance of one participant who felt n conditions takes at most, in bytes."""
+    names = [f"stimulus {number}" for number in range(n)]
+    measure_balance([names])
+    tracemalloc.start()
+    balance = measure_balance([names])
+    balance.carry_over.find_ends()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
+
+
+def test_memory_grows_with_the_conditions_not_with_their_pairs() -> None:
+    assert measure_peak(800) < 6 * measure_peak(200)
+
+
+@given(st.integers(1, 12), st.integers(1, 12), st.integers(0, 99))
+def test_shares_hold_every_recording_equally_often(n: int, count: int, seed: int) -> None:
+    items = [Item(f"{r}-{s}", str(r), str(s), "as_is", "test") for r in range(n) for s in range(2)]
+    felt = Counter(dict.fromkeys(map(str, range(n)), 0))
+    for number in range(1, 8):
+        share = select_share(items, count, number=number, seed=seed)
+        assert share == select_share(items, count, number=number, seed=seed)
+        own = {item.recording for item in share}
+        assert (len(own), len(share)) == (min(count, n), 2 * min(count, n))
+        felt.update(own)
+        assert max(felt.values()) - min(felt.values()) <= 1
+    assert select_share(items, None, number=1, seed=seed) == tuple(items)

@@ -17,16 +17,10 @@ from platform import platform, python_version
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import create_text, hold_lock
+from feel321.protocols import order as orders
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import THRESHOLD, Detection, ThresholdBlock, draw_block, make_block
 from feel321.protocols.matching import MatchingBlock, draw_matching
-from feel321.protocols.order import (
-    TASK_ORDERS,
-    arrange_sections,
-    make_order,
-    make_rehearsal,
-    order_tasks,
-)
 from feel321.protocols.questions import PREFIX, Question
 from feel321.protocols.tasks import digest_protocols, is_as_expected
 from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
@@ -74,9 +68,10 @@ class Design:
     between: Mapping[str, tuple[str, ...]]
     flow: Flow
     threshold: ThresholdBlock | None = None
-    task_order: str = TASK_ORDERS[0]
+    task_order: str = orders.TASK_ORDERS[0]
     matching: MatchingBlock | None = None
     questions: tuple[Question, ...] = ()
+    recordings_per_participant: int | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -117,6 +112,8 @@ class Plan:
         The block in which strength is matched, where the session has one.
     questions : tuple of Question
         The question pages besides the trials.
+    recordings_per_participant : int or None
+        Number of recordings that each participant feels; all where it is None.
     methods : Mapping of str to str
         The lab's own reducers, metrics and protocols, by name: digests of their code.
     sha256 : str
@@ -136,9 +133,10 @@ class Plan:
     stimuli_sha256: str
     trials: tuple[Trial, ...]
     threshold: ThresholdBlock | None = None
-    task_order: str = TASK_ORDERS[0]
+    task_order: str = orders.TASK_ORDERS[0]
     matching: MatchingBlock | None = None
     questions: tuple[Question, ...] = ()
+    recordings_per_participant: int | None = None
     methods: Mapping[str, str] = field(default_factory=dict)
     sha256: str = field(default="", compare=False)
 
@@ -183,6 +181,7 @@ def make_plan(
         task_order=design.task_order,
         matching=own.matching,
         questions=own.questions,
+        recordings_per_participant=design.recordings_per_participant,
         methods=stimuli.find_methods() | digest_protocols(task.protocol for task in own.tasks),
     )
 
@@ -205,7 +204,10 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
 
     groups, place = place_in_groups(design.between, number)
     items, tasks = select_group(stimuli, design.tasks, groups)
-    main = make_order(
+    items = orders.select_share(
+        items, design.recordings_per_participant, number=place, seed=design.seed
+    )
+    main = orders.make_order(
         items,
         tasks,
         number=place,
@@ -214,12 +216,12 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
         rng=np.random.default_rng(design.seed),
     )
     # Rehearsal is the participant's own; it may not move the orders, which balance over participants.
-    rehearsal = make_rehearsal(
+    rehearsal = orders.make_rehearsal(
         items, tasks, first_number=len(main) + 1, rng=np.random.default_rng([design.seed, number])
     )
-    if design.task_order != TASK_ORDERS[0]:
-        tasks = order_tasks(tasks, number=place)
-        main = arrange_sections(main, tasks)
+    if design.task_order != orders.TASK_ORDERS[0]:
+        tasks = orders.order_tasks(tasks, number=place)
+        main = orders.arrange_sections(main, tasks)
     block, first = design.threshold, len(main) + len(rehearsal) + 1
     if block:
         block = draw_block(block, seed=design.seed, number=number)
@@ -233,11 +235,11 @@ def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
     del entry["sha256"]
-    for name in ("threshold", "matching", "questions", "methods"):
+    for name in ("threshold", "matching", "questions", "recordings_per_participant", "methods"):
         if not entry[name]:
             del entry[name]  # so were plans stored before there were any
     _drop_unused(entry)
-    if plan.task_order == TASK_ORDERS[0]:
+    if plan.task_order == orders.TASK_ORDERS[0]:
         del entry["task_order"]
     create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())
 

@@ -181,7 +181,7 @@ def _locate(location: Sequence[int | str], model: type[TomlTable]) -> tuple[str,
         if isinstance(part, int):
             place += f"[{part + 1}]"
         elif len(tables) > 1:  # the kind of a table, which is no key
-            tables = [table for table in tables if part in table.model_fields]
+            tables = [table for table in tables if part in table.model_fields][:1]
         elif part != _WRONG_KEY:
             place += f".{part}" if place else part
             field = tables[0].model_fields.get(part)

@@ -22,14 +22,21 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe
+from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
 from feel321.study.session.journal import digest
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
-from feel321.study.settings.schema import LANGUAGE_FILE, FileTable, SceneTable, Settings, TaskTable
+from feel321.study.settings.schema import (
+    LANGUAGE_FILE,
+    FilesTable,
+    FileTable,
+    SceneTable,
+    Settings,
+    TaskTable,
+)
 
 MOST_TRIALS = 10_000
 """Trials in a session; people do a few hundred, simulated participants somewhat more."""
@@ -41,9 +48,13 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
     Protocols of the lab's own have their short names in it.
     """
     settings = parse_toml(path, Settings)
-    session = settings.session
+    session, home = settings.session, folder or path.parent
+    settings = settings.model_copy(
+        update={"recordings": tuple(_list_entries(settings, path, home))}
+    )
     try:
-        names = admission.admit_protocols(session.protocols, folder or path.parent)
+        check_names([entry.title for entry in settings.recordings])
+        names = admission.admit_protocols(session.protocols, home)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: {error}") from None
     if names != session.protocols:
@@ -53,6 +64,15 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
     if mistakes := find_conflicts(settings):
         raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
     return settings
+
+
+def _list_entries(settings: Settings, path: Path, home: Path) -> Iterator[SceneTable | FileTable]:
+    """List the recordings one by one, those too that a pattern names together."""
+    for number, entry in enumerate(settings.recordings, start=1):
+        try:
+            yield from entry.list_entries(home) if isinstance(entry, FilesTable) else [entry]
+        except (NotImplementedError, ValueError) as error:
+            raise ValueError(f"{path.name}: recordings[{number}].files {error}") from None
 
 
 # From settings to signals: recordings and the recipe for the stimuli.
@@ -200,6 +220,7 @@ def make_design(settings: Settings, folder: Path | None = None) -> Design:
         order=session.order,
         task_order=session.task_order,
         repeats=session.repeats,
+        recordings_per_participant=session.recordings_per_participant,
         tasks=tuple(
             settings.tasks.get(name, TaskTable()).make_task(name, **trials)
             for name in session.protocols
@@ -427,8 +448,14 @@ def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[
 
 def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
     """Count the trials of each group, which are as many for each recording."""
+    everything, share = len(settings.recordings), settings.session.recordings_per_participant
+    if share and share > everything:
+        yield (
+            f"session.recordings_per_participant must be at most the {everything} recordings of the study, "
+            f"got {share}; leave it out, and everybody feels them all"
+        )
     trials = max(
-        len(settings.recordings)
+        (share or everything)
         * settings.session.repeats
         * sum(len(PROTOCOLS[task.protocol].compare(items, task)) for task in own)
         for items, own in _list_groups(settings, tasks)
@@ -436,7 +463,8 @@ def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
     if trials > MOST_TRIALS:
         yield (
             f"a session must have at most {MOST_TRIALS} trials, got {trials} with session.repeats = "
-            f"{settings.session.repeats}; use fewer repeats, reducers or recordings"
+            f"{settings.session.repeats}; use fewer repeats, reducers or recordings, or let each participant feel a "
+            "share of them: session.recordings_per_participant"
         )
 
 

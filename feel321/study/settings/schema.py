@@ -7,7 +7,7 @@ stimuli or the protocols know under another name has that name as its `serializa
 import re
 from collections.abc import Mapping
 from math import prod
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
@@ -217,6 +217,7 @@ class SessionTable(kinds.TomlTable):
         "similarity",
     )
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
+    recordings_per_participant: Annotated[int, Field(ge=1)] | None = None
     order: Annotated[str, kinds.one_of(ORDERS)] = "williams"
     task_order: Annotated[str, kinds.one_of(TASK_ORDERS)] = TASK_ORDERS[0]
     language: Annotated[str, AfterValidator(_check_language)] = "en"
@@ -321,13 +322,48 @@ class FileTable(SourceTable):
         return PurePath(self.file).stem
 
 
+class FilesTable(FileTable):
+    """`[[recordings]]` with `files`: as many entries with `file` as there are files that match a pattern."""
+
+    files: kinds.Words
+    file: str = ""
+
+    @model_validator(mode="after")
+    def _check_single(self) -> Self:
+        if single := [name for name in ("file", "name", "picture") if getattr(self, name)]:
+            raise ValueError(
+                f"must not have {single[0]} beside files, it is of one file; leave it out"
+            )
+        return self
+
+    def list_entries(self, folder: Path) -> list[FileTable]:
+        """List an entry for each file, sorted by path; the paths are relative to the study's folder."""
+        if Path(self.files).is_absolute():
+            raise ValueError(
+                f"must be within the study's folder, got {self.files!r}; link it there"
+            )
+        found = (path for path in folder.glob(self.files) if path.name[0] != "." and path.is_file())
+        own = self.model_dump(exclude={"files", "file"})
+        names = sorted(path.relative_to(folder).as_posix() for path in found)
+        if not names:
+            raise ValueError(
+                f"must match at least one file, got {self.files!r}; write a pattern such as 'corpus/*.wav'"
+            )
+        return [FileTable(file=name, **own) for name in names]
+
+
 def _find_kind(entry: object) -> str:
-    is_scene = isinstance(entry, SceneTable) or (isinstance(entry, dict) and "scene" in entry)
-    return "scene" if is_scene else "file"
+    tables = {"scene": SceneTable, "files": FilesTable}
+    for kind, table in tables.items():
+        if isinstance(entry, table) or (isinstance(entry, dict) and kind in entry):
+            return kind
+    return "file"
 
 
 RecordingTable = Annotated[
-    Annotated[SceneTable, Tag("scene")] | Annotated[FileTable, Tag("file")],
+    Annotated[SceneTable, Tag("scene")]
+    | Annotated[FileTable, Tag("file")]
+    | Annotated[FilesTable, Tag("files")],
     Discriminator(_find_kind),
 ]
 
@@ -335,7 +371,10 @@ RecordingTable = Annotated[
 def _check_titles(
     recordings: tuple[SceneTable | FileTable, ...],
 ) -> tuple[SceneTable | FileTable, ...]:
-    check_names(kinds.check_some(tuple(recording.title for recording in recordings)))
+    """Check the names of recordings, as far as they are known before patterns are followed."""
+    titles = [one.title for one in recordings if not isinstance(one, FilesTable)]
+    if titles or not recordings:
+        check_names(kinds.check_some(tuple(titles)))
     return recordings
 
 

@@ -1,0 +1,476 @@
+"""What a power analysis is about: a study's design, the truth that is planted in it, and what is found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.analysis.arrays import check_columns
+from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE
+from feel321.doors import as_names
+from feel321.records import Result
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from feel321.analysis.primary.model import Primary
+    from feel321.types import Samples
+
+LEVEL = 0.05
+"""Of all tests of a study together, by Holm's method."""
+
+LOW, HIGH = 0.0, 100.0
+"""Ends of the scale."""
+
+SIZES = ("participants", "recordings", "reducers", "repeats")
+"""What a plan varies."""
+
+SPREADS = (
+    "person_sd", "recording_sd", "item_sd", "reducer_sd", "person_recording_sd", "person_reducer_sd", "person_item_sd",
+    "rating_sd",
+)  # fmt: skip
+"""Standard deviations of a truth, in points; those of people's slopes are apart."""
+
+SHARES = ("lapse_rate", "straight_liners", "random_clickers", "scale_reversers")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PowerDesign:
+    """The design of a study that is planned.
+
+    Parameters
+    ----------
+    items : DataFrame
+        The study's own stimulus set, one row per test stimulus: ``recording``, ``reducer`` and a column per metric;
+        ``item`` names each, if it is there.
+    metrics : sequence of str
+        The metrics of the primary model, all in one model.
+    attributes : sequence of str
+        What people rate (scales). Each attribute has a model; attributes x metrics is the number of hypotheses.
+    participants : int
+        People whose ratings are collected, 3 or more.
+    repeats : int
+        Ratings that one person gives to one stimulus on one attribute; the analysis averages them.
+    recordings, reducers : int, optional
+        How many the study has; as many as `items` if left out. With another number every simulated study draws its own
+        from those of `items`: without replacement, and where more are asked for, each as often as every other but for
+        one. A recording keeps its reducers' metrics; a second copy counts as another recording with the same metrics.
+    screening : sequence of str
+        Names of `RULES` that flag raters by their ratings; whoever is flagged is left out of the primary analysis.
+
+    Raises
+    ------
+    ValueError
+        If a column is missing, a metric is not finite, a stimulus is listed twice, or a number is too small.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from feel321 import analysis
+    >>> items = pd.DataFrame({"recording": list("aabb"), "reducer": ["x", "y"] * 2, "match": [0.2, 0.7, 0.4, 0.8]})
+    >>> design = analysis.PowerDesign(items, ["match"], participants=12, recordings=4)
+    >>> design.n_items, design.hypotheses
+    (8, (('rating', 'match'),))
+    """
+
+    items: DataFrame
+    metrics: tuple[str, ...]
+    attributes: tuple[str, ...] = ("rating",)
+    participants: int = 20
+    repeats: int = 1
+    recordings: int = 0
+    reducers: int = 0
+    screening: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what is no study, and settle names and numbers."""
+        for name in ("metrics", "attributes", "screening"):
+            object.__setattr__(self, name, as_names(getattr(self, name), name))
+        if not self.metrics or not self.attributes:
+            raise ValueError("metrics and attributes must name one or more each")
+        object.__setattr__(self, "items", _check_items(self.items, self.metrics))
+        for name, column in (("recordings", SCENE), ("reducers", REDUCER)):
+            own = int(self.items[column].nunique())
+            object.__setattr__(self, name, int(getattr(self, name)) or own)
+        for name, least in zip(SIZES, (3, 1, 1, 1), strict=True):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
+
+    @property
+    def hypotheses(self) -> tuple[tuple[str, str], ...]:
+        """Attribute and metric of every slope that is tested; Holm's method is over these."""
+        return tuple(product(self.attributes, self.metrics))
+
+    @property
+    def level(self) -> float:
+        """Level of the first step of Holm's method: 0.05 over the number of hypotheses."""
+        return LEVEL / len(self.hypotheses)
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the study has just the recordings and reducers of `items`."""
+        own = (self.items[SCENE].nunique(), self.items[REDUCER].nunique())
+        return (self.recordings, self.reducers) == own
+
+    @property
+    def n_items(self) -> int:
+        """Stimuli of the study, on average over what is drawn."""
+        scenes, kinds = self.items[SCENE].nunique(), self.items[REDUCER].nunique()
+        return round(len(self.items) * self.recordings * self.reducers / (scenes * kinds))
+
+    @property
+    def trials(self) -> int:
+        """Ratings that one person gives: stimuli x repeats x attributes."""
+        return self.n_items * self.repeats * len(self.attributes)
+
+    def change(self, **sizes: int) -> PowerDesign:
+        """Return the same study with other sizes.
+
+        Parameters
+        ----------
+        **sizes : int
+            Any of participants, recordings, reducers, repeats.
+
+        Returns
+        -------
+        PowerDesign
+            The design with these.
+        """
+        return replace(self, **sizes)  # type: ignore[arg-type]  # sizes are numbers
+
+
+def _check_items(items: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
+    check_columns(items, [SCENE, REDUCER, *metrics], "items")
+    if ITEM not in items:
+        items = items.assign(**{ITEM: items[SCENE].astype(str) + "/" + items[REDUCER].astype(str)})
+    kept = [SCENE, REDUCER, ITEM, *([SOURCE] if SOURCE in items else []), *metrics]
+    items = items[kept].reset_index(drop=True)
+    if twice := items.loc[items.duplicated([SCENE, REDUCER]), ITEM].tolist():
+        raise ValueError(
+            f"items must have one stimulus per recording and reducer, got {twice[0]!r} once more; give one level only"
+        )
+    if bad := int((~np.isfinite(items[list(metrics)].to_numpy(np.float64))).any(axis=1).sum()):
+        raise ValueError(
+            f"items must have finite metrics, got {bad} stimuli without; leave them out"
+        )
+    return items
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What is true of people and stimuli in simulated studies.
+
+    Ratings are ``mean + slope x (metric - its mean over the stimulus set)``, plus what people, recordings, stimuli and
+    reducers differ by, rounded to `step` and kept within 0 to 100. All attributes of a study have the same truth unless
+    `slopes` names them, and are independent of each other, although the same people rate them: what Holm's method makes
+    of tests that go together is slightly different (it stays within its level).
+
+    Parameters
+    ----------
+    slopes : Mapping of str to float
+        Metric -> points per unit of the metric; 0 where it is left out. ``attribute/metric`` is for one attribute.
+    slope_sds : Mapping of str to float
+        Metric -> standard deviation of people's own slopes, in the same unit; where it is left out, as much as makes
+        people differ by `slope_points` over one standard deviation of the metric within recordings.
+    slope_points : float
+        See `slope_sds`; in points.
+    person_sd, recording_sd, item_sd, reducer_sd : float
+        How people, recordings, stimuli and reducers differ besides slopes and metrics, for everyone; in points.
+    person_recording_sd, person_reducer_sd, person_item_sd : float
+        How the same differ for one person besides; in points.
+    rating_sd : float
+        How two ratings of the same stimulus by the same person differ from their mean; in points.
+    mean : float
+        Mean rating before rounding and the ends of the scale, in points.
+    step : float
+        Ratings are rounded to multiples of this; 0 for not at all.
+    bounded : bool
+        Whether ratings end at 0 and 100.
+    lapse_rate : float
+        Share of ratings that rest on nothing felt, anywhere on the scale.
+    straight_liners, random_clickers, scale_reversers : float
+        Shares of people who leave the slider at one place, set it anywhere, or use the scale upside down.
+    source : str
+        Where the standard deviations come from, in words.
+
+    Raises
+    ------
+    ValueError
+        If a standard deviation is negative or a share is not from 0 to 1.
+
+    Notes
+    -----
+    The defaults are rounded estimates of the primary model on ratings of 70 videos by 26 people (Netflix Public, 0 to
+    100): people 7.7, recordings 4.7, stimuli 7.2, reducers 5.2, people x recordings 5.2, people x reducers 1.6, slopes
+    3.1 and 0 points per standard deviation of the metric, single ratings 14.9. The last holds what one person thinks of
+    one stimulus, for nothing was rated twice; how it is divided here is an assumption. Give those of vibrations as soon
+    as there are some: `Truth.from_fit`.
+
+    Examples
+    --------
+    >>> from feel321 import analysis
+    >>> truth = analysis.Truth({"spectral_match_bounded": 25.0}, item_sd=5)
+    >>> truth.find_slope("realism", "spectral_match_bounded"), truth.find_slope("realism", "temporal_match")
+    (25.0, 0.0)
+    """
+
+    slopes: Mapping[str, float] = field(default_factory=dict)
+    slope_sds: Mapping[str, float] = field(default_factory=dict)
+    slope_points: float = 3.0
+    person_sd: float = 8.0
+    recording_sd: float = 5.0
+    item_sd: float = 7.0
+    reducer_sd: float = 5.0
+    person_recording_sd: float = 5.0
+    person_reducer_sd: float = 2.0
+    person_item_sd: float = 8.0
+    rating_sd: float = 12.5
+    mean: float = 50.0
+    step: float = 0.1
+    bounded: bool = True
+    lapse_rate: float = 0.0
+    straight_liners: float = 0.0
+    random_clickers: float = 0.0
+    scale_reversers: float = 0.0
+    source: str = "ratings of 70 videos by 26 people (Netflix Public); no pilot data"
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be true."""
+        spreads = {name: getattr(self, name) for name in (*SPREADS, "slope_points", "step")}
+        for name, value in (spreads | dict(self.slope_sds)).items():
+            if not 0 <= value < np.inf:
+                raise ValueError(f"{name} must be 0 or more, got {value}")
+        for name in SHARES:
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
+        if (careless := sum(getattr(self, name) for name in SHARES[1:])) > 1 + 1e-9:
+            raise ValueError(f"{', '.join(SHARES[1:])} must be at most 1 together, got {careless}")
+
+    @classmethod
+    def from_fit(cls, primary: Primary, **changes: object) -> Truth:
+        """Take the standard deviations, slopes and mean of a fitted primary model, such as that of pilot data.
+
+        Parameters
+        ----------
+        primary : Primary
+            From `fit_primary`.
+        **changes : object
+            Any field of a truth, instead of the estimate.
+
+        Returns
+        -------
+        Truth
+            With slopes of the fit: give ``slopes`` instead, for those of a small pilot are as uncertain as the pilot.
+
+        Raises
+        ------
+        ValueError
+            If a change is no field of a truth, or no possible value.
+
+        Notes
+        -----
+        A model of means over K repeats has a residual of both what a person thinks of a stimulus and K-th parts of what
+        repeats differ by; the two are separated by `rating_sd` among the changes, and where that is not given all of
+        the residual is taken for the first, which no repeat makes smaller.
+        """
+        spreads = {
+            (row["group"], row["term"]): float(row["sd"])
+            for row in primary.fit.variances.to_dict("records")
+        }
+        metrics = list(primary.slopes.index)
+        found: dict[str, object] = {
+            name: spreads.get((group, "(Intercept)"), 0.0) for name, group in GROUPS.items()
+        }
+        found |= _split_residual(primary, spreads, changes)
+        people = primary.fit.n_levels.get("participant", 0)
+        found |= {
+            "slopes": primary.slopes["estimate"].to_dict(),
+            "slope_sds": {name: spreads.get(("participant", f"{name}_w"), 0.0) for name in metrics},
+            "mean": float(primary.model_frame["rating"].mean()),
+            "source": f"the primary model of {people} people's ratings",
+        }
+        if unknown := set(changes) - set(cls.__dataclass_fields__):
+            raise ValueError(f"changes must be fields of a Truth, got {sorted(unknown)[0]!r}")
+        return cls(**(found | changes))  # type: ignore[arg-type]  # checked by name
+
+    def find_slope(self, attribute: str, metric: str) -> float:
+        """Find the planted slope of one hypothesis.
+
+        Parameters
+        ----------
+        attribute, metric : str
+            The hypothesis.
+
+        Returns
+        -------
+        float
+            Points per unit of the metric.
+        """
+        return float(self.slopes.get(f"{attribute}/{metric}", self.slopes.get(metric, 0.0)))
+
+
+GROUPS = {
+    "person_sd": "participant", "recording_sd": SCENE, "item_sd": ITEM, "reducer_sd": REDUCER,
+    "person_recording_sd": f"participant:{SCENE}", "person_reducer_sd": f"participant:{REDUCER}",
+}  # fmt: skip
+"""Field of a truth -> grouping factor of the primary model."""
+
+
+def _split_residual(
+    primary: Primary, spreads: Mapping[tuple[str, str], float], changes: Mapping[str, object]
+) -> dict[str, object]:
+    """Divide the residual between what a person thinks of a stimulus and what repeats differ by."""
+    residual, own = primary.fit.residual_sd, spreads.get(("participant:item", "(Intercept)"))
+    if own is not None:
+        return {"person_item_sd": own, "rating_sd": residual}
+    given = changes.get("rating_sd")
+    repeats = float(given) if isinstance(given, int | float) else 0.0
+    return {"person_item_sd": float(np.sqrt(max(residual**2 - repeats**2, 0.0))), "rating_sd": 0.0}
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Power(Result):
+    """The power of one design.
+
+    Parameters
+    ----------
+    design : PowerDesign
+        The study.
+    truth : Truth
+        What was planted.
+    table : DataFrame
+        A row per hypothesis: ``attribute metric slope`` (planted, per unit of the metric); in closed form ``se df
+        width`` (of the 95 % interval, per unit), ``power`` (Holm's first step), ``ceiling`` (the same with participants
+        without end), ``detectable`` (smallest slope found with the wanted power, per unit) and ``detectable_points``
+        (the same in points per standard deviation of the metric within recordings), ``participants_needed`` and
+        ``recordings_needed`` (NaN where no number is enough); by simulation, NaN without, ``kept`` (what the ends of
+        the scale and lapses leave of the slope, per unit), ``simulated`` (power, Holm's method), ``simulated_low``,
+        ``simulated_high`` (95 % Wilson interval), ``simulated_width`` (median width of the 95 % interval),
+        ``coverage`` (of the kept slope) with ``coverage_low coverage_high``, ``false_positives`` (share of p < .05 in
+        studies without any slope) with ``false_low false_high``, ``tests`` and ``null_tests`` (studies that gave a test
+        with planted slopes and without).
+    differences : DataFrame
+        A row per attribute and two metrics: ``attribute first second difference`` (planted, of slopes in points per
+        standard deviation of each metric within recordings), ``se df power ceiling detectable`` and, by simulation,
+        ``simulated simulated_low simulated_high simulated_width coverage coverage_low coverage_high tests``; at 5 %.
+    studies : int
+        Simulated studies with planted slopes, and as many without any; 0 for the closed form alone.
+    counts : DataFrame
+        What became of them, a row per reason: ``arm`` (planted, null), ``outcome`` (fitted, singular, not estimable,
+        failed), ``reason`` and ``models`` (studies x attributes). Singular fits are fitted ones with a spread of zero
+        besides and count in every share; failed ones are in none.
+    family : tuple of float
+        Share of null studies with any false positive after Holm's method, and its 95 % Wilson interval; NaN without
+        simulation.
+    wanted : float
+        Power that is asked for.
+    seed : int
+        Of all randomness.
+    answer : str
+        The power of the hypothesis that has the least, in one sentence.
+    notes : tuple of str
+        What was assumed and what is unusual, one sentence each.
+    """
+
+    design: PowerDesign
+    truth: Truth
+    table: DataFrame
+    differences: DataFrame
+    studies: int
+    counts: DataFrame
+    family: tuple[float, float, float]
+    wanted: float
+    seed: int
+    answer: str
+    notes: tuple[str, ...] = ()
+
+    def to_frame(self) -> DataFrame:
+        """Return the power of every hypothesis.
+
+        Returns
+        -------
+        DataFrame
+            The columns of `table`.
+        """
+        return self.table
+
+    def summary(self) -> str:
+        """Write the answer for reading.
+
+        Returns
+        -------
+        str
+            One sentence with the answer, a row per hypothesis, and notes.
+        """
+        return _summarise(self.answer, self.table, self.notes)
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class PowerPlan(Result):
+    """The power of many designs, and the smallest that is enough.
+
+    Parameters
+    ----------
+    table : DataFrame
+        A row per design: ``participants recordings reducers repeats trials`` (of one person), ``minutes`` (of one
+        person's sessions, NaN if unknown), ``kind`` (given, one factor, grid), of the hypothesis in closed form
+        ``power ceiling detectable width``, by simulation where it was simulated ``simulated simulated_low
+        simulated_high``, ``enough`` (in closed form, at least the wanted power) and ``recommended``.
+    powers : tuple of Power
+        The designs that were simulated, the given one first.
+    hypothesis : tuple of str
+        Attribute and metric that the recommendation is for.
+    wanted : float
+        Power that is asked for.
+    recommended : PowerDesign or None
+        The smallest design that is enough: fewest minutes of all people together, then fewest participants.
+    answer : str
+        The recommendation in one sentence, or why there is none.
+    notes : tuple of str
+        What was assumed and what is unusual, one sentence each.
+    """
+
+    table: DataFrame
+    powers: tuple[Power, ...]
+    hypothesis: tuple[str, str]
+    wanted: float
+    recommended: PowerDesign | None
+    answer: str
+    notes: tuple[str, ...] = ()
+
+    def to_frame(self) -> DataFrame:
+        """Return all designs.
+
+        Returns
+        -------
+        DataFrame
+            The columns of `table`.
+        """
+        return self.table
+
+    def summary(self) -> str:
+        """Write the answer for reading.
+
+        Returns
+        -------
+        str
+            The recommendation in one sentence, the designs, and notes.
+        """
+        return _summarise(self.answer, self.table, self.notes)
+
+
+def _summarise(answer: str, table: DataFrame, notes: tuple[str, ...]) -> str:
+    shown = table.to_string(index=False, float_format="{:.3g}".format)
+    return "\n".join([answer, "", shown, *notes])
+
+
+def measure_spread(items: DataFrame, metrics: tuple[str, ...]) -> Samples:
+    """Compute the standard deviation of every metric within recordings, over stimuli."""
+    values = items[list(metrics)]
+    within = (values - values.groupby(items[SCENE]).transform("mean")).to_numpy(np.float64)
+    spread: Samples = within.std(axis=0, ddof=1)
+    return spread

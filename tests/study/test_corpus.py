@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from feel321.stimuli.wav import write_wav
+from feel321.study.folder import StudyFolder
+from feel321.study.session.plan import compare_plans, create_plan, make_plan, require_plan
+from feel321.study.settings.read import make_design, open_recordings, read_settings
+from feel321.study.workflow import build_study, check_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+CORPUS = """
+[[recordings]]
+files = "corpus/*.wav"
+unit = "m/s^2"
+[stimuli]
+reducers = ["sax321", "dft321"]
+anchors = false
+below_threshold = "accept"
+[rig]
+rate_hz = 2000.0
+[session]
+protocols = ["realism"]
+recordings_per_participant = 3
+"""
+
+
+def write_corpus(folder: Path, count: int) -> None:
+    (folder / "corpus").mkdir()
+    for number in range(count):
+        noise = np.random.default_rng(number).standard_normal((3, 400 + number))
+        write_wav(folder / "corpus" / f"tap{number:03d}.wav", noise, 2000)
+    (folder / "study.toml").write_text(CORPUS, encoding="utf-8")
+
+
+@pytest.fixture
+def corpus(tmp_path: Path) -> StudyFolder:
+    """A study of eight short recordings, named by one pattern."""
+    write_corpus(tmp_path, 8)
+    return StudyFolder(tmp_path)
+
+
+@pytest.fixture
+def refuse(corpus: StudyFolder) -> Callable[[str, str], str]:
+    def read(old: str, new: str) -> str:
+        corpus.settings.write_text(CORPUS.replace(old, new), encoding="utf-8")
+        with pytest.raises(ValueError, match=r"study\.toml: ") as caught:
+            read_settings(corpus.settings)
+        return str(caught.value)
+
+    return read
+
+
+def test_a_pattern_stands_for_a_table_per_file(corpus: StudyFolder) -> None:
+    (corpus.path / "corpus" / ".hidden.wav").touch()
+    (corpus.path / "corpus" / "folder.wav").mkdir()
+    given = read_settings(corpus.settings)
+    tables = "".join(
+        f'[[recordings]]\nfile = "corpus/tap{number:03d}.wav"\nunit = "m/s^2"\n'
+        for number in range(8)
+    )
+    corpus.settings.write_text(tables + CORPUS.partition('"m/s^2"')[2], encoding="utf-8")
+    assert given == read_settings(corpus.settings)
+    names = [one.name for one in open_recordings(given, corpus.path)]
+    assert names == [f"tap{number:03d}" for number in range(8)]
+
+
+def test_what_a_pattern_cannot_say_is_refused(
+    refuse: Callable[[str, str], str], corpus: StudyFolder
+) -> None:
+    said = refuse("*.wav", "*.flac")
+    assert "recordings[1].files must match at least one file, got 'corpus/*.flac'" in said
+    assert "within the study's folder" in refuse("corpus/*", f"{corpus.path}/corpus/*")
+    both = 'files = "corpus/*.wav"\nfile = "corpus/tap000.wav"'
+    assert "must not have file beside files" in refuse('files = "corpus/*.wav"', both)
+    assert "at most the 8 recordings of the study, got 9" in refuse("= 3", "= 9")
+    (corpus.path / "corpus" / "tap000.csv").touch()
+    assert "recording name 'tap000' is there twice" in refuse("*.wav", "tap*")
+
+
+def test_each_participant_feels_a_share_and_every_recording_comes_equally_often(
+    corpus: StudyFolder,
+) -> None:
+    _, stimuli = build_study(corpus, page=False)
+    design = make_design(read_settings(corpus.settings))
+    felt: Counter[str] = Counter()
+    for number in range(1, 9):
+        plan = make_plan(design, stimuli, f"p{number}", number=number, simulated=True)
+        own = {trial.recording for trial in plan.trials}
+        assert len(own) == 3
+        felt.update(own)
+        assert max(felt.values()) - min(felt[f"tap{n:03d}"] for n in range(8)) <= 1
+    assert set(felt.values()) == {3}
+    assert check_study(corpus).problems == ()
+
+
+def test_the_share_stands_in_the_plan(corpus: StudyFolder, tmp_path: Path) -> None:
+    _, stimuli = build_study(corpus, page=False)
+    design = make_design(read_settings(corpus.settings))
+    plan = make_plan(design, stimuli, "p1", number=1, simulated=True)
+    create_plan(tmp_path / "plan.json", plan)
+    stored = require_plan(tmp_path / "plan.json")
+    assert (stored.recordings_per_participant, stored) == (3, plan)
+    text = CORPUS.replace("recordings_per_participant = 3", "")
+    corpus.settings.write_text(text, encoding="utf-8")
+    whole = make_plan(
+        make_design(read_settings(corpus.settings)), stimuli, "p1", number=1, simulated=True
+    )
+    assert compare_plans(stored, whole) == ["recordings_per_participant 3 -> None"]
+    assert {trial.recording for trial in whole.trials} == {f"tap{n:03d}" for n in range(8)}
