@@ -61,11 +61,25 @@ def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
             if fault := next(find_misplaced(path, header, plan), ""):
                 remedy = "move a copy out of sessions/, or restore the plan from one"
                 raise ValueError(f"{path}{fault}; {remedy}")
-            judged = _list_judgements(plan, records, path=path)
             levels = find_own_levels(plan, records, stimuli)
-            own = [_decode(row, header, by_code, levels=levels) for row in judged]
-            rows += sorted(own, key=lambda row: row["trial"])
+            rows += decode_judgements(plan, records, by_code, levels=levels, path=path)
     return rows
+
+
+def decode_judgements(
+    plan: Plan,
+    records: Records,
+    by_code: Mapping[str, Stimulus],
+    *,
+    levels: Mapping[str, float],
+    path: Path,
+) -> list[dict[str, Any]]:
+    """Decode the completed judgements of a journal that has a header, in the order of the plan's trials."""
+    if (header := records.find_header()) is None:
+        return []
+    judged = _list_judgements(plan, records, path=path)
+    rows = [_decode(row, header, by_code, levels=levels) for row in judged]
+    return sorted(rows, key=lambda row: row["trial"])
 
 
 def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str]:

@@ -12,14 +12,29 @@ from feel321 import analysis, results, types
 HEAVY = ("pandas", "scipy", "matplotlib", "statsmodels", "jinja2", "joblib", "soxr")
 
 
-def test_face_is_flat_and_sorted() -> None:
-    assert analysis.__all__ == sorted(analysis.__all__)
+def test_every_name_of_the_face_is_there() -> None:
     assert all(hasattr(analysis, name) for name in analysis.__all__)
 
 
 def test_import_loads_nothing_heavy() -> None:
     code = f"import sys, feel321.analysis; print([name for name in {HEAVY} if name in sys.modules])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+
+
+def test_a_name_loads_its_own_module_only() -> None:
+    code = "import sys; from feel321.analysis import intraclass; print(*sys.modules)"
+    loaded = subprocess.check_output([sys.executable, "-c", code], text=True).split()
+    assert "feel321.analysis.agreement" in loaded
+    assert not {"feel321.analysis.report.write", "feel321.analysis.mixed.model"} & set(loaded)
+    code = "import sys, feel321.analysis; print(*sys.modules)"
+    bare = subprocess.check_output([sys.executable, "-c", code], text=True).split()
+    assert not {"numpy", "feel321.analysis.agreement"} & set(bare)
+
+
+def test_no_module_hides_a_name_of_the_face() -> None:
+    # Importing such a module would set it in the place of the function.
+    modules = {path.stem for path in Path(str(analysis.__file__)).parent.iterdir()}
+    assert modules & set(analysis.__all__) == set()
 
 
 def test_what_public_functions_take_and_give_is_public() -> None:

@@ -11,20 +11,25 @@ import numpy as np
 
 from feel321.analysis.arrays import check_columns
 from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE
-from feel321.doors import as_names
+from feel321.doors import as_names, check_name
 from feel321.records import Result
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.primary.model import Primary
-    from feel321.types import Samples
 
 LEVEL = 0.05
 """Of all tests of a study together, by Holm's method."""
 
+ENOUGH = 0.8
+"""Power that is asked for."""
+
 LOW, HIGH = 0.0, 100.0
 """Ends of the scale."""
+
+SCREENED = ("straight_lining", "test_retest", "repeat_sd", "reversed_scale", "outliers")
+"""Rules that look at ratings of test stimuli alone; answers' times and anchors are not simulated."""
 
 SIZES = ("participants", "recordings", "reducers", "repeats")
 """What a plan varies."""
@@ -60,7 +65,10 @@ class PowerDesign:
         from those of `items`: without replacement, and where more are asked for, each as often as every other but for
         one. A recording keeps its reducers' metrics; a second copy counts as another recording with the same metrics.
     screening : sequence of str
-        Names of `RULES` that flag raters by their ratings; whoever is flagged is left out of the primary analysis.
+        Any of straight_lining, test_retest, repeat_sd, reversed_scale and outliers (`RULES`); whoever is flagged is
+        left out of the primary analysis.
+    wanted : float
+        Power that is asked for.
 
     Raises
     ------
@@ -85,6 +93,7 @@ class PowerDesign:
     recordings: int = 0
     reducers: int = 0
     screening: tuple[str, ...] = ()
+    wanted: float = ENOUGH
 
     def __post_init__(self) -> None:
         """Refuse what is no study, and settle names and numbers."""
@@ -92,10 +101,14 @@ class PowerDesign:
             object.__setattr__(self, name, as_names(getattr(self, name), name))
         if not self.metrics or not self.attributes:
             raise ValueError("metrics and attributes must name one or more each")
+        for name in self.screening:
+            check_name(name, SCREENED, "screening")
         object.__setattr__(self, "items", _check_items(self.items, self.metrics))
         for name, column in (("recordings", SCENE), ("reducers", REDUCER)):
             own = int(self.items[column].nunique())
             object.__setattr__(self, name, int(getattr(self, name)) or own)
+        if not LEVEL < self.wanted < 1:
+            raise ValueError(f"wanted must be between {LEVEL} and 1, got {self.wanted}")
         for name, least in zip(SIZES, (3, 1, 1, 1), strict=True):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
@@ -251,13 +264,15 @@ class Truth:
             raise ValueError(f"{', '.join(SHARES[1:])} must be at most 1 together, got {careless}")
 
     @classmethod
-    def from_fit(cls, primary: Primary, **changes: object) -> Truth:
+    def from_fit(cls, primary: Primary, *, repeats: int = 1, **changes: object) -> Truth:
         """Take the standard deviations, slopes and mean of a fitted primary model, such as that of pilot data.
 
         Parameters
         ----------
         primary : Primary
             From `fit_primary`.
+        repeats : int
+            Ratings that each mean of the model was taken over, where it was (`Primary.averaged`).
         **changes : object
             Any field of a truth, instead of the estimate.
 
@@ -273,9 +288,9 @@ class Truth:
 
         Notes
         -----
-        A model of means over K repeats has a residual of both what a person thinks of a stimulus and K-th parts of what
-        repeats differ by; the two are separated by `rating_sd` among the changes, and where that is not given all of
-        the residual is taken for the first, which no repeat makes smaller.
+        The residual of a model of means holds what a person thinks of a stimulus, and the part of what repeats differ
+        by that averaging leaves. `rating_sd` among the changes separates them; where it is not given, all of the
+        residual is taken for the first, which no repeat makes smaller.
         """
         spreads = {
             (row["group"], row["term"]): float(row["sd"])
@@ -285,7 +300,7 @@ class Truth:
         found: dict[str, object] = {
             name: spreads.get((group, "(Intercept)"), 0.0) for name, group in GROUPS.items()
         }
-        found |= _split_residual(primary, spreads, changes)
+        found |= _split_residual(primary, spreads, changes, repeats=repeats)
         people = primary.fit.n_levels.get("participant", 0)
         found |= {
             "slopes": primary.slopes["estimate"].to_dict(),
@@ -321,15 +336,19 @@ GROUPS = {
 
 
 def _split_residual(
-    primary: Primary, spreads: Mapping[tuple[str, str], float], changes: Mapping[str, object]
+    primary: Primary,
+    spreads: Mapping[tuple[str, str], float],
+    changes: Mapping[str, object],
+    *,
+    repeats: int,
 ) -> dict[str, object]:
     """Divide the residual between what a person thinks of a stimulus and what repeats differ by."""
     residual, own = primary.fit.residual_sd, spreads.get(("participant:item", "(Intercept)"))
     if own is not None:
         return {"person_item_sd": own, "rating_sd": residual}
     given = changes.get("rating_sd")
-    repeats = float(given) if isinstance(given, int | float) else 0.0
-    return {"person_item_sd": float(np.sqrt(max(residual**2 - repeats**2, 0.0))), "rating_sd": 0.0}
+    noise = float(given) ** 2 / repeats if isinstance(given, int | float) else 0.0
+    return {"person_item_sd": float(np.sqrt(max(residual**2 - noise, 0.0))), "rating_sd": 0.0}
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -366,8 +385,6 @@ class Power(Result):
     family : tuple of float
         Share of null studies with any false positive after Holm's method, and its 95 % Wilson interval; NaN without
         simulation.
-    wanted : float
-        Power that is asked for.
     seed : int
         Of all randomness.
     answer : str
@@ -383,7 +400,6 @@ class Power(Result):
     studies: int
     counts: DataFrame
     family: tuple[float, float, float]
-    wanted: float
     seed: int
     answer: str
     notes: tuple[str, ...] = ()
@@ -466,11 +482,3 @@ class PowerPlan(Result):
 def _summarise(answer: str, table: DataFrame, notes: tuple[str, ...]) -> str:
     shown = table.to_string(index=False, float_format="{:.3g}".format)
     return "\n".join([answer, "", shown, *notes])
-
-
-def measure_spread(items: DataFrame, metrics: tuple[str, ...]) -> Samples:
-    """Compute the standard deviation of every metric within recordings, over stimuli."""
-    values = items[list(metrics)]
-    within = (values - values.groupby(items[SCENE]).transform("mean")).to_numpy(np.float64)
-    spread: Samples = within.std(axis=0, ddof=1)
-    return spread

@@ -181,7 +181,7 @@ def _simulate(study: Study, participants: int, seed: int | None = None) -> int:
 
 def _open_demo(folder: Path) -> StudyFolder:
     """Begin the demonstration, or resume it; a folder with anything else in it is left alone."""
-    from feel321.study.simulation import NUMBERED
+    from feel321.study.observer.casting import NUMBERED
 
     study = StudyFolder(folder)
     if not folder.exists() or not any(folder.iterdir()):

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from difflib import get_close_matches
 from itertools import product
 from pathlib import Path
@@ -270,6 +270,14 @@ def make_identity(
         **identify_exploration(settings),
         **_identify_methods(settings, folder),
     }
+
+
+def make_terms(design: Design, settings: Settings, folder: Path) -> dict[str, Any]:
+    """List what all stations of a study have to agree on, as JSON can hold it: all that decides about the sessions."""
+    own = asdict(design)
+    own["tasks"] = {task["protocol"]: task for task in own["tasks"]}
+    identity = make_identity(settings, folder, {})
+    return own | {name: identity.get(name) for name in ("locale", "texts_sha256", "rig", "methods")}
 
 
 def _identify_methods(settings: Settings, folder: Path) -> dict[str, Any]:
