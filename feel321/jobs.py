@@ -5,11 +5,15 @@ result does not depend on where or when it runs. So results are the same for any
 lost with its process is simply done again.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextvars import copy_context
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import islice
+from re import fullmatch
 from typing import Any
 
 __all__ = ["Workers"]
@@ -20,14 +24,48 @@ Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Who does the jobs: `count` processes of this machine, each with up to as many threads as the jobs allow."""
+    """Who does the jobs.
+
+    Parameters
+    ----------
+    count : int
+        Number of processes of this machine.
+    dask : str
+        Instead, the scheduler of a Dask cluster: `tcp://HOST:PORT`, or `tls://HOST:PORT` with certificates named in
+        Dask's own configuration.
+    share : str
+        With `dask`: URL of a folder, opened by fsspec, through which files travel. If left out, all machines must see
+        the study's folder under the same name.
+
+    Raises
+    ------
+    ValueError
+        If the number is below 1, or the address is not of that form.
+
+    Examples
+    --------
+    >>> Workers(2).count
+    2
+    """
 
     count: int = 1
+    dask: str = ""
+    share: str = ""
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
         if self.count < 1:
             raise ValueError(f"workers must be 1 or more, got {self.count}")
+        if self.dask and not fullmatch(r"(tcp|tls)://.+:\d+", self.dask):
+            raise ValueError(
+                f"dask must be tcp://HOST:PORT or tls://HOST:PORT, as dask scheduler prints it; got {self.dask!r}"
+            )
+        if self.share and not self.dask:
+            raise ValueError("share is for a Dask cluster; give dask too, or leave share out")
+
+    def stay_here(self) -> Workers:
+        """Keep to the processes of this machine, where a job's files would travel farther than it is long."""
+        return Workers(self.count) if self.share else self
 
 
 ALONE = Workers()
@@ -43,6 +81,9 @@ def run_jobs(
     jobs: Iterable[Job], *, workers: Workers = ALONE, threads: int = 1
 ) -> Iterator[tuple[int, Any]]:
     """Yield the place of each job and its result, as they are done; only a few jobs are taken ahead of time."""
+    if workers.dask:
+        yield from _run_on_cluster(jobs, workers)
+        return
     if workers.count == 1:
         yield from _run_here(jobs, threads=threads)
         return
@@ -50,6 +91,28 @@ def run_jobs(
 
     numbered = (delayed(_run_numbered)(place, job) for place, job in enumerate(jobs))
     yield from Parallel(n_jobs=workers.count, return_as="generator_unordered")(numbered)
+
+
+def _run_on_cluster(jobs: Iterable[Job], workers: Workers) -> Iterator[tuple[int, Any]]:
+    missing = [name for name in ("distributed", "fsspec") if find_spec(name) is None]
+    if missing:
+        raise ModuleNotFoundError(
+            f"a Dask cluster needs {' and '.join(missing)}, not installed here; run pip install 'feel321[cluster]'"
+        )
+    from feel321.cluster import run_on_cluster
+
+    return run_on_cluster(jobs, address=workers.dask, share=workers.share)
+
+
+def gather_results(
+    jobs: Iterable[Job], *, workers: Workers = ALONE, done: Callable[[], object] = lambda: None
+) -> list[Any]:
+    """Do all jobs and return their results, in the order of the jobs; `done` is called after each."""
+    found: dict[int, Any] = {}
+    for place, result in run_jobs(jobs, workers=workers):
+        found[place] = result
+        done()
+    return [found[place] for place in sorted(found)]
 
 
 def _run_numbered(place: int, job: Job) -> tuple[int, Any]:

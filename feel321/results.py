@@ -15,7 +15,6 @@ from feel321.analysis.contrasts.bradley_terry import BradleyTerry
 from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, ReducerDifference
 from feel321.analysis.contrasts.discrimination import Discrimination
 from feel321.analysis.mixed.model import Estimate, MixedFit
-from feel321.analysis.p1401 import P1401, P1401Difference
 from feel321.analysis.power.design import Power, PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
@@ -27,6 +26,7 @@ from feel321.analysis.report.write import Results
 from feel321.analysis.screening.consistency import RaterModel
 from feel321.analysis.screening.screen import Screening
 from feel321.analysis.space import Alignment, Ellipses, Space
+from feel321.analysis.standard import P1401, P1401Difference
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.advise.page import Advice

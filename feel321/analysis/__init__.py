@@ -1,66 +1,80 @@
 """Do the match metrics predict what people feel? Tables in, associations, models, profiles and a report out.
 
-Importing this package loads numpy and nothing heavier; pandas, scipy and matplotlib come with the first call.
+Importing this package loads none of it: a function's module is imported when the function is asked for, and pandas,
+scipy and matplotlib when it is called.
 Records that functions return are in `feel321.results`. What cannot be computed is refused by a ValueError (a wrong
 type by a TypeError) that says what must be, what was got and what to do; what is left out or assumed is in the notes.
 """
 
-from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
-from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
-from feel321.analysis.association.correlate import compare_metrics, correlate, tabulate_correlations
-from feel321.analysis.association.rivals import rank_metrics
-from feel321.analysis.browser import write_stimulus_page
-from feel321.analysis.choices.embed import embed_triplets
-from feel321.analysis.choices.model import fit_choices
-from feel321.analysis.choices.power import plan_choices
-from feel321.analysis.choices.predict import predict_votes
-from feel321.analysis.contrasts.bradley_terry import bradley_terry
-from feel321.analysis.contrasts.compare import (
-    compare_reducers,
-    equivalence,
-    non_inferiority,
-    profile_reducers,
-)
-from feel321.analysis.contrasts.discrimination import discriminate
-from feel321.analysis.export import export_r
-from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.p1401 import compare_p1401, p1401
-from feel321.analysis.plots import (
-    plot,
-    plot_correlations,
-    plot_profile,
-    plot_recording,
-    plot_scatter,
-    plot_slopes,
-    plot_spectrogram,
-    plot_spectrum,
-)
-from feel321.analysis.power.design import PowerDesign, Truth
-from feel321.analysis.primary.model import fit_attributes, fit_primary
-from feel321.analysis.primary.multiverse import run_multiverse
-from feel321.analysis.published import correlate_published, map_published
-from feel321.analysis.refined.refine import refine_metric
-from feel321.analysis.report.write import write_report
-from feel321.analysis.screening.consistency import rater_model
-from feel321.analysis.screening.rules import RULES
-from feel321.analysis.screening.screen import screen_raters
-from feel321.analysis.space import align_spaces, fit_space
-from feel321.analysis.table.items import Table
-from feel321.analysis.table.reading import read_table
-from feel321.analysis.tradeoff.face import advise, benchmark, chart, stress
+from typing import TYPE_CHECKING as _TYPE_CHECKING
+
 from feel321.doors import forward_old_names as _forward_old_names
+from feel321.doors import list_imports as _list_imports
+
+if _TYPE_CHECKING:
+    from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
+    from feel321.analysis.association.classic import (
+        compare_dependent,
+        repeated_measures_correlation,
+    )
+    from feel321.analysis.association.correlate import (
+        compare_metrics,
+        correlate,
+        tabulate_correlations,
+    )
+    from feel321.analysis.association.rivals import rank_metrics
+    from feel321.analysis.browser import write_stimulus_page
+    from feel321.analysis.choices.embed import embed_triplets
+    from feel321.analysis.choices.model import fit_choices
+    from feel321.analysis.choices.power import plan_choices
+    from feel321.analysis.choices.predict import predict_votes
+    from feel321.analysis.contrasts.bradley_terry import bradley_terry
+    from feel321.analysis.contrasts.compare import (
+        compare_reducers,
+        equivalence,
+        non_inferiority,
+        profile_reducers,
+    )
+    from feel321.analysis.contrasts.discrimination import discriminate
+    from feel321.analysis.export import export_r
+    from feel321.analysis.mixed.model import contrast, fit_mixed
+    from feel321.analysis.plots import (
+        plot,
+        plot_correlations,
+        plot_profile,
+        plot_recording,
+        plot_scatter,
+        plot_slopes,
+        plot_spectrogram,
+        plot_spectrum,
+    )
+    from feel321.analysis.power.design import PowerDesign, Truth
+    from feel321.analysis.power.find import find_power
+    from feel321.analysis.power.plan import plan_power
+    from feel321.analysis.primary.model import fit_attributes, fit_primary
+    from feel321.analysis.primary.multiverse import run_multiverse
+    from feel321.analysis.published import correlate_published, map_published
+    from feel321.analysis.refined.refine import refine_metric
+    from feel321.analysis.report.write import write_report
+    from feel321.analysis.screening.consistency import rater_model
+    from feel321.analysis.screening.rules import RULES
+    from feel321.analysis.screening.screen import screen_raters
+    from feel321.analysis.space import align_spaces, fit_space
+    from feel321.analysis.standard import compare_p1401, p1401
+    from feel321.analysis.table.items import Table
+    from feel321.analysis.table.reading import read_table
+    from feel321.analysis.tradeoff.face import advise, benchmark, chart, stress
 
 __all__ = [
     "RULES", "PowerDesign", "Table", "Truth", "advise", "align_spaces", "benchmark", "bradley_terry", "chart",
     "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate",
-    "correlate_published",
-    "discriminate", "embed_triplets", "equivalence", "export_r", "fit_attributes", "fit_choices", "fit_mixed",
-    "fit_primary", "fit_space", "intraclass", "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority",
-    "p1401", "plan_choices", "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter",
-    "plot_slopes", "plot_spectrogram", "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics",
-    "rater_model", "read_table", "refine_metric",
-    "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress", "tabulate_correlations",
-    "write_report", "write_stimulus_page",
+    "correlate_published", "discriminate", "embed_triplets", "equivalence", "export_r", "find_power",
+    "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass", "krippendorff_alpha",
+    "map_published", "noise_ceiling", "non_inferiority", "p1401", "plan_choices", "plan_power", "plot",
+    "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
+    "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model", "read_table",
+    "refine_metric", "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress",
+    "tabulate_correlations", "write_report", "write_stimulus_page",
 ]  # fmt: skip
 
 _RECORDS = (
@@ -104,6 +118,7 @@ __getattr__ = _forward_old_names(
     __name__,
     {name: f"feel321.analysis.{place}" for name, place in _OLD.items()}
     | {name: f"feel321.results:{name}|feel321.results.{name}" for name in _RECORDS},
+    lazy=_list_imports(__file__),
 )
 
 

@@ -18,7 +18,7 @@ from feel321.analysis.arrays import CONFIDENCE, FLAT, PERFECT, Values
 from feel321.analysis.words import name_path
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -76,26 +76,32 @@ def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
     Kendall (1945), Biometrika 33, 239-251, doi 10.1093/biomet/33.3.239.
     Knight (1966), Journal of the American Statistical Association 61, 436-439, doi 10.1080/01621459.1966.10480879.
     """
-    x, y, weights = np.broadcast_arrays(x, y, weights)
-    by_y = np.argsort(y, axis=-1, kind="stable")
-    y_weights = np.take_along_axis(weights, by_y, axis=-1)
+    # Whatever does not depend on the weights, of which there may be several, is put in order once.
+    by_x, by_y = (np.argsort(one, axis=-1, kind="stable") for one in (x, y))
+    steps = _find_starts(np.take_along_axis(x, by_x, axis=-1))
+    x, y, by_x, by_y = np.broadcast_arrays(x, y, by_x, by_y)
     rises = _find_starts(np.take_along_axis(y, by_y, axis=-1))
     places = np.empty_like(by_y)
     np.put_along_axis(places, by_y, np.cumsum(rises, axis=-1) - 1, axis=-1)
-
-    order = np.lexsort((places, x), axis=-1)
-    x, weights = (np.take_along_axis(one, order, axis=-1) for one in (x, weights))
-    places = np.take_along_axis(places, order, axis=-1)
-    starts = _find_starts(x)
-    squares = weights.sum(axis=-1) ** 2
-    differ_x = squares - _sum_squares(starts, weights)
-    differ_y = squares - _sum_squares(rises, y_weights)
-    differ_either = squares - _sum_squares(starts | _find_starts(places), weights)
+    order = by_x if steps.all() else np.lexsort((places, x), axis=-1)
+    places, starts = (np.take_along_axis(one, order, axis=-1) for one in (places, x))
+    starts = _find_starts(starts)
+    ordered = _take(weights, order)
+    squares = ordered.sum(axis=-1) ** 2
+    differ_x = squares - _sum_squares(starts, ordered)
+    differ_y = squares - _sum_squares(rises, _take(weights, by_y))
+    differ_either = squares - _sum_squares(starts | _find_starts(places), ordered)
     # Each of these counts a pair twice, a before b and b before a; the discordant pairs are counted once.
-    surplus = differ_x + differ_y - differ_either - 4 * _count_discordant(places, weights)
+    surplus = differ_x + differ_y - differ_either - 4 * _count_discordant(places, ordered)
     with np.errstate(invalid="ignore", divide="ignore"):
         tau = surplus / np.sqrt(differ_x) / np.sqrt(differ_y)
     return np.where((differ_x > 0) & (differ_y > 0), np.clip(tau, -1, 1), np.nan)
+
+
+def _take(values: Values, order: NDArray[np.intp]) -> Values:
+    """Put the last axis in order; either may have axes in front that the other has not."""
+    taken: Values = np.take_along_axis(*np.broadcast_arrays(values, order), axis=-1)
+    return taken
 
 
 def _find_starts(ordered: NDArray[np.generic]) -> NDArray[np.bool_]:
@@ -125,16 +131,18 @@ def _count_discordant(places: NDArray[np.intp], weights: Values) -> Values:
     Splitting by one binary digit of the place at a time, from the highest: a pair parts at the first digit in which
     its places differ, and is discordant if the one comes before the zero there.
     """
-    discordant = np.zeros(places.shape[:-1])
+    discordant = np.zeros(weights.shape[:-1])
+    # Of short numbers the stable sort is a radix sort, which takes a fraction of the time.
+    kind = np.int16 if places.shape[-1] < np.iinfo(np.int16).max else places.dtype
     for digit in reversed(range(int(places.shape[-1]).bit_length())):
         is_one = (places >> digit) & 1
         ones = np.cumsum(weights * is_one, axis=-1)
         starts = _find_starts(places >> (digit + 1))
         earlier = ones - _before_group(starts, ones - weights * is_one)
         discordant += (weights * (1 - is_one) * earlier).sum(axis=-1)
-        order = np.argsort(places >> digit, axis=-1, kind="stable")
+        order = np.argsort((places >> digit).astype(kind), axis=-1, kind="stable")
         places = np.take_along_axis(places, order, axis=-1)
-        weights = np.take_along_axis(weights, order, axis=-1)
+        weights = _take(weights, order)
     return discordant
 
 
@@ -182,9 +190,11 @@ def weighted_spearman(x: Values, y: Values, *, weights: Values) -> Values:
 
 def weighted_ranks(values: Values, weights: Values) -> Values:
     """Mid-ranks, from 1, along the last axis of a sample in which each item occurs as often as its weight says."""
-    values, weights = np.broadcast_arrays(values, weights)
+    # In order before they are repeated for every draw: a metric is the same in all.
     order = np.argsort(values, axis=-1, kind="stable")
     ordered = np.take_along_axis(values, order, axis=-1)
+    shape = np.broadcast_shapes(values.shape, weights.shape)
+    order, ordered, weights = (np.broadcast_to(one, shape) for one in (order, ordered, weights))
     upto = np.cumsum(np.take_along_axis(weights, order, axis=-1), axis=-1)
     before = np.concatenate([np.zeros_like(upto[..., :1]), upto[..., :-1]], axis=-1)
     rises = np.diff(ordered, axis=-1) > 0
@@ -230,28 +240,45 @@ def correlate_draws(
     participants: (draws, n_participants); recordings: (draws, n_recordings). NaN where a draw leaves the metric or
     the means constant, or fewer than three different items.
     """
-    how = METHODS[method]
-    means, rated = _average(items, participants, how=how)
+    averages = _average(items, participants)
+    return _correlate_means(items, METHODS[method], averages, counts=(recordings,))[0]
+
+
+class Averages(NamedTuple):
+    """Mean ratings of every item, and whether there are any: (draws, n_items)."""
+
+    means: Values
+    rated: NDArray[np.bool_]
+
+
+def _correlate_means(
+    items: Items, how: CorrelationMethod, averages: Averages, *, counts: Sequence[Values]
+) -> list[Values]:
+    """Correlate with every metric, (n_metrics, draws), for each way of counting recordings, (draws, n_recordings)."""
+    if how.ranked:
+        averages = averages._replace(means=_tie_rounded(averages.means))
     if how.within:
         parts = [
-            _correlate_recordings(items, metric, means, rated=rated, how=how)
-            for metric in items.metrics
+            _correlate_recordings(items, metric, averages, how=how) for metric in items.metrics
         ]
-        return np.array([average_recordings(*part, counts=recordings) for part in parts])
-    weights = recordings[:, items.recordings] * rated
-    drawn = np.array([how.correlation(metric, means, weights=weights) for metric in items.metrics])
-    return np.where((weights > 0).sum(axis=-1) < FEWEST_ITEMS, np.nan, drawn)
+        return [
+            np.array([average_recordings(*part, counts=one) for part in parts]) for one in counts
+        ]
+    weights = np.stack([one[:, items.recordings] * averages.rated for one in counts])
+    found = np.array([
+        how.correlation(metric, averages.means, weights=weights) for metric in items.metrics
+    ])
+    few = (weights > 0).sum(axis=-1) < FEWEST_ITEMS
+    return list(np.where(few, np.nan, found).swapaxes(0, 1))
 
 
-def _average(
-    items: Items, participants: Values, *, how: CorrelationMethod
-) -> tuple[Values, NDArray[np.bool_]]:
-    """Average each item's ratings over the participants drawn; also mark the items with any."""
+def _average(items: Items, participants: Values) -> Averages:
+    """Average each item's ratings over the participants drawn."""
     seen = np.isfinite(items.ratings)
     votes = participants @ seen.astype(np.float64)
     sums = participants @ np.where(seen, items.ratings, 0.0)
     means = np.divide(sums, votes, out=np.zeros_like(sums), where=votes > 0)
-    return _tie_rounded(means) if how.ranked else means, votes > 0
+    return Averages(means, votes > 0)
 
 
 def _tie_rounded(means: Values) -> Values:
@@ -262,16 +289,22 @@ def _tie_rounded(means: Values) -> Values:
 
 
 def _correlate_recordings(
-    items: Items, metric: Values, means: Values, *, rated: NDArray[np.bool_], how: CorrelationMethod
+    items: Items, metric: Values, averages: Averages, *, how: CorrelationMethod
 ) -> tuple[Values, Values]:
     """Correlate within each recording; also count the items that did: both of shape (draws, n_recordings)."""
-    members = [np.flatnonzero(items.recordings == number) for number in range(items.n_recordings)]
-    sizes = np.stack([rated[:, own].sum(axis=-1) for own in members], axis=-1).astype(np.float64)
-    found = [
-        how.correlation(metric[own], means[:, own], weights=rated[:, own].astype(np.float64))
-        for own in members
-    ]
-    return np.where(sizes < FEWEST_ITEMS, np.nan, np.stack(found, axis=-1)), sizes
+    means, rated = averages
+    found = np.empty((len(means), items.n_recordings))
+    sizes = np.empty_like(found)
+    n_items = np.bincount(items.recordings)
+    order = np.argsort(items.recordings, kind="stable")
+    # Recordings of as many items are one array.
+    for n_each in np.unique(n_items):
+        places = np.flatnonzero(n_items == n_each)
+        own = order[np.isin(items.recordings[order], places)].reshape(-1, n_each)
+        weights = rated[:, own].astype(np.float64)
+        sizes[:, places] = weights.sum(axis=-1)
+        found[:, places] = how.correlation(metric[own], means[:, own], weights=weights)
+    return np.where(sizes < FEWEST_ITEMS, np.nan, found), sizes
 
 
 def correlate_each(items: Items, method: str) -> Values:
@@ -279,11 +312,11 @@ def correlate_each(items: Items, method: str) -> Values:
 
     NaN where a recording has fewer than three rated items, or the metric or the means are constant in it.
     """
-    how, everyone = METHODS[method], np.ones((1, items.n_participants))
-    means, rated = _average(items, everyone, how=how)
-    rows = items.metrics
+    how, averages = METHODS[method], _average(items, np.ones((1, items.n_participants)))
+    if how.ranked:
+        averages = averages._replace(means=_tie_rounded(averages.means))
     return np.concatenate([
-        _correlate_recordings(items, row, means, rated=rated, how=how)[0] for row in rows
+        _correlate_recordings(items, row, averages, how=how)[0] for row in items.metrics
     ])
 
 
@@ -351,15 +384,31 @@ class Draws(NamedTuple):
 
 def draw_intervals(items: Items, method: str, *, draws: int, rng: np.random.Generator) -> Draws:
     """Draw participants and recordings with replacement, and correlate anew each time."""
+    return draw_methods(items, [method], draws=draws, rng=rng)[method]
+
+
+def draw_methods(
+    items: Items, methods: Iterable[str], *, draws: int, rng: np.random.Generator
+) -> dict[str, Draws]:
+    """Draw participants and recordings with replacement, and correlate by several methods in the same draws."""
     everyone, everything = np.ones((1, items.n_participants)), np.ones((1, items.n_recordings))
     block = max(1, BLOCK // max(items.n_participants, items.n_items))
     sizes = [min(block, draws - start) for start in range(0, draws, block)]
-    blocks = [_draw_block(items, method, draws=size, rng=rng) for size in sizes]
-    within = METHODS[method].within
-    two_way, participants = (np.concatenate(part, axis=1) for part in zip(*blocks, strict=True))
-    each = correlate_each(items, method) if within else np.empty((len(items.metrics), 0))
-    point = correlate_draws(items, method, participants=everyone, recordings=everything)[:, 0]
-    return Draws(point, fisher_z(two_way), fisher_z(participants), each)
+    blocks: dict[str, list[list[Values]]] = {method: [] for method in methods}
+    for size in sizes:
+        averages, counts = _draw_block(items, draws=size, rng=rng)
+        for method, found in blocks.items():
+            drawn = _correlate_means(items, METHODS[method], averages, counts=counts)
+            found.append([fisher_z(one) for one in drawn])
+    none = np.empty((len(items.metrics), 0))
+    return {
+        method: Draws(
+            correlate_draws(items, method, participants=everyone, recordings=everything)[:, 0],
+            *(np.concatenate(part, axis=1) for part in zip(*found, strict=True)),
+            correlate_each(items, method) if METHODS[method].within else none,
+        )
+        for method, found in blocks.items()
+    }
 
 
 def measure_lean(items: Items, method: str, drawn: Draws) -> Values:
@@ -374,16 +423,14 @@ def measure_lean(items: Items, method: str, drawn: Draws) -> Values:
 
 
 def _draw_block(
-    items: Items, method: str, *, draws: int, rng: np.random.Generator
-) -> tuple[Values, Values]:
+    items: Items, *, draws: int, rng: np.random.Generator
+) -> tuple[Averages, tuple[Values, Values]]:
+    """Average over the participants drawn; also count the recordings drawn, and each once."""
     # Participants are drawn first and recordings second, so that both intervals share the same participants.
     people = draw_counts(items.n_participants, draws, rng=rng)
     # A source comes with all its recordings, or not at all.
     scenes = draw_counts(items.n_sources, draws, rng=rng)[:, items.of_source]
-    return (
-        correlate_draws(items, method, participants=people, recordings=scenes),
-        correlate_draws(items, method, participants=people, recordings=np.ones_like(scenes)),
-    )
+    return _average(items, people), (scenes, np.ones_like(scenes))
 
 
 def count_scarcest(items: Items, drawn: Draws) -> int:

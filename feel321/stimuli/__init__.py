@@ -5,6 +5,7 @@ Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `reduce
 
 from feel321.doors import forward_old_names as _forward_old_names
 from feel321.names import METRIC_INFO
+from feel321.stimuli.batch import match_many, reduce_many
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.conform import Conformity, check_dft321
 from feel321.stimuli.conform_stream import check_stream
@@ -61,12 +62,14 @@ __all__ = [
     "felt_level",
     "make_scene",
     "match",
+    "match_many",
     "psd",
     "read_recording",
     "read_recordings",
     "read_stimuli",
     "read_wav",
     "reduce",
+    "reduce_many",
     "rotation_statistics",
     "sensation_level_db",
     "spectral_match",

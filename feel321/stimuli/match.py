@@ -138,7 +138,8 @@ class OriginalSpectrum:
     """The smoothed spectrum of one recording, ready to be compared with many reduced signals.
 
     The sum of the axes' energies does not change when the sensor is turned, so one such spectrum serves every
-    orientation. Samples are (3, n_samples) with n_samples >= 1.
+    orientation. Samples are (3, n_samples) with n_samples >= 1; or many recordings, (..., 3, n_samples), each of which
+    is compared with a reduced signal of its own.
     """
 
     def __init__(self, samples: Samples, rate_hz: float, *, grid: Grid = "linear") -> None:
@@ -146,13 +147,16 @@ class OriginalSpectrum:
         frequencies = GRIDS[grid](n, rate_hz)
         self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
         # Axis by axis: three spectra at once cost more in fresh memory than they save in calls.
-        self._spectrum = energy_spectrum(samples[0], self._smooth.bins)
-        for axis in samples[1:]:
+        first, *others = np.moveaxis(samples, -2, 0)
+        self._spectrum = energy_spectrum(first, self._smooth.bins)
+        for axis in others:
             self._spectrum += energy_spectrum(axis, self._smooth.bins)
         # By Parseval's theorem the mean energy per bin of the two-sided spectrum is the energy in time.
-        self._energy = float(np.einsum("in,in->", samples, samples))
+        self._energy = recording.add_squares(samples, 2)
         self._smoothed = self._smooth(self._spectrum)
-        self._used = self._smoothed > NUMERICAL_FLOOR * self._energy
+        self._used = self._smoothed > NUMERICAL_FLOOR * self._energy[..., None]
+        if samples.ndim > 2:  # noqa: PLR2004 - axes x samples
+            return
         self.smoothed = self._smoothed[self._used]
         self.frequencies_hz = frequencies[self._used]
         self.n_left_out = int(np.count_nonzero(~self._used))
@@ -207,10 +211,10 @@ class OriginalSpectrum:
         return self._smooth(difference)
 
     def _relate(self, difference: Samples) -> Samples:
-        if not len(self.smoothed):
-            return np.full(difference.shape[:-1], np.nan)
-        deviation = np.abs(difference[..., self._used])
-        return np.asarray(1.0 - (deviation / self.smoothed).mean(axis=-1))
+        count = self._used.sum(axis=-1)
+        share = np.zeros_like(difference)
+        np.divide(np.abs(difference), self._smoothed, out=share, where=self._used)
+        return np.where(count > 0, 1.0 - share.sum(axis=-1) / np.maximum(count, 1), np.nan)
 
     def _relate_bounded(self, reduced: Samples, difference: Samples) -> Samples:
         strongest = self._smoothed + np.maximum(-difference, 0.0)  # max(E, S) = E + max(S - E, 0)

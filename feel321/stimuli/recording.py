@@ -9,6 +9,8 @@ power of two (which is exact) and its output scaled back. Ordinary recordings pa
 from __future__ import annotations
 
 import hashlib
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, SupportsFloat, TypeAlias
 
@@ -393,6 +395,27 @@ def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
 def _energy(samples: Samples) -> Samples:
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(np.einsum("...in,...in->...", samples, samples))[..., None]
+
+
+def each_by_itself(work: Callable[[Samples], Samples], signals: Samples, ndim: int = 2) -> Samples:
+    """Apply what is done to one signal, of `ndim` dimensions, to each of a batch.
+
+    The order in which einsum adds depends on the shape that it is given: sums over samples, and with them the last
+    digit of a result, would depend on the batch.
+    """
+    if signals.ndim == ndim:
+        return np.asarray(work(signals))
+    batch, shape = signals.shape[:-ndim], signals.shape[-ndim:]
+    found = [work(one) for one in signals.reshape(math.prod(batch), *shape)]
+    return np.reshape(found, (*batch, *(found[0] if found else work(np.zeros(shape))).shape))
+
+
+def add_squares(signals: Samples, ndim: int = 1) -> Samples:
+    """Add the squares of signals of `ndim` dimensions, each by itself, (...)."""
+    inside = "in"[-ndim:]
+    return each_by_itself(
+        lambda one: np.asarray(np.einsum(f"{inside},{inside}->", one, one)), signals, ndim
+    )
 
 
 def is_safe(peaks: ArrayLike) -> NDArray[np.bool_]:

@@ -71,6 +71,18 @@ def pair_engines(
     )
 
 
+def test_stimuli_cost_no_columns_whatever_their_order() -> None:
+    table = make_study(3)
+    _, quick = pair_engines(build_design(FULL, table))
+    names = np.random.default_rng(4).permutation(table["item"].max() + 1)
+    _, named = pair_engines(build_design(FULL, table.assign(item=names[table["item"]])))
+    # A person's level, two slopes, 4 scenes and 4 kinds; everybody's 4 scenes and 4 kinds; none for the 16 stimuli.
+    assert quick.n_random == named.n_random == 19
+    theta = np.random.default_rng(5).uniform(0, 2, len(quick.diagonal))
+    states = [profile.evaluate(theta) for profile in (quick, named)]
+    np.testing.assert_allclose(quick.deviance(states[0]), named.deviance(states[1]), rtol=1e-12)
+
+
 @pytest.mark.parametrize("reml", [True, False])
 @pytest.mark.parametrize(
     "formula", [FULL, f"y ~ {GROUPS}", "y ~ a + (1 | who)", "y ~ a + (1 | who) + (1 | item)"]
@@ -221,3 +233,11 @@ def test_spreads_are_known_as_well_as_the_curvature_of_what_was_minimised_says()
 def test_penalties_refused(penalty: list[str], formula: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Profile(build_design(formula, make_study(1)), reml=True, penalty=penalty)
+
+
+def test_a_level_for_every_row_takes_no_columns_in_whatever_order_rows_stand() -> None:
+    for table in (make_study(1), make_study(1).sample(frac=1, random_state=1)):
+        _, quick = pair_engines(build_design(FULL, table))
+        assert quick.each is not None
+        # Of one person: level, two slopes, 4 scenes, 4 kinds; of everybody: 4 scenes, 4 kinds; none for the 16 items.
+        assert quick.n_random == 3 + 4 + 4 + 4 + 4

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.p1401 import p1401
 from feel321.analysis.refined.refine import refine_metric
 from feel321.analysis.report import association, primary
 from feel321.analysis.resampling import Choices
+from feel321.analysis.standard import p1401
 from feel321.analysis.table.metrics import find_steps, order_reducers
 from feel321.analysis.table.reading import Further, read_table
 from feel321.analysis.words import declaring

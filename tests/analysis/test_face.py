@@ -22,6 +22,22 @@ def test_import_loads_nothing_heavy() -> None:
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
 
 
+def test_a_name_loads_its_own_module_only() -> None:
+    code = "import sys; from feel321.analysis import intraclass; print(*sys.modules)"
+    loaded = subprocess.check_output([sys.executable, "-c", code], text=True).split()
+    assert "feel321.analysis.agreement" in loaded
+    assert not {"feel321.analysis.report.write", "feel321.analysis.mixed.model"} & set(loaded)
+    code = "import sys, feel321.analysis; print(*sys.modules)"
+    bare = subprocess.check_output([sys.executable, "-c", code], text=True).split()
+    assert not {"numpy", "feel321.analysis.agreement"} & set(bare)
+
+
+def test_no_module_hides_a_name_of_the_face() -> None:
+    # Importing such a module would set it in the place of the function.
+    modules = {path.stem for path in Path(str(analysis.__file__)).parent.iterdir()}
+    assert modules & set(analysis.__all__) == set()
+
+
 def test_what_public_functions_take_and_give_is_public() -> None:
     for name in analysis.__all__:
         thing = getattr(analysis, name)

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2, f, norm, pearsonr, spearmanr, t
 
 from feel321.analysis.association.classic import repeated_measures_correlation
-from feel321.analysis.p1401 import P1401, compare_p1401, fit_monotone_cubic, p1401
+from feel321.analysis.standard import P1401, compare_p1401, fit_monotone_cubic, p1401
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -31,7 +31,7 @@ from feel321.doors import as_rng, check_name
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pandas import DataFrame
 
@@ -318,7 +318,7 @@ def tabulate_correlations(
     rows = []
     for part in split_tests(table):
         items = make_items(part.rows, names)
-        of = [correlate_items(items, names, how, draws=draws, rng=int(seed)) for how in methods]
+        of = correlate_methods(items, names, methods, draws=draws, rng=int(seed))
         found = (one.associate(name) for name in names for one in of)
         rows += [{"scale": part.scale, "level": part.level, **asdict(one)} for one in found]
     return pd.DataFrame(rows).assign(notes=lambda found: found["notes"].map(" ".join))
@@ -328,10 +328,17 @@ def correlate_items(
     items: Items, metrics: tuple[str, ...], method: str, *, draws: int, rng: Rng
 ) -> Correlated:
     """Correlate with all metrics of the items, and with all of them in the same draws."""
-    check_name(method, resampling.METHODS, "method")
+    return correlate_methods(items, metrics, [method], draws=draws, rng=rng)[0]
+
+
+def correlate_methods(
+    items: Items, metrics: tuple[str, ...], methods: Iterable[str], *, draws: int, rng: Rng
+) -> list[Correlated]:
+    """Correlate by several methods, in the same draws."""
+    names = [check_name(method, resampling.METHODS, "method") for method in methods]
     check_draws(draws)
-    drawn = resampling.draw_intervals(items, method, draws=draws, rng=as_rng(rng))
-    return Correlated(items, metrics, method, drawn)
+    found = resampling.draw_methods(items, names, draws=draws, rng=as_rng(rng))
+    return [Correlated(items, metrics, method, drawn) for method, drawn in found.items()]
 
 
 class Correlated(NamedTuple):
@@ -519,18 +526,12 @@ def make_panel(
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
     seed, items = int(rng.integers(2**63)), make_items(part, metrics)
-    of = [
-        correlate_items(items, metrics, method, draws=draws, rng=seed)
-        for method in resampling.METHODS
-    ]
+    of = correlate_methods(items, metrics, resampling.METHODS, draws=draws, rng=seed)
     signs = np.array([find_sign(info, name) for name in metrics])
     compared = of
     if (signs < 0).any():
         turned = replace(items, metrics=items.metrics * signs[:, None])
-        compared = [
-            correlate_items(turned, metrics, how, draws=draws, rng=seed)
-            for how in resampling.METHODS
-        ]
+        compared = correlate_methods(turned, metrics, resampling.METHODS, draws=draws, rng=seed)
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
     return Panel(
         scale=str(part["scale"].iloc[0]),

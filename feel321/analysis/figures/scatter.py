@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from feel321.analysis.association.correlate import Association, Panel
     from feel321.analysis.mixed.model import MixedFit
-    from feel321.analysis.p1401 import P1401
+    from feel321.analysis.standard import P1401
 
     Values = NDArray[np.float64]
     from feel321.analysis.contrasts.discrimination import Discrimination

@@ -125,14 +125,20 @@ def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -
     """
     from scipy.stats import t as student
 
-    value = float(weights @ effects)
-    variance = float(weights @ uncertainty.covariance @ weights)
-    slope = np.einsum("i,kij,j->k", weights, uncertainty.slopes, weights)
-    df = float(2 * variance**2 / (slope @ uncertainty.parameters @ slope))
-    se = float(np.sqrt(variance))
+    value, se, df = measure_sum(effects, weights, uncertainty)
     margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
     p = float(2 * student.sf(abs(value / se), df))
     return Estimate(value, se, df, value / se, p, value - margin, value + margin)
+
+
+def measure_sum(
+    effects: Samples, weights: Samples, uncertainty: Uncertainty
+) -> tuple[float, float, float]:
+    """Compute a weighted sum of fixed effects, its standard error and its degrees of freedom."""
+    variance = float(weights @ uncertainty.covariance @ weights)
+    slope = np.einsum("i,kij,j->k", weights, uncertainty.slopes, weights)
+    df = float(2 * variance**2 / (slope @ uncertainty.parameters @ slope))
+    return float(weights @ effects), float(np.sqrt(variance)), df
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)

@@ -403,9 +403,10 @@ class Balanced(Profile):
 
 
 def _is_identity(stand: Stand) -> bool:
-    size, diagonal = len(stand.columns), np.abs(stand.columns.diagonal())
-    square = stand.columns.shape == (size, size) and np.count_nonzero(stand.columns) == size
-    return bool(square and (diagonal == diagonal[0]).all())
+    """Check that every row has a level of its own, in whatever order; a row has one level of each factor."""
+    sizes = np.abs(stand.columns[stand.columns != 0])
+    square = len(sizes) == len(stand.columns) == stand.columns.shape[1]
+    return bool(square and (sizes == sizes[0]).all())
 
 
 def find_slope(profile: Profile, state: State, weight: float | None = None) -> Samples:

@@ -11,20 +11,25 @@ import numpy as np
 
 from feel321.analysis.arrays import check_columns
 from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE
-from feel321.doors import as_names
+from feel321.doors import as_names, check_name
 from feel321.records import Result
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.primary.model import Primary
-    from feel321.types import Samples
 
 LEVEL = 0.05
 """Of all tests of a study together, by Holm's method."""
 
+ENOUGH = 0.8
+"""Power that is asked for."""
+
 LOW, HIGH = 0.0, 100.0
 """Ends of the scale."""
+
+SCREENED = ("straight_lining", "test_retest", "repeat_sd", "reversed_scale", "outliers")
+"""Rules that look at ratings of test stimuli alone; answers' times and anchors are not simulated."""
 
 SIZES = ("participants", "recordings", "reducers", "repeats")
 """What a plan varies."""
@@ -60,7 +65,10 @@ class PowerDesign:
         from those of `items`: without replacement, and where more are asked for, each as often as every other but for
         one. A recording keeps its reducers' metrics; a second copy counts as another recording with the same metrics.
     screening : sequence of str
-        Names of `RULES` that flag raters by their ratings; whoever is flagged is left out of the primary analysis.
+        Any of straight_lining, test_retest, repeat_sd, reversed_scale and outliers (`RULES`); whoever is flagged is
+        left out of the primary analysis.
+    wanted : float
+        Power that is asked for.
 
     Raises
     ------
@@ -85,6 +93,7 @@ class PowerDesign:
     recordings: int = 0
     reducers: int = 0
     screening: tuple[str, ...] = ()
+    wanted: float = ENOUGH
 
     def __post_init__(self) -> None:
         """Refuse what is no study, and settle names and numbers."""
@@ -92,10 +101,14 @@ class PowerDesign:
             object.__setattr__(self, name, as_names(getattr(self, name), name))
         if not self.metrics or not self.attributes:
             raise ValueError("metrics and attributes must name one or more each")
+        for name in self.screening:
+            check_name(name, SCREENED, "screening")
         object.__setattr__(self, "items", _check_items(self.items, self.metrics))
         for name, column in (("recordings", SCENE), ("reducers", REDUCER)):
             own = int(self.items[column].nunique())
             object.__setattr__(self, name, int(getattr(self, name)) or own)
+        if not LEVEL < self.wanted < 1:
+            raise ValueError(f"wanted must be between {LEVEL} and 1, got {self.wanted}")
         for name, least in zip(SIZES, (3, 1, 1, 1), strict=True):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
@@ -366,8 +379,6 @@ class Power(Result):
     family : tuple of float
         Share of null studies with any false positive after Holm's method, and its 95 % Wilson interval; NaN without
         simulation.
-    wanted : float
-        Power that is asked for.
     seed : int
         Of all randomness.
     answer : str
@@ -383,7 +394,6 @@ class Power(Result):
     studies: int
     counts: DataFrame
     family: tuple[float, float, float]
-    wanted: float
     seed: int
     answer: str
     notes: tuple[str, ...] = ()
@@ -466,11 +476,3 @@ class PowerPlan(Result):
 def _summarise(answer: str, table: DataFrame, notes: tuple[str, ...]) -> str:
     shown = table.to_string(index=False, float_format="{:.3g}".format)
     return "\n".join([answer, "", shown, *notes])
-
-
-def measure_spread(items: DataFrame, metrics: tuple[str, ...]) -> Samples:
-    """Compute the standard deviation of every metric within recordings, over stimuli."""
-    values = items[list(metrics)]
-    within = (values - values.groupby(items[SCENE]).transform("mean")).to_numpy(np.float64)
-    spread: Samples = within.std(axis=0, ddof=1)
-    return spread

@@ -285,25 +285,20 @@ class SlopePrecision(Result):
 
     def find_power(self, slope: float) -> float:
         """Compute the chance that the two-sided test at `level` finds a true slope; NaN where nothing varies."""
-        from scipy.stats import nct, norm, t
-
         se, df = self.find_se()
         if not 0 < se < math.inf:
             return math.nan
-        limit, shift = float(t.ppf(1 - self.level / 2, df)), abs(slope) / se
-        power = float(nct.sf(limit, df, shift) + nct.cdf(-limit, df, shift))
-        # SciPy's noncentral t gives up far out, where the normal distribution is as good.
-        return power if math.isfinite(power) else float(norm.sf(limit - shift))
+        return float(find_chance(np.array(abs(slope) / se), np.array(df), level=self.level))
 
     def find_participants(self, slope: float) -> float:
         """Find how many participants give 80 % power with these recordings: 6 or more, NaN beyond 10 000."""
-        return _find_least(
+        return find_least(
             lambda number: self.enlarge(participants=number).find_power(slope), least=FEWEST_PEOPLE
         )
 
     def find_recordings(self, slope: float) -> float:
         """Find how many recordings give 80 % power with these participants: 4 or more, NaN beyond 10 000."""
-        return _find_least(
+        return find_least(
             lambda number: self.enlarge(recordings=number).find_power(slope),
             least=FEWEST_RECORDINGS,
         )
@@ -316,6 +311,17 @@ class SlopePrecision(Result):
         if not 0 < se < math.inf:
             return math.nan
         return float(brentq(lambda slope: self.find_power(slope) - ENOUGH, 0, 20 * se))
+
+
+def find_chance(shift: Samples, df: Samples, *, level: float) -> Samples:
+    """Compute the power of two-sided t tests; shift: true value over its standard error."""
+    from scipy.stats import nct, norm, t
+
+    limit = t.ppf(1 - level / 2, df)
+    power = nct.sf(limit, df, shift) + nct.cdf(-limit, df, shift)
+    # SciPy's noncentral t gives up far out, where the normal distribution is as good.
+    found: Samples = np.where(np.isfinite(power), power, norm.sf(limit - shift))
+    return found
 
 
 def find_variances(study: SlopePrecision) -> tuple[float, float]:
@@ -350,16 +356,16 @@ def find_own(
     return metrics @ weights, alike @ weights
 
 
-def _find_least(power: Callable[[int], float], *, least: int) -> float:
+def find_least(power: Callable[[int], float], *, least: int, enough: float = ENOUGH) -> float:
     """Search a number from the least up by doubling, then by halving; power grows with it."""
-    if not power(MOST) >= ENOUGH:
+    if not power(MOST) >= enough:
         return math.nan
     low, high = least - 1, least
-    while not power(high) >= ENOUGH:
+    while not power(high) >= enough:
         low, high = high, min(2 * high, MOST)
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if power(middle) >= ENOUGH else (middle, high)
+        low, high = (low, middle) if power(middle) >= enough else (middle, high)
     return float(high)
 
 

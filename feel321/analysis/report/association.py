@@ -29,7 +29,6 @@ from feel321.analysis.figures.scatter import (
     draw_scatters,
 )
 from feel321.analysis.figures.style import Look, assign_looks
-from feel321.analysis.p1401 import p1401
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
 from feel321.analysis.report import explore
 from feel321.analysis.report.parts import RatingsPart, split_parts
@@ -50,6 +49,7 @@ from feel321.analysis.report.section import (
     stack,
 )
 from feel321.analysis.resampling import Choices
+from feel321.analysis.standard import p1401
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart

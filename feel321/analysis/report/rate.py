@@ -10,10 +10,10 @@ import numpy as np
 from feel321.analysis import words
 from feel321.analysis.contrasts.compare import profile_reducers
 from feel321.analysis.figures.rate import draw_rates
-from feel321.analysis.p1401 import FEW_ITEMS, p1401
 from feel321.analysis.report import section as pages
 from feel321.analysis.report.parts import RatingsPart, split_parts
 from feel321.analysis.report.standard import INDEPENDENT
+from feel321.analysis.standard import FEW_ITEMS, p1401
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.schema import BIT_RATE
 

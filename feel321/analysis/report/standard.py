@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
-from feel321.analysis.p1401 import P1401, compare_p1401, p1401
 from feel321.analysis.report.parts import RatingsPart, split_parts
 from feel321.analysis.report.section import (
     METRIC,
@@ -21,6 +20,7 @@ from feel321.analysis.report.section import (
     read_methods,
 )
 from feel321.analysis.resampling import Choices
+from feel321.analysis.standard import P1401, compare_p1401, p1401
 from feel321.analysis.table.items import Items, make_items
 from feel321.analysis.table.reading import Table
 from feel321.analysis.words import COUNT

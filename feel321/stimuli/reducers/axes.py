@@ -43,7 +43,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.stimuli.recording import admit, check_rate
+from feel321.stimuli.recording import add_squares, admit, check_rate
 from feel321.types import Samples
 
 DEFAULT_WINDOW_S = 0.035
@@ -345,8 +345,7 @@ def pca321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """
     admitted = admit(acceleration, rate_hz)
     kept, centred = _project(admitted.samples)
-    total = np.einsum("...in,...in->...", centred, centred)
-    gain = match_energy(total, np.einsum("...n,...n->...", kept, kept))
+    gain = match_energy(add_squares(centred, 2), add_squares(kept))
     return admitted.restore(gain[..., None] * kept)
 
 
@@ -482,8 +481,8 @@ def _forget(duration_s: float) -> float:
 def _match_axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> Samples:
     admitted = admit(acceleration, rate_hz)
     kept = admitted.samples[..., axis, :]
-    gain = match_energy(admitted.energy, np.einsum("...n,...n->...", kept, kept)[..., None])
-    return admitted.restore(gain * kept)
+    gain = match_energy(add_squares(admitted.samples, 2), add_squares(kept))
+    return admitted.restore(gain[..., None] * kept)
 
 
 def _run_axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> Samples:

@@ -51,7 +51,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.stimuli.recording import admit
+from feel321.stimuli.recording import admit, each_by_itself
 from feel321.stimuli.reducers.axes import (
     DEFAULT_WINDOW_S,
     leading_axis,
@@ -68,6 +68,8 @@ ROUNDING = 32 * np.finfo(np.float64).eps
 
 # So few that what is worked on stays in the processor's cache and no memory is asked from the system.
 _BINS_AT_A_TIME = 16384
+# Axes up to this long are transformed faster together (1.4 times, primes 1 to 1.4), longer ones one after the other.
+_TOGETHER = 20_000
 # Axes whose strengths differ by less than this are equally strong; the first of them counts.
 _TIE = 1e-6
 
@@ -160,10 +162,12 @@ def transform(samples: Samples) -> Spectra:
     """Compute the spectra of the three axes, one after the other.
 
     At once they would ask for one large piece of fresh memory, and axes that lie a whole number of memory pages apart
-    would compete for the same places in the processor's cache.
+    would compete for the same places in the processor's cache. Short ones gain more from sharing its vector units.
     """
     from scipy import fft
 
+    if samples.ndim == 2 and samples.shape[-1] <= _TOGETHER:  # noqa: PLR2004 - axes x samples
+        return [*fft.rfft(samples)]
     return [fft.rfft(axis) for axis in np.moveaxis(samples, -2, 0)]
 
 
@@ -271,7 +275,7 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> Samples:
     n = admitted.samples.shape[-1]
     if n == 0:
         return np.zeros((*admitted.samples.shape[:-2], 0))
-    onset, anchor = find_onset(admitted.samples)
+    onset, anchor = _find_onsets(admitted.samples)
     spectra = transform(admitted.samples)
     energy, covariance = measure(spectra)
     axis = _point_along(start_axis(covariance, anchor, pull=PULL), onset)
@@ -329,8 +333,13 @@ def dft321_best(acceleration: ArrayLike, rate_hz: float) -> Samples:
     n = admitted.samples.shape[-1]
     if n == 0:
         return np.zeros((*admitted.samples.shape[:-2], 0))
-    onset, _ = find_onset(admitted.samples)
-    spectra = transform(admitted.samples)
+    return admitted.restore(each_by_itself(_keep_best, admitted.samples))
+
+
+def _keep_best(samples: Samples) -> Samples:
+    n = samples.shape[-1]
+    onset, _ = find_onset(samples)
+    spectra = transform(samples)
     energy, covariance = measure(spectra)
     stacked = np.stack(spectra, axis=-2)
     weights = np.sqrt(energy)
@@ -343,7 +352,7 @@ def dft321_best(acceleration: ArrayLike, rate_hz: float) -> Samples:
     best = np.argmax(sizes, axis=0)[None, ..., None]
     axis = np.take_along_axis(np.array(climbed), best, axis=0)[0]
     axis = _point_along(_climb(stacked, weights, axis=axis, steps=_STEPS), onset)
-    return admitted.restore(_align_all(spectra, energy, axis=axis, n_samples=n))
+    return _align_all(spectra, energy, axis=axis, n_samples=n)
 
 
 def _climb(spectra: Bins, weights: Samples, *, axis: Samples, steps: int) -> Samples:
@@ -379,6 +388,12 @@ def find_onset(samples: Samples) -> tuple[Samples, Samples]:
     ]
     anchor = np.einsum("...in,...jn->...ij", excursion, excursion)
     return onset, np.where(still[..., None], onset[..., :, None] * onset[..., None, :], anchor)
+
+
+def _find_onsets(samples: Samples) -> tuple[Samples, Samples]:
+    """Find the onset of each signal by itself: those of a batch begin at different times."""
+    found = each_by_itself(lambda one: np.vstack(find_onset(one)), samples)
+    return found[..., 0, :], found[..., 1:, :]
 
 
 def _measure_excursion(samples: Samples, mean: Samples) -> Samples:
@@ -538,11 +553,11 @@ class TrackingFrames(FourierFrames):
             np.concatenate([self._loudness, loudness], axis=-1), axis=-1
         )
         louder = np.diff(loudest, axis=-1)
-        records = np.flatnonzero(louder.any(axis=tuple(range(louder.ndim - 1))))
         onsets, sums = np.zeros((*louder.shape, 3)), np.zeros((*louder.shape, 3, 3))
-        if records.size:
-            found = find_onset(np.moveaxis(frames[..., records, :], -3, -2))
-            onsets[..., records, :], sums[..., records, :, :] = found
+        for one in np.ndindex(louder.shape[:-1]):
+            if (records := np.flatnonzero(louder[one])).size:
+                found = find_onset(np.moveaxis(frames[one][:, records, :], 0, 1))
+                onsets[one][records], sums[one][records] = found
         sums *= louder[..., None, None]
         sums = self._anchor + np.cumsum(sums, axis=-3)
         self._loudness, self._anchor = loudest[..., -1:], sums[..., -1:, :, :]

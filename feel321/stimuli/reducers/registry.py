@@ -128,11 +128,7 @@ def reduce(
     """
     given, rate = as_signal(recording, rate_hz)
     acceleration = coerce_acceleration(given)
-    function: Callable[..., ArrayLike] = REDUCERS.find(reducer)
-    if window_s is not None:
-        if "window_s" not in signature(function).parameters:
-            raise ValueError(f"window_s must be left out: {name_of(reducer)} has no window")
-        function = partial(function, window_s=window_s)
+    function = with_window(REDUCERS.find(reducer), window_s)
     samples = coerce_real(function(acceleration, rate), f"the output of {name_of(reducer)}")
     check_finite(samples, f"the output of {name_of(reducer)}")
     if samples.shape != acceleration.shape[-1:]:
@@ -141,6 +137,16 @@ def reduce(
         )
     name = recording.name if isinstance(recording, Recording) else ""
     return Reduced(samples, rate, name_of(reducer), name)
+
+
+def with_window(reducer: Reducer, window_s: float | None) -> Reducer:
+    """Give a reducer the length of its window, if one is wanted."""
+    if window_s is None:
+        return reducer
+    function: Callable[..., Samples] = reducer
+    if "window_s" not in signature(function).parameters:
+        raise ValueError(f"window_s must be left out: {name_of(reducer)} has no window")
+    return partial(function, window_s=window_s)
 
 
 _NO_MEMORY = ("sax321", "say321", "saz321", "soc321", "mag321", "mag321_signed")

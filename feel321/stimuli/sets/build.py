@@ -192,7 +192,7 @@ def _build(
     how = {"recipe": recipe, "folder": folder, "history": history}
     written: dict[str, Stimulus] = {}
     jobs = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
-    for _, rows in run_jobs(jobs, workers=workers, threads=threads):
+    for _, rows in run_jobs(jobs, workers=workers.stay_here(), threads=threads):
         written.update((row.stimulus_id, row) for row in rows)
         move(next(done), total)
     in_order = [order for recording in recordings for order in orders[recording.name]]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from feel321.jobs import ALONE, Workers
 from feel321.study.commands import shared
 from feel321.study.folder import StudyFolder, require_study
 
@@ -35,6 +36,7 @@ class MethodTask:
     output: Path
     seed: int
     given_output: Path | None = None
+    workers: Workers = ALONE
 
     def list_own(self) -> dict[str, OwnReducer]:
         """List the reducers of the lab that the study names, but what was made elsewhere: it reduces nothing else."""
@@ -86,6 +88,18 @@ class MethodTask:
         return recordings
 
 
+def _check_folder(folder: Path) -> None:
+    if not folder.is_dir():
+        what = "a study must be a folder" if folder.exists() else "no such folder"
+        raise NotADirectoryError(f"{folder}: {what}; check the name")
+
+
+def _find_seed(study: StudyFolder) -> int:
+    from feel321.study.settings.read import read_settings
+
+    return read_settings(study.settings).study.seed if study.settings.is_file() else 0
+
+
 def comparison_options(output: str) -> Callable[[Verb], Verb]:
     """Give a verb STUDY and the options that say which recordings; it receives `task` and `as_json`."""
 
@@ -105,6 +119,7 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
             help=f"Folder of the results.  [default: STUDY/{output}]",
         )
         @shared.seed_option("", default="the study's, or 0")
+        @shared.workers_option
         @shared.json_option
         @wraps(verb)
         def ask_then_do(
@@ -114,19 +129,17 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
             extra: tuple[Path, ...],
             target: Path | None,
             seed: int | None,
+            workers: Workers,
             **own: object,
         ) -> None:
             from feel321.analysis.report.folder import check_target
-            from feel321.study.settings.read import read_settings
 
-            if not folder.is_dir():
-                what = "a study must be a folder" if folder.exists() else "no such folder"
-                raise NotADirectoryError(f"{folder}: {what}; check the name")
+            _check_folder(folder)
             study, output_folder = StudyFolder(folder), target or folder / output
             check_target(output_folder)
-            if seed is None:
-                seed = read_settings(study.settings).study.seed if study.settings.is_file() else 0
-            verb(task=MethodTask(study, scenes, extra, output_folder, seed, target), **own)
+            chosen = _find_seed(study) if seed is None else seed
+            task = MethodTask(study, scenes, extra, output_folder, chosen, target, workers)
+            verb(task=task, **own)
 
         return ask_then_do
 
@@ -233,6 +246,7 @@ def _draw_chart(task: MethodTask, *, full: bool, as_json: bool) -> None:
             own=task.list_own(),
             effort=FULL if full else QUICK,
             seed=task.seed,
+            workers=task.workers,
             progress=progress,
         )
     measured.write(task.output)
@@ -255,8 +269,9 @@ def stress(*, task: MethodTask, as_json: bool) -> None:
     with shared.show_progress("stress") as progress:
         reducers = {**REDUCERS, **task.list_own()}
         result = stress_reducers(
-            recordings, reducers, sensor=sensor, seed=task.seed, progress=progress
-        )
+            recordings, reducers, sensor=sensor, seed=task.seed, workers=task.workers,
+            progress=progress,
+        )  # fmt: skip
     result.write(task.output)
     for name, lines in result.warnings.items():
         for line in lines:
@@ -328,6 +343,7 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
             segment_s=segment_s,
             ratings=ratings,
             own=task.list_own(),
+            workers=task.workers,
             progress=progress,
         )
         content = write_advice(study, task.output)

@@ -76,15 +76,38 @@ rehearsals_option = flag(
 
 
 def workers_option(verb: Verb) -> Verb:
-    """Give a verb the option that says who does the work; it receives `workers`, a Workers."""
+    """Give a verb the options that say who does the work; it receives `workers`, a Workers."""
 
-    def employ(_context: click.Context, _parameter: click.Parameter, count: int) -> Workers:
-        return Workers(count)
-
-    return click.option(
-        "--workers", type=click.IntRange(min=1), default=1, show_default=True, callback=employ,
+    @click.option(
+        "--workers",
+        "processes",
+        type=click.IntRange(min=1),
+        default=1,
+        show_default=True,
         help="Number of processes.",
-    )(verb)  # fmt: skip
+    )
+    @click.option(
+        "--dask",
+        metavar="ADDRESS",
+        default="",
+        help="Instead of processes here, a Dask cluster's scheduler: tcp://HOST:PORT, which encrypts nothing and lets "
+        "all who reach it run programs, or tls://HOST:PORT.",
+    )
+    @click.option(
+        "--share",
+        metavar="URL",
+        default="",
+        help="With --dask: folder (fsspec) through which files travel.  [default: all machines see the same files]",
+    )
+    @wraps(verb)
+    def employ_then_do(*, processes: int, dask: str, share: str, **own: object) -> None:
+        try:
+            workers = Workers(processes, dask, share)
+        except ValueError as error:
+            raise click.UsageError(f"--{error}") from None
+        verb(workers=workers, **own)
+
+    return employ_then_do  # fmt: skip
 
 
 def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]:

@@ -11,7 +11,7 @@ from feel321.analysis.association.correlate import Association, correlate
 from feel321.analysis.contrasts.compare import stimulus_means
 from feel321.analysis.figures.scatter import draw_mapping
 from feel321.analysis.figures.style import assign_looks
-from feel321.analysis.p1401 import P1401, p1401
+from feel321.analysis.standard import P1401, p1401
 
 if TYPE_CHECKING:
     from collections.abc import Callable

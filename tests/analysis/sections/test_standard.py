@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.analysis.p1401 import compare_p1401, p1401
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.standard import compute
 from feel321.analysis.resampling import Choices
+from feel321.analysis.standard import compare_p1401, p1401
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.reading import Table
 

@@ -12,8 +12,8 @@ from feel321.analysis.tradeoff.stress.measures import (
     MEASURES,
     StressCell,
     make_takes,
-    measure_battery,
     measure_gains,
+    measure_scene,
     measure_takes,
     relative_change,
 )
@@ -40,10 +40,6 @@ def find_cell(cells: Any, recording: str, reducer: str, *, measure: str) -> Stre
         if (cell.recording, cell.reducer, cell.measure) == (recording, reducer, measure)
     ]
     return found
-
-
-def run_silently(*_: int) -> None:
-    """Hear of no progress."""
 
 
 def rests_on_rounding(cell: StressCell) -> bool:
@@ -120,7 +116,8 @@ def test_conclusions_hold_for_another_seed(result: Any) -> None:
     few = {name: REDUCERS[name] for name in names}
     other = {
         (cell.recording, cell.reducer, cell.measure): cell
-        for cell in measure_battery(few, takes=4, seed=8, progress=run_silently)
+        for scene in BATTERY
+        for cell in measure_scene(scene, few, takes=4, seed=8)
         if cell.measure != "spread" and cell.recording != "very_short"
     }
     firm = [key for key in find_firm_failures(result.cells) if key in other]
@@ -136,10 +133,10 @@ def test_conclusions_hold_for_another_seed(result: Any) -> None:
 def test_a_gain_depends_on_its_own_recording_alone(drag: Any, made: Any) -> None:
     other = made(np.random.default_rng(0).standard_normal((3, 300)), name="other")
     few = {name: REDUCERS[name] for name in ("soc321", "dft321")}
-    together = measure_gains([other, drag], few, draws=3, seed=1, progress=run_silently)
+    together = [measure_gains(one, few, draws=3, seed=1) for one in (other, drag)]
     one = {"dft321": REDUCERS["dft321"]}
-    alone = measure_gains([drag], one, draws=3, seed=1, progress=run_silently)
-    assert together[-1:] == alone
+    alone = measure_gains(drag, one, draws=3, seed=1)
+    assert together[1][-1:] == alone
 
 
 def test_a_figure_is_judged_by_its_median_and_a_caution_where_one_take_in_ten_fails() -> None:
@@ -211,7 +208,7 @@ def test_quantiles_are_those_over_takes(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr("feel321.analysis.tradeoff.stress.measures.measure_takes", measured)
     few = {"mag321": REDUCERS["mag321"]}
-    gain, *_ = cells = measure_battery(few, takes=40, seed=0, progress=run_silently)
+    gain, *_ = cells = measure_scene("circular", few, takes=40, seed=0)
     assert (gain.value, gain.p90, gain.p95, gain.worst) == pytest.approx((20.5, 36.1, 38.05, 40.0))
     assert gain.up_to_phase == 20.5
     energy = next(cell for cell in cells if cell.measure == "energy")

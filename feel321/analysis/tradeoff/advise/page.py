@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import count
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings
 from feel321.doors import announce
+from feel321.jobs import ALONE, Workers, as_workers, gather_results
 from feel321.records import to_json_value
 from feel321.types import PathLike, Reducer
 
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from feel321.analysis.tradeoff.advise.scene import AdviceScene
     from feel321.stimuli.recording import Recording
 
 ROW_CM, LETTER_CM, REST_CM = 0.42, 0.15, 2.0
@@ -200,6 +203,7 @@ def advise_recordings(  # noqa: PLR0913 - every choice that changes the advice h
     segment_s: float | None = None,
     ratings: Mapping[str, Mapping[str, Rated]] | None = None,
     own: Mapping[str, Reducer] | None = None,
+    workers: int | Workers = ALONE,
     progress: Callable[[int, int], None] | None = None,
 ) -> Advice:
     """Find the simplest sufficient reducer of every recording, or of every segment.
@@ -207,24 +211,17 @@ def advise_recordings(  # noqa: PLR0913 - every choice that changes the advice h
     ratings: recording -> reducer -> what the ratings show; not used for segments, nor for actuators of several axes:
     people rated whole recordings, on one axis. None where nobody rated anything. own: reducers of a lab.
     """
-    from threadpoolctl import threadpool_limits
-
     recordings = as_recordings(recordings, fewest=1)
     scenes = [scene for recording in recordings for scene in split_recording(recording, segment_s)]
     note = "" if ratings is None else _refuse_ratings(ratings, context, segment_s)
     used = {} if ratings is None or note else ratings
-    advices = []
-    # The work is in transforms: threads of the linear algebra only wait for each other.
-    with threadpool_limits(limits=1, user_api="blas"):
-        for done, scene in enumerate(scenes, start=1):
-            announce(scene.name)
-            rated_here = used.get(scene.source)
-            reducers = {**list_reducers(rated_here), **(own or {})}
-            advices.append(
-                advise_scene(scene, context, seed=seed, ratings=rated_here, reducers=reducers)
-            )
-            if progress is not None:
-                progress(done, len(scenes))
+    steps, tick = count(1), progress or (lambda _done, _total: None)
+    how = {"context": context, "seed": seed, "own": own or {}}
+    advices = gather_results(
+        ((_advise, (scene, used.get(scene.source)), how) for scene in scenes),
+        workers=as_workers(workers),
+        done=lambda: tick(next(steps), len(scenes)),
+    )
     if not any(advice.verdicts for advice in advices):
         why = "; ".join(f"{advice.scene.name}: {advice.reason}" for advice in advices)
         raise ValueError(
@@ -233,6 +230,23 @@ def advise_recordings(  # noqa: PLR0913 - every choice that changes the advice h
     rated = tuple(dict.fromkeys(scene.source for scene in scenes if scene.source in used))
     note = note or _describe_unrated(advices)
     return Advice(tuple(advices), context, seed, segment_s, rated, note)
+
+
+def _advise(
+    scene: AdviceScene,
+    rated: Mapping[str, Rated] | None,
+    *,
+    context: Context,
+    seed: int,
+    own: Mapping[str, Reducer],
+) -> SceneAdvice:
+    from threadpoolctl import threadpool_limits
+
+    announce(scene.name)
+    reducers = {**list_reducers(rated), **own}
+    # The work is in transforms: threads of the linear algebra only wait for each other.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return advise_scene(scene, context, seed=seed, ratings=rated, reducers=reducers)
 
 
 def write_advice(advice: Advice, folder: PathLike) -> dict[str, Any]:

@@ -38,7 +38,8 @@ from feel321.analysis.tradeoff.chart.points import (
 )
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings, as_table
 from feel321.doors import announce
-from feel321.types import PathLike
+from feel321.jobs import ALONE, Job, Workers, as_workers, gather_results
+from feel321.types import PathLike, Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -167,11 +168,12 @@ def compute_chart(  # noqa: PLR0913 - every choice that changes the numbers has 
     seed: int = 0,
     own: Mapping[str, OwnReducer] | None = None,
     clock: Clock | None = None,
+    workers: int | Workers = ALONE,
     progress: Callable[[int, int], None] | None = None,
 ) -> Chart:
     """Measure speed and accuracy of every method; the same seed gives the same accuracies, never the same times.
 
-    own: reducers of a lab.
+    own: reducers of a lab; workers: who measures accuracies. Times are taken here, when nothing else runs.
     """
     from threadpoolctl import threadpool_limits
 
@@ -179,18 +181,20 @@ def compute_chart(  # noqa: PLR0913 - every choice that changes the numbers has 
     rows = None if ratings is None else as_table(ratings).rows
     name, clock = cost.choose_clock() if clock is None else ("given", clock)
     steps, variants = count(1), accuracy.list_variants(own=own)
+    show = progress or (lambda _done, _total: None)
     total = 2 * len(recordings) + effort.rounds + 2 + 2 * len(variants)
 
     def tick() -> None:
-        if progress is not None:
-            progress(next(steps), total)
+        show(next(steps), total)
 
     # Threads of the linear algebra would be timed with the methods.
     with threadpool_limits(limits=THREADS):
+        jobs = list_accuracy_jobs(recordings, effort, own or {}, seed=seed)
+        scenes = gather_results(jobs, workers=as_workers(workers), done=tick)
         measured = _measure(recordings, effort, own or {}, seed=seed, clock=clock, tick=tick)
+    measured["accuracies"] = [row for rows in scenes for row in rows]
     tables = {name: make_table(name, own) for name, own in measured.items()}
     tables["growth"] = make_table("growth", cost.fit_all(tables["costs"]))
-    rated = () if rows is None else rate_reducers(rows, seed=seed)
     machine = describe_machine(name)
     notes = page.collect_notes(
         recordings, effort.longest_s, precision=measured["precision"], machine=machine
@@ -198,7 +202,7 @@ def compute_chart(  # noqa: PLR0913 - every choice that changes the numbers has 
     return Chart(
         machine=machine,
         **_place(tables, variants),
-        rated=make_table("rated", rated),
+        rated=make_table("rated", () if rows is None else rate_reducers(rows, seed=seed)),
         seed=seed,
         effort=effort.name,
         simulated=rows is not None and bool(rows["simulated"].any()),
@@ -215,8 +219,7 @@ def _measure(
     clock: Clock,
     tick: Callable[[], None],
 ) -> dict[str, list[dict[str, Any]]]:
-    """Measure the rows of most tables, each with the same seed."""
-    accuracies = list(_measure_scenes(recordings, effort, own, seed=seed, tick=tick))
+    """Measure the rows of most tables but accuracies, each with the same seed."""
     announce("speed")
     rng = np.random.default_rng(seed)
     jobs = cost.list_jobs(largest=effort.largest_n, rng=rng, own=own)
@@ -243,7 +246,7 @@ def _measure(
             {"name": one.name, "rate_hz": one.rate_hz, "duration_s": one.duration_s,
              "used_s": min(one.duration_s, effort.longest_s), "sha256": one.sha256} for one in recordings
         ],
-        "accuracies": accuracies, "costs": costs, "memory": memory,
+        "costs": costs, "memory": memory,
         "precision": precision, "realtime": realtime, "resources": list(cost.list_resources(own)),
         "stability": stability,
     }  # fmt: skip
@@ -277,29 +280,42 @@ def merge_equal(tables: Tables) -> dict[str, DataFrame]:
     return {**tables, **merged, "points": points, "growth": growth}
 
 
-def _measure_scenes(
-    recordings: Sequence[Recording],
-    effort: Effort,
-    own: Mapping[str, OwnReducer],
-    *,
-    seed: int,
-    tick: Callable[[], None],
-) -> Iterator[dict[str, Any]]:
+def list_accuracy_jobs(
+    recordings: Sequence[Recording], effort: Effort, own: Mapping[str, OwnReducer], *, seed: int
+) -> Iterator[Job]:
+    """List two jobs for every recording: its accuracies as it is, and with other windows, hops and rates."""
     turns = accuracy.draw_turns(effort.rotations, seed)
-    few, every = turns[: effort.sweep_rotations], accuracy.list_variants(own=own)
     for recording in recordings:
-        announce(f"accuracy on {recording.name}")
         piece = accuracy.cut_piece(recording, effort.longest_s)
-        yield from accuracy.measure_accuracy(piece, every, turns=turns)
-        tick()
-        for sweep in ("window", "hop"):
-            yield from accuracy.measure_accuracy(
-                piece, accuracy.list_variants(sweep), turns=few, sweep=sweep
-            )
-        for rate_hz in cost.RATES_HZ:
-            changed = accuracy.change_rate(piece, rate_hz)
-            yield from accuracy.measure_accuracy(changed, every, turns=few, sweep="rate")
-        tick()
+        yield _measure_usual, (piece, own), {"turns": turns}
+        yield _measure_sweeps, (piece, own), {"turns": turns[: effort.sweep_rotations]}
+
+
+def _measure_usual(
+    piece: Recording, own: Mapping[str, OwnReducer], *, turns: Samples
+) -> list[dict[str, Any]]:
+    from threadpoolctl import threadpool_limits
+
+    announce(f"accuracy on {piece.name}")
+    with threadpool_limits(limits=THREADS):
+        return accuracy.measure_accuracy(piece, accuracy.list_variants(own=own), turns=turns)
+
+
+def _measure_sweeps(
+    piece: Recording, own: Mapping[str, OwnReducer], *, turns: Samples
+) -> list[dict[str, Any]]:
+    from threadpoolctl import threadpool_limits
+
+    every = accuracy.list_variants(own=own)
+    tasks = [("window", piece, accuracy.list_variants("window"))]
+    tasks += [("hop", piece, accuracy.list_variants("hop"))]
+    tasks += [("rate", accuracy.change_rate(piece, rate), every) for rate in cost.RATES_HZ]
+    with threadpool_limits(limits=THREADS):
+        return [
+            row
+            for sweep, one, variants in tasks
+            for row in accuracy.measure_accuracy(one, variants, turns=turns, sweep=sweep)
+        ]
 
 
 def describe_machine(clock: str, *, cpu_list: Path = Path("/proc/cpuinfo")) -> dict[str, Any]:

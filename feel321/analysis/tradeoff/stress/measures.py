@@ -24,9 +24,8 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -217,16 +216,11 @@ def perturbation_gain(
 
 
 def measure_gains(
-    recordings: Sequence[Recording],
-    reducers: Mapping[str, Reducer],
-    *,
-    draws: int,
-    seed: int,
-    progress: Callable[[int, int], None],
-) -> tuple[StressCell, ...]:
-    """Measure the perturbation gain of every reducer on every recording."""
-    cells: list[StressCell] = []
-    for recording, (name, reduce) in product(recordings, reducers.items()):
+    recording: Recording, reducers: Mapping[str, Reducer], *, draws: int, seed: int
+) -> list[StressCell]:
+    """Measure the perturbation gain of every reducer on a recording."""
+    cells = []
+    for name, reduce in reducers.items():
         announce(f"{recording.name}, {name}")
         own = [seed, *recording.name.encode()]
         rng = np.random.default_rng([*own, *b"gain"])
@@ -239,8 +233,7 @@ def measure_gains(
         cells.append(
             StressCell(recording.name, name, "gain", gain.median, gain.worst, phase, gain.p90)
         )
-        progress(len(cells), len(recordings) * len(reducers))
-    return tuple(cells)
+    return cells
 
 
 class Takes(NamedTuple):
@@ -352,18 +345,15 @@ def _measure_damage(reduce: Reducer, takes: Takes, output: Samples) -> Samples:
     return np.asarray(changed / (sizes[0] / sizes[1]))
 
 
-def measure_battery(
-    reducers: Mapping[str, Reducer], *, takes: int, seed: int, progress: Callable[[int, int], None]
-) -> tuple[StressCell, ...]:
-    """Measure every reducer on every scene of the battery."""
-    cells: list[StressCell] = []
-    for scene in BATTERY:
-        made = make_takes(scene, takes=takes, seed=seed)
-        for name, reduce in reducers.items():
-            announce(f"{scene}, {name}")
-            cells += _summarise(scene, name, measure_takes(reduce, made))
-            progress(len(cells) // len(MEASURES), len(BATTERY) * len(reducers))
-    return tuple(cells)
+def measure_scene(
+    scene: str, reducers: Mapping[str, Reducer], *, takes: int, seed: int
+) -> list[StressCell]:
+    """Measure every reducer on one scene of the battery."""
+    made, cells = make_takes(scene, takes=takes, seed=seed), []
+    for name, reduce in reducers.items():
+        announce(f"{scene}, {name}")
+        cells += _summarise(scene, name, measure_takes(reduce, made))
+    return cells
 
 
 def _summarise(scene: str, reducer: str, found: Mapping[str, Samples]) -> list[StressCell]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from feel321.analysis.tradeoff.results import as_recordings
 from feel321.analysis.tradeoff.stress.battery import BATTERY, take_excerpt
 from feel321.analysis.tradeoff.stress.diagnosis import diagnose
 from feel321.analysis.tradeoff.stress.measures import (
+    MetricRow,
     compare_metrics_under_rotation,
-    measure_battery,
     measure_gains,
+    measure_scene,
 )
 from feel321.analysis.tradeoff.stress.page import Stress
 from feel321.doors import describe
+from feel321.jobs import ALONE, Job, Workers, as_workers, gather_results
 from feel321.stimuli.reducers.registry import REDUCERS, reduce
 from feel321.types import PathLike, Reducer, Samples
 
@@ -39,11 +42,10 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers ha
     seeds: int = TAKES,
     draws: int = DRAWS,
     seed: int,
+    workers: int | Workers = ALONE,
     progress: Callable[[int, int], None] | None = None,
 ) -> Stress:
     """Put reducers through the battery, and find the recordings that come near its scenes; seeds: takes of a scene."""
-    from threadpoolctl import threadpool_limits
-
     given = REDUCERS if reducers is None else reducers
     chosen = {name: take_batches(one) for name, one in given.items()}
     recordings = as_recordings(recordings)
@@ -52,27 +54,41 @@ def stress_reducers(  # noqa: PLR0913 - every choice that changes the numbers ha
     scenes = [scene.make(seed) for scene in BATTERY.values()]
     moving = [recording for recording in recordings if recording.acceleration.any()]
     excerpts = [take_excerpt(recording, duration_s=EXCERPT_S) for recording in moving]
-    before, tick = len(scenes) * len(chosen), progress or (lambda _done, _total: None)
-    total = before + len(moving) * len(chosen)
-    # Signals here are short: threads of the linear algebra wait for each other most of the time.
-    with threadpool_limits(limits=1, user_api="blas"):
-        cells = measure_battery(
-            chosen, takes=seeds, seed=seed, progress=lambda done, _: tick(done, total)
-        )
-        gains = measure_gains(
-            excerpts, chosen, draws=draws, seed=seed,
-            progress=lambda done, _: tick(before + done, total),
-        )  # fmt: skip
-        metrics = []
-        for one in (*scenes, *excerpts):
-            part = take_excerpt(one, duration_s=METRICS_S)
-            rng = np.random.default_rng([seed, *one.name.encode()])
-            metrics.append(compare_metrics_under_rotation(part, chosen, rng=rng))
-        diagnoses = [diagnose(one, known.get(one.name)) for one in moving]
+    each: list[Job] = [
+        *((measure_scene, (name, chosen), {"takes": seeds, "seed": seed}) for name in BATTERY),
+        *((measure_gains, (one, chosen), {"draws": draws, "seed": seed}) for one in excerpts),
+        *((_measure_metrics, (one, chosen), {"seed": seed}) for one in (*scenes, *excerpts)),
+    ]
+    jobs: list[Job] = [(_in_one_thread, job, {}) for job in each]
+    tick, steps = progress or (lambda _done, _total: None), count(1)
+    found = gather_results(
+        jobs, workers=as_workers(workers), done=lambda: tick(next(steps), len(jobs))
+    )
+    parts = len(BATTERY), len(BATTERY) + len(excerpts)
+    cells, gains = (tuple(chain(*part)) for part in (found[: parts[0]], found[slice(*parts)]))
+    diagnoses = [diagnose(one, known.get(one.name)) for one in moving]
     digests = {f"recording {one.name}": one.sha256 for one in recordings}
     inputs = {"seed": seed, "seeds": seeds, "draws": draws, **digests}
     notes = tuple(_collect_notes(recordings, known))
-    return Stress(tuple(chosen), cells, gains, tuple(metrics), tuple(diagnoses), notes, inputs)
+    return Stress(
+        tuple(chosen), cells, gains, tuple(found[parts[1] :]), tuple(diagnoses), notes, inputs
+    )
+
+
+def _in_one_thread(
+    function: Callable[..., Any], arguments: tuple[Any, ...], named: dict[str, Any]
+) -> object:
+    """Do a job; signals here are short, and threads of the linear algebra wait for each other most of the time."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        return function(*arguments, **named)
+
+
+def _measure_metrics(one: Recording, reducers: Mapping[str, Reducer], *, seed: int) -> MetricRow:
+    part = take_excerpt(one, duration_s=METRICS_S)
+    rng = np.random.default_rng([seed, *one.name.encode()])
+    return compare_metrics_under_rotation(part, reducers, rng=rng)
 
 
 def take_batches(reducer: Reducer) -> Reducer:

@@ -1,0 +1,144 @@
+"""Power in closed form: standard errors from the planted spreads, and the noncentral t distribution.
+
+The standard error is that of `SlopePrecision`, which takes one that was estimated apart. Where a design draws its
+recordings or reducers, power is the mean over draws.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from feel321.analysis.primary import sensitivity
+from feel321.analysis.primary.model import FEWEST
+
+if TYPE_CHECKING:
+    from feel321.analysis.power.draw import Scenario, Stimuli
+    from feel321.types import Samples
+
+DRAWS = 25
+"""Of stimuli, where a design draws them."""
+
+FLAT = 1e-9
+"""Share of a metric's size below which what the others leave of it is rounding."""
+
+
+def draw_sets(scenario: Scenario, *, seed: int = 0) -> list[Stimuli]:
+    """Draw the stimuli of several studies; a single set where there is nothing to draw."""
+    count = 1 if scenario.design.is_own else DRAWS
+    return [scenario.draw(np.random.default_rng([seed, place])) for place in range(count)]
+
+
+@dataclass(frozen=True)
+class ClosedForm:
+    """The precision of a weighted sum of slopes; weights: (n_metrics,), sets: the stimuli of possible studies."""
+
+    scenario: Scenario
+    sets: list[Stimuli]
+    weights: Samples
+    level: float
+
+    @cached_property
+    def precisions(self) -> list[sensitivity.SlopePrecision]:
+        """What the standard error is made of, for every set of stimuli."""
+        return self.find_precisions(self.scenario.design.participants)
+
+    def find_precisions(self, participants: int) -> list[sensitivity.SlopePrecision]:
+        """Take the standard error apart, for a number of participants."""
+        return [self._find_precision(stimuli, participants) for stimuli in self.sets]
+
+    def _find_precision(self, stimuli: Stimuli, participants: int) -> sensitivity.SlopePrecision:
+        truth, kinds = self.scenario.truth, int(stimuli.kind.max()) + 1
+        noise = math.hypot(
+            truth.person_item_sd, truth.rating_sd / math.sqrt(self.scenario.design.repeats)
+        )
+        several = kinds > 1 and stimuli.scene.max() > 0
+        study = sensitivity.SlopePrecision(
+            slope_sd=float(np.linalg.norm(self.weights * self.scenario.planted.slope_sds)), item_sd=truth.item_sd,
+            noise_sd=noise, square=1.0, n_participants=participants, n_recordings=int(stimuli.source.max()) + 1,
+            n_items=len(stimuli.scene), n_slopes=len(self.weights), reducer_sd=truth.reducer_sd,
+            rater_reducer_sd=truth.person_reducer_sd, n_reducers=kinds if several else 0,
+            n_alike=len(stimuli.scene) / kinds, level=self.level,
+        )  # fmt: skip
+        return self._add_squares(study, stimuli)
+
+    def _add_squares(
+        self, study: sensitivity.SlopePrecision, stimuli: Stimuli
+    ) -> sensitivity.SlopePrecision:
+        """Find the sums of squares of the metric whose slope is the weighted sum, among the others."""
+        place = int(np.argmax(np.abs(self.weights)))
+        basis = np.eye(len(self.weights))
+        basis[place] = self.weights
+        metrics = stimuli.within @ np.linalg.inv(basis)
+        own, alike = sensitivity.find_own(
+            metrics, place, stimuli.kind, variances=sensitivity.find_variances(study)
+        )
+        size = float((metrics[:, place] ** 2).sum())
+        square = float((own**2).sum())
+        if not square > FLAT * size or study.n_recordings < FEWEST:
+            square = 0.0
+        return replace(study, square=square, reducer_square=float((alike**2).sum()))
+
+    def find_power(self, value: float, *, participants: int | None = None) -> float:
+        """Compute the power to find a sum of slopes of some size; NaN where it cannot be estimated."""
+        found = self.find_precisions(participants) if participants else self.precisions
+        return _average(found, value)
+
+    def find_errors(self) -> tuple[float, float]:
+        """Compute the standard error (root mean square) and degrees of freedom (mean); NaN without any."""
+        se, df = _find_errors(self.precisions)
+        if not se.size:
+            return math.nan, math.nan
+        return float(np.sqrt(np.mean(se**2))), float(np.mean(df))
+
+    def find_width(self) -> float:
+        """Compute the width of the 95 % interval."""
+        from scipy.stats import t
+
+        se, df = self.find_errors()
+        return float(2 * t.ppf(1 - sensitivity.SIGNIFICANCE / 2, df) * se)
+
+    def find_ceiling(self, value: float) -> float:
+        """Compute the power with participants without end."""
+        return self.find_power(value, participants=sensitivity.MOST)
+
+    def find_detectable(self, wanted: float) -> float:
+        """Find the smallest sum of slopes that is found with the wanted power."""
+        from scipy.optimize import brentq
+
+        se, _ = _find_errors(self.precisions)
+        if not se.size:
+            return math.nan
+        return float(brentq(lambda value: self.find_power(value) - wanted, 0, 100 * se.max()))
+
+    def find_participants(self, value: float, wanted: float) -> float:
+        """Find how many participants give the wanted power with these recordings; NaN beyond 10 000."""
+        return sensitivity.find_least(
+            lambda number: self.find_power(value, participants=number),
+            least=sensitivity.FEWEST_PEOPLE, enough=wanted,
+        )  # fmt: skip
+
+    def find_recordings(self, value: float, wanted: float) -> float:
+        """Find how many recordings like these give the wanted power with as many participants; NaN beyond 10 000."""
+        return sensitivity.find_least(
+            lambda number: _average([one.enlarge(recordings=number) for one in self.precisions], value),
+            least=sensitivity.FEWEST_RECORDINGS, enough=wanted,
+        )  # fmt: skip
+
+
+def _find_errors(precisions: list[sensitivity.SlopePrecision]) -> tuple[Samples, Samples]:
+    """Compute standard errors and degrees of freedom of the sets that have any."""
+    known = np.array([one.find_se() for one in precisions if one.square > 0]).reshape(-1, 2)
+    return known[:, 0], known[:, 1]
+
+
+def _average(precisions: list[sensitivity.SlopePrecision], value: float) -> float:
+    se, df = _find_errors(precisions)
+    if not se.size:
+        return math.nan
+    chances = sensitivity.find_chance(abs(value) / se, df, level=precisions[0].level)
+    return float(chances.mean())

@@ -1,0 +1,339 @@
+"""The power of many designs around one, and the smallest that is enough."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from feel321.analysis.power import closed, draw, find
+from feel321.analysis.power.design import SIZES, Power, PowerDesign, PowerPlan, Truth
+from feel321.doors import follow
+from feel321.jobs import ALONE, Workers
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from pandas import DataFrame
+
+    from feel321.types import PathLike, Progress
+
+FACTORS: Mapping[str, tuple[float, ...]] = {
+    "participants": (0.5, 0.75, 1, 1.5, 2, 3), "recordings": (0.5, 1, 1.5, 2, 3), "reducers": (0.5, 1, 1.5),
+}  # fmt: skip
+"""Sizes that are tried, as multiples of the given ones."""
+
+REPEATS = (1, 2, 3, 4)
+
+LEAST = {"participants": 6, "recordings": 4, "reducers": 3}
+"""No smaller number is tried unless it is asked for."""
+
+FURTHER = 3
+"""Designs that are simulated beside the given and the recommended one."""
+
+TRIED = 4
+"""Designs that are simulated in search of one whose simulation does not contradict the closed form."""
+
+
+class Aim(NamedTuple):
+    """The hypothesis that the recommendation is for, and where its attribute and metric stand."""
+
+    attribute: str
+    metric: str
+    row: int
+    column: int
+
+    def compute(self, design: PowerDesign, truth: Truth) -> tuple[closed.ClosedForm, float]:
+        """Compute the closed form of a design, and the planted slope."""
+        scenario = draw.Scenario(design, truth)
+        weights = np.eye(len(design.metrics))[self.column]
+        form = closed.ClosedForm(scenario, closed.draw_sets(scenario), weights, design.level)
+        return form, float(scenario.planted.slopes[self.row, self.column])
+
+
+def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how many studies, who does them, who watches
+    design: PowerDesign,
+    truth: Truth,
+    *,
+    participants: Sequence[int] = (),
+    recordings: Sequence[int] = (),
+    reducers: Sequence[int] = (),
+    repeats: Sequence[int] = (),
+    hypothesis: tuple[str, str] | None = None,
+    minutes: Callable[[PowerDesign], float] | None = None,
+    studies: int = 1000,
+    seed: int = 0,
+    workers: int | Workers = ALONE,
+    keep: PathLike | None = None,
+    progress: Progress = False,
+) -> PowerPlan:
+    """Find the power of designs around a given one, and recommend the smallest that is enough.
+
+    Parameters
+    ----------
+    design : PowerDesign
+        The given study, whose `wanted` power is asked for.
+    truth : Truth
+        Planted slopes, and how people, stimuli and ratings differ.
+    participants, recordings, reducers, repeats : sequence of int, optional
+        Sizes to try, one factor at a time, and participants x recordings together; multiples of the given ones, and 1
+        to 4 repeats, if left out.
+    hypothesis : tuple of str, optional
+        Attribute and metric that the recommendation is for; the planted slope with the least power if left out.
+    minutes : callable, optional
+        Minutes that one person spends on a design; trials stand for them if left out.
+    studies : int
+        Simulated studies of the given design, of the recommended one and of three more; 0 for the closed form alone.
+    seed : int
+        Of all randomness.
+    workers : int or Workers
+        Who simulates.
+    keep : path, optional
+        A folder for what is done, as for `find_power`.
+    progress : bool or callable
+        Whether to show a progress bar; or called with the numbers of steps done and to do.
+
+    Returns
+    -------
+    PowerPlan
+        All designs, those simulated, and the recommended one.
+
+    Raises
+    ------
+    ValueError
+        If the hypothesis is not one of the design, or as for `find_power`.
+
+    Notes
+    -----
+    For every combination of recordings, reducers and repeats that is tried, the smallest number of participants that
+    is enough in closed form is added to the table (``kind`` is smallest). The recommended design takes the least time
+    of all participants together, then the fewest of them, and is simulated: where the simulation contradicts the
+    closed form (its whole interval lies below the wanted power) the next one is taken.
+
+    Examples
+    --------
+    >>> import numpy as np, pandas as pd
+    >>> from feel321 import analysis
+    >>> rng = np.random.default_rng(1)
+    >>> items = pd.DataFrame({"recording": np.repeat(range(6), 4), "reducer": list(range(4)) * 6,
+    ...     "match": rng.uniform(0, 1, 24)})
+    >>> design = analysis.PowerDesign(items, ["match"], participants=12)
+    >>> plan = analysis.plan_power(design, analysis.Truth({"match": 20.0}), studies=0)
+    >>> plan.recommended.participants <= 12, plan.hypothesis
+    (True, ('rating', 'match'))
+    """
+    aim = _choose_aim(design, truth, hypothesis)
+    wanted = dict(zip(SIZES, (participants, recordings, reducers, repeats), strict=True))
+    rows = list(_tabulate(_list_designs(design, wanted), truth, aim=aim, minutes=minutes))
+    enough = sorted((row for row in rows if row.power >= design.wanted), key=_rank)
+    runs: dict[tuple[int, ...], Power] = {}
+
+    def run(one: PowerDesign) -> Power:
+        key, done, total = _key(one), len(runs), 2 + FURTHER
+        if key not in runs:
+            runs[key] = find.find_power(
+                one, truth, studies=studies, seed=seed, workers=workers, keep=keep,
+                progress=lambda part, whole: move(min(done, total - 1) * whole + part, total * whole),
+            )  # fmt: skip
+        return runs[key]
+
+    with follow(progress, "power") as move:
+        if studies:
+            run(design)
+            enough = _confirm(enough, run, aim)
+            for row in [row for row in rows if _is_further(row.design, design)][:FURTHER]:
+                run(row.design)
+    return _build_plan(rows, runs, chosen=enough[0] if enough else None, aim=aim)
+
+
+class _Row(NamedTuple):
+    """A design in closed form, and what it costs one person."""
+
+    kind: str
+    design: PowerDesign
+    power: float
+    ceiling: float
+    detectable: float
+    width: float
+    minutes: float
+
+
+def _key(design: PowerDesign) -> tuple[int, ...]:
+    return tuple(getattr(design, name) for name in SIZES)
+
+
+def _rank(row: _Row) -> tuple[float, int]:
+    """Rank by the time of all participants together, then by their number."""
+    each = row.design.trials if math.isnan(row.minutes) else row.minutes
+    return each * row.design.participants, row.design.participants
+
+
+def _is_further(one: PowerDesign, given: PowerDesign) -> bool:
+    """Check for a design that differs from the given one in participants alone."""
+    return _key(one)[1:] == _key(given)[1:] and one.participants != given.participants
+
+
+def _choose_aim(design: PowerDesign, truth: Truth, hypothesis: tuple[str, str] | None) -> Aim:
+    """Choose the hypothesis: the one that is named, or the planted slope that has the least power."""
+    if hypothesis is None:
+        table = find.find_power(design, truth, studies=0).table
+        planted = table[table["slope"] != 0]
+        if planted.empty:
+            raise ValueError("slopes must hold one that is not 0, got none; plant one")
+        row = planted.sort_values("power", kind="stable").iloc[0]
+        hypothesis = (row["attribute"], row["metric"])
+    if tuple(hypothesis) not in design.hypotheses:
+        known = ", ".join("/".join(one) for one in design.hypotheses)
+        raise ValueError(f"hypothesis must be one of {known}; got {'/'.join(hypothesis)}")
+    attribute, metric = hypothesis
+    return Aim(attribute, metric, design.attributes.index(attribute), design.metrics.index(metric))
+
+
+def _list_designs(
+    design: PowerDesign, wanted: Mapping[str, Sequence[int]]
+) -> Iterator[tuple[str, PowerDesign]]:
+    """List the given design, others by one factor at a time, and participants x recordings; each once."""
+    sizes = {name: _list_sizes(name, design, wanted[name]) for name in SIZES}
+    seen = {_key(design)}
+    yield "given", design
+    changes = [("one factor", {name: size}) for name in SIZES for size in sizes[name]]
+    pairs = product(sizes["participants"], sizes["recordings"])
+    changes += [("grid", {"participants": one, "recordings": two}) for one, two in pairs]
+    for kind, change in changes:
+        other = design.change(**change)
+        if _key(other) not in seen:
+            seen.add(_key(other))
+            yield kind, other
+
+
+def _list_sizes(name: str, design: PowerDesign, wanted: Sequence[int]) -> list[int]:
+    """List the sizes of one factor that are tried."""
+    if wanted:
+        return sorted(set(wanted))
+    if name == "repeats":
+        return list(REPEATS)
+    own = getattr(design, name)
+    least = min(LEAST[name], own)
+    return sorted({max(least, round(own * factor)) for factor in FACTORS[name]})
+
+
+def _tabulate(
+    designs: Iterator[tuple[str, PowerDesign]],
+    truth: Truth,
+    *,
+    aim: Aim,
+    minutes: Callable[[PowerDesign], float] | None,
+) -> Iterator[_Row]:
+    """Compute every design, and with the recordings, reducers and repeats of each the fewest participants."""
+    known = set()
+    for kind, design in designs:
+        form, slope = aim.compute(design, truth)
+        yield _make_row(kind, form, slope, minutes=minutes)
+        others = _key(design)[1:]
+        number = math.nan
+        if others not in known:
+            number = form.find_participants(slope, design.wanted)
+        known.add(others)
+        if math.isfinite(number) and number != design.participants:
+            form, slope = aim.compute(design.change(participants=int(number)), truth)
+            yield _make_row("smallest", form, slope, minutes=minutes)
+
+
+def _make_row(
+    kind: str,
+    form: closed.ClosedForm,
+    slope: float,
+    *,
+    minutes: Callable[[PowerDesign], float] | None,
+) -> _Row:
+    design = form.scenario.design
+    return _Row(
+        kind, design, form.find_power(slope), form.find_ceiling(slope), form.find_detectable(design.wanted),
+        form.find_width(), float(minutes(design)) if minutes else math.nan,
+    )  # fmt: skip
+
+
+def _confirm(enough: list[_Row], run: Callable[[PowerDesign], Power], aim: Aim) -> list[_Row]:
+    """Leave out designs, smallest first, whose simulation lies below what the closed form promises."""
+    for place, row in enumerate(enough[:TRIED]):
+        found = run(row.design).table.iloc[_find_place(row.design, aim)]
+        if not found["simulated_high"] < row.design.wanted:
+            return enough[place:]
+    return []
+
+
+def _find_place(design: PowerDesign, aim: Aim) -> int:
+    return aim.row * len(design.metrics) + aim.column
+
+
+def _build_plan(
+    rows: list[_Row], runs: Mapping[tuple[int, ...], Power], *, chosen: _Row | None, aim: Aim
+) -> PowerPlan:
+    import pandas as pd
+
+    given = rows[0].design
+    table = pd.DataFrame([_list_row(row, runs.get(_key(row.design)), aim) for row in rows])
+    table["recommended"] = [row is chosen for row in rows]
+    answer = _recommend(chosen, table, aim) if chosen else _explain(rows, aim)
+    return PowerPlan(
+        table=table, powers=tuple(runs.values()), hypothesis=(aim.attribute, aim.metric), wanted=given.wanted,
+        recommended=chosen.design if chosen else None, answer=answer, notes=tuple(_list_notes(runs, given)),
+    )  # fmt: skip
+
+
+def _list_row(row: _Row, power: Power | None, aim: Aim) -> dict[str, object]:
+    known = ("simulated", "simulated_low", "simulated_high")
+    found = (
+        power.table.iloc[_find_place(row.design, aim)] if power else dict.fromkeys(known, math.nan)
+    )
+    sizes = {name: getattr(row.design, name) for name in SIZES}
+    closed_form = {name: getattr(row, name) for name in ("power", "ceiling", "detectable", "width")}
+    return {
+        **sizes, "trials": row.design.trials, "minutes": row.minutes, "kind": row.kind, **closed_form,
+        **{name: found[name] for name in known}, "enough": row.power >= row.design.wanted,
+    }  # fmt: skip
+
+
+def _recommend(row: _Row, table: DataFrame, aim: Aim) -> str:
+    """Describe the recommended design in a sentence."""
+    found = table[table["recommended"]].iloc[0]
+    each = f"{row.design.trials} trials"
+    if not math.isnan(row.minutes):
+        each += f", {row.minutes:.0f} minutes"
+    power = f"{row.power:.0%}"
+    if not math.isnan(found["simulated"]):
+        low, high = 100 * found["simulated_low"], 100 * found["simulated_high"]
+        power += f" in closed form, {found['simulated']:.0%} simulated ({low:.0f} to {high:.0f} %),"
+    return (
+        f"Recommended: {find.describe_design(row.design)} ({each} per participant), with a power of {power} to find "
+        f"the planted slope of {aim.metric} on {aim.attribute}."
+    )
+
+
+def _explain(rows: list[_Row], aim: Aim) -> str:
+    """Say why no design is enough."""
+    given, best = rows[0], max(rows, key=lambda row: np.nan_to_num(row.power))
+    wanted, slope = given.design.wanted, f"the planted slope of {aim.metric} on {aim.attribute}"
+    none = f"None of the {len(rows)} designs finds {slope} with a power of {wanted:.0%}"
+    if math.isnan(best.power):
+        return f"{none}: with so few recordings it cannot be estimated."
+    most = f"the best, {find.describe_design(best.design)}, has {best.power:.0%}"
+    if best.power >= wanted:
+        most = "simulations of the smallest ones that are enough in closed form lie below it"
+    ceiling = max(row.ceiling for row in rows if not math.isnan(row.ceiling))
+    why = f"even with participants without end their stimuli allow at most {ceiling:.0%}"
+    if ceiling >= wanted:
+        why = "more participants or recordings than were tried would be enough"
+    smallest = (
+        f"the given one finds a slope of {given.detectable:.3g} points per unit with that power"
+    )
+    return f"{none}: {most}; {why}; {smallest}."
+
+
+def _list_notes(runs: Mapping[tuple[int, ...], Power], given: PowerDesign) -> list[str]:
+    """List the notes of all simulations, each once."""
+    notes = dict.fromkeys(note for power in runs.values() for note in power.notes)
+    adjusted = f"Power is at {given.level:.3g}, the first step of Holm's method over {len(given.hypotheses)} tests."
+    return [*notes, adjusted] if len(given.hypotheses) > 1 else [*notes]

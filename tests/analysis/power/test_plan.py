@@ -1,0 +1,103 @@
+"""Which design is recommended, and what is said where none is enough."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from feel321 import analysis
+from feel321.analysis.power import find
+from feel321.analysis.power.design import SIZES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from feel321.analysis.power.design import PowerDesign
+    from feel321.analysis.power.draw import Scenario
+
+    Make = Callable[..., Scenario]
+
+TRY = {"participants": (8, 12, 24, 48), "recordings": (6, 12), "reducers": (6,), "repeats": (1, 2)}
+
+
+def last(design: PowerDesign) -> float:
+    """Minutes of a session: five, and six seconds a trial."""
+    return 5 + design.trials / 10
+
+
+def test_the_recommended_design_is_the_cheapest_that_is_enough(make_scenario: Make) -> None:
+    case = make_scenario(participants=12, slopes={"spectral": 45.0})
+    plan = analysis.plan_power(case.design, case.truth, minutes=last, studies=0, **TRY)
+    table = plan.table
+    assert plan.hypothesis == ("rating", "spectral")
+    assert table["power"].between(0, 1).all()
+    assert (table["enough"] == (table["power"] >= 0.8)).all()
+    cost = (table["minutes"] * table["participants"])[table["enough"]]
+    chosen = table[table["recommended"]]
+    assert len(chosen) == 1
+    assert chosen.index[0] == cost.idxmin()
+    sizes = {name: getattr(plan.recommended, name) for name in SIZES}
+    assert chosen.iloc[0][list(SIZES)].to_dict() == sizes
+    # One person fewer would not be enough, and the numbers are those of `find_power`.
+    fewer = case.design.change(**sizes | {"participants": sizes["participants"] - 1})
+    powers = [
+        find.find_power(one, case.truth, studies=0).table.loc[0, "power"]
+        for one in (plan.recommended, fewer)
+    ]
+    assert powers[0] == pytest.approx(chosen["power"].iloc[0])
+    assert powers[0] >= 0.8 > powers[1]
+    first = plan.summary().splitlines()[0]
+    assert first == plan.answer
+    assert f"{sizes['participants']} participants, {sizes['recordings']} recordings" in first
+    assert f"{chosen['minutes'].iloc[0]:.0f} minutes" in first
+
+
+def test_every_design_is_listed_once(make_scenario: Make) -> None:
+    case = make_scenario(participants=12)
+    table = analysis.plan_power(case.design, case.truth, studies=0, **TRY).table
+    tried = table[table["kind"] != "smallest"]
+    assert not tried.duplicated(list(SIZES)).any()
+    assert set(zip(tried["participants"], tried["recordings"], strict=True)) >= {
+        (people, scenes) for people in TRY["participants"] for scenes in TRY["recordings"]
+    }
+    assert set(tried["repeats"]) == {1, 2}
+    assert tried.iloc[0]["kind"] == "given"
+    assert table["minutes"].isna().all()
+
+
+def test_where_stimuli_set_the_ceiling_the_answer_says_so(make_scenario: Make) -> None:
+    case = make_scenario(slopes={"spectral": 8.0})
+    plan = analysis.plan_power(case.design, case.truth, studies=0, **TRY | {"recordings": (6,)})
+    assert plan.recommended is None
+    assert not plan.table["recommended"].any()
+    assert "with a power of 80%" in plan.answer
+    assert f"allow at most {plan.table['ceiling'].max():.0%}" in plan.answer
+    narrow = TRY | {"participants": (8,), "recordings": (6,), "repeats": (1,)}
+    within = make_scenario(own=(2, 6), slopes={"spectral": 60.0})
+    few = analysis.plan_power(
+        within.design, within.truth, studies=0, **narrow | {"recordings": (2,)}
+    )
+    assert "cannot be estimated" in few.answer
+
+
+def test_a_simulation_that_contradicts_the_closed_form_is_believed(make_scenario: Make) -> None:
+    """Half of the people click at random, which the closed form does not know."""
+    case = make_scenario(participants=8, slopes={"spectral": 70.0}, random_clickers=0.5)
+    sizes = {"participants": (8,), "recordings": (6,), "reducers": (6,), "repeats": (1,)}
+    plan = analysis.plan_power(case.design, case.truth, studies=8, **sizes)
+    assert plan.table["enough"].any()
+    seen = plan.table.dropna(subset="simulated")
+    refuted = seen[seen["enough"] & (seen["simulated_high"] < 0.8)]
+    assert len(refuted)
+    assert not refuted["recommended"].any()
+    assert plan.recommended is None
+    assert "simulations of the smallest ones" in plan.answer
+
+
+def test_what_cannot_be_planned_is_refused(make_scenario: Make) -> None:
+    case = make_scenario()
+    with pytest.raises(ValueError, match="rating/spectral, rating/temporal; got rating/other"):
+        analysis.plan_power(case.design, case.truth, hypothesis=("rating", "other"))
+    with pytest.raises(ValueError, match="plant one"):
+        analysis.plan_power(case.design, analysis.Truth())

@@ -1,0 +1,156 @@
+"""Many recordings at once give what one at a time gives: reducers bit for bit, metrics but for the last digits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from feel321 import stimuli
+from feel321.stimuli import batch
+
+PRIMES = (2, 3, 17, 101, 349, 997)
+LENGTHS = st.one_of(st.integers(1, 400), st.sampled_from(PRIMES))
+
+
+@st.composite
+def batches(draw: st.DrawFn) -> tuple[np.ndarray, float]:
+    """Noise of very different strengths, with silent signals, silent axes, equal axes and axes that cancel."""
+    k, n, seed = draw(st.integers(1, 6)), draw(LENGTHS), draw(st.integers(0, 2**32 - 1))
+    rng = np.random.default_rng(seed)
+    samples = rng.standard_normal((k, 3, n)) * 10.0 ** rng.integers(-3, 4, (k, 1, 1))
+    turns = {
+        "silent": [0, 0, 0],
+        "silent axis": [1, 0, 1],
+        "equal": [1, 1, 1],
+        "cancel": [1, -1, 0],
+    }
+    for place in range(k):
+        kind = draw(st.sampled_from(["as it is", "huge", *turns]))
+        if kind in turns:
+            samples[place] = np.multiply.outer(turns[kind], samples[place, 0])
+        samples[place] *= 1e180 if kind == "huge" else 1.0
+    return samples, draw(st.sampled_from([1000.0, 3200.0, 44_100.0]))
+
+
+@pytest.mark.parametrize("name", stimuli.REDUCERS)
+@given(given=batches())
+@settings(max_examples=4)
+def test_reduced_together_or_one_by_one_is_the_same_bit_for_bit(
+    name: str, given: tuple[np.ndarray, float]
+) -> None:
+    samples, rate_hz = given
+    wanted = [stimuli.reduce(one, name, rate_hz=rate_hz).samples for one in samples]
+    assert np.array_equal(stimuli.reduce_many(samples, name, rate_hz=rate_hz), wanted)
+
+
+@given(given=batches())
+@settings(max_examples=8)
+def test_every_metric_of_a_batch_is_that_of_the_loop(given: tuple[np.ndarray, float]) -> None:
+    samples, rate_hz = given
+    reduced = samples[:, 1] + 0.25 * samples[:, 0]
+    found = stimuli.match_many(samples, reduced, rate_hz=rate_hz, metrics="all")
+    wanted = [
+        [metric(one, signal, rate_hz) for metric in stimuli.METRICS.values()]
+        for one, signal in zip(samples, reduced, strict=True)
+    ]
+    assert list(found) == list(stimuli.METRICS)
+    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [batch.LONGEST, batch.LONGEST + 1, 30_011])
+def test_long_signals_too(n: int) -> None:
+    samples = np.random.default_rng(n).standard_normal((2, 3, n))
+    for name in ("pca321", "dft321", "dft321_principal", "sax321_matched"):
+        wanted = [stimuli.REDUCERS[name](one, 1000.0) for one in samples]
+        assert np.array_equal(stimuli.reduce_many(samples, name, rate_hz=1000.0), wanted)
+
+
+def recordings() -> list[stimuli.Recording]:
+    """Unequal lengths and rates, in no order, some equal."""
+    rng = np.random.default_rng(5)
+    kinds = [(300, 1000.0), (299, 1000.0), (300, 1000.0), (300, 2000.0), (1, 1000.0), (300, 1000.0)]
+    return [
+        stimuli.Recording(rng.standard_normal((3, n)), rate, f"r{place}")
+        for place, (n, rate) in enumerate(kinds)
+    ]
+
+
+def test_recordings_of_all_kinds_keep_their_order() -> None:
+    given = recordings()
+    found = stimuli.reduce_many(given, "dft321_windowed", window_s=0.02, workers=2)
+    for one, own in zip(given, found, strict=True):
+        alone = stimuli.reduce(one, "dft321_windowed", window_s=0.02)
+        assert np.array_equal(own, alone)
+        assert (own.rate_hz, own.reducer, own.recording) == (one.rate_hz, alone.reducer, one.name)
+    table = stimuli.match_many(given, found)
+    alone = [stimuli.match(one, own).iloc[0] for one, own in zip(given, found, strict=True)]
+    np.testing.assert_allclose(table, alone, rtol=1e-9)
+    assert list(table.index) == [one.name for one in given]
+
+
+def test_signals_go_together_only_as_far_as_the_cache_reaches(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    samples = np.random.default_rng(0).standard_normal((40, 3, 1500))
+    wanted = stimuli.reduce_many(samples, "pca321", rate_hz=1000)
+    sizes: list[int] = []
+
+    def watch(chunk: batch._Piece, *args: object, **named: object) -> np.ndarray:
+        sizes.append(len(chunk.places))
+        return reduce_chunk(chunk, *args, **named)
+
+    reduce_chunk = batch._reduce_chunk
+    monkeypatch.setattr(batch, "_reduce_chunk", watch)
+    monkeypatch.setattr(batch, "PIECE", 15_000)
+    assert np.array_equal(stimuli.reduce_many(samples, "pca321", rate_hz=1000), wanted)
+    assert sizes == [10, 10, 10, 10]
+    monkeypatch.setattr(batch, "PIECE", 1 << 20)
+    assert np.array_equal(stimuli.reduce_many(samples, "pca321", rate_hz=1000), wanted)
+    assert sizes[4:] == [16, 16, 8]
+
+
+@pytest.mark.parametrize("place", [0, 17, 39])
+def test_a_damaged_signal_is_named_by_its_place(place: int) -> None:
+    samples = np.random.default_rng(0).standard_normal((40, 3, 900))
+    samples[place, 1, 5] = np.nan
+    for name in ("sax321", "dft321_windowed"):
+        with pytest.raises(ValueError, match=rf"recording {place}: .*finite.*first at 1, 5"):
+            stimuli.reduce_many(samples, name, rate_hz=1000)
+    with pytest.raises(ValueError, match=rf"recording {place}: .*finite.*first at 1, 5"):
+        stimuli.match_many(samples, np.ones((40, 900)), rate_hz=1000)
+
+
+def test_functions_and_methods_of_a_lab() -> None:
+    samples = np.random.default_rng(0).standard_normal((3, 3, 50))
+    found = stimuli.reduce_many(samples, lambda one, rate_hz: one[2] / rate_hz, rate_hz=10)
+    assert np.array_equal(found, samples[:, 2] / 10)
+    level = stimuli.match_many(
+        samples,
+        found,
+        rate_hz=10,
+        metrics={"level": lambda one, signal, _: signal.sum() / one.sum()},
+    )
+    np.testing.assert_allclose(level["level"], found.sum(axis=1) / samples.sum(axis=(1, 2)))
+    with pytest.raises(ValueError, match=r"recording 0: reducer .* must return the shape"):
+        stimuli.reduce_many(samples, lambda one, _: one, rate_hz=10)
+
+
+def test_what_is_no_batch_is_refused() -> None:
+    scene, samples = stimuli.make_scene("bumps", duration_s=0.1), np.ones((2, 3, 10))
+    with pytest.raises(TypeError, match=r"one Recording; write \[recording\]"):
+        stimuli.reduce_many(scene)
+    with pytest.raises(TypeError, match="each be a Recording, got ndarray"):
+        stimuli.reduce_many([scene, samples])
+    with pytest.raises(ValueError, match=r"array of shape \(k, 3, n\); got the shape \(3, 10\)"):
+        stimuli.reduce_many(samples[0], rate_hz=1000)
+    with pytest.raises(TypeError, match="rate_hz must be given"):
+        stimuli.reduce_many(samples)
+    with pytest.raises(ValueError, match="one signal for each of 2 recordings, got 3"):
+        stimuli.match_many(samples, np.ones((3, 10)), rate_hz=1000)
+    with pytest.raises(ValueError, match="has no window"):
+        stimuli.reduce_many(samples, "sax321", rate_hz=1000, window_s=0.1)
+    assert stimuli.reduce_many([]) == []
+    assert stimuli.reduce_many(np.ones((0, 3, 10)), rate_hz=1000).shape == (0, 10)
+    assert stimuli.reduce_many(np.ones((2, 3, 0)), rate_hz=1000).shape == (2, 0)
