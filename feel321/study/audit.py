@@ -405,6 +405,8 @@ def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) ->
 
 def audit_entry(study: StudyFolder, folder: Path, entry: Entry) -> Iterator[str]:
     """Compare the ledger's entry of one participant with the journals."""
+    if entry.state == "withdrawn" and entry.station:
+        return  # At another station: `find_lost` says what to do.
     try:
         dossier = read_dossier(folder)
         reached = max((replay(dossier.plan, c.records).done for c in dossier.chains), default=0)
