@@ -14,7 +14,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from math import isclose
 from pathlib import Path
 from shlex import quote
@@ -26,20 +26,30 @@ from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.questions import PREFIX, find_question
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import ASIDE, MATCHING, RATING_RANGE, Page, Trial
+from feel321.stimuli.sets.details import iterate_rows
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
 from feel321.study.exploration.track import MOTION, name_track
-from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
-from feel321.study.ledger.progress import find_cut, find_leftovers, read_anchor
+from feel321.study.folder import (
+    DELIVERED,
+    MANIFEST_JSON,
+    StudyFolder,
+    name_delivered,
+    reading_origin,
+)
+from feel321.study.ledger.database import Entry
+from feel321.study.ledger.progress import find_leftovers
 from feel321.study.ledger.rigs import describe_rigs, find_rig_use
-from feel321.study.ledger.slots import Entry, find_lost, read_study_ledger
+from feel321.study.ledger.slots import find_lost, name_place, read_study_ledger
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
 from feel321.study.session.journal import (
     Chain,
     Record,
     digest,
+    find_cut,
     list_journals,
     name_journal,
+    read_anchor,
     read_journal,
 )
 from feel321.study.session.pace import TIMED_OUT, Schedule
@@ -348,8 +358,8 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
         yield from _audit_files(chain.records, path.parent)
 
 
-def _audit_files(records: Sequence[Record], folder: Path) -> Iterator[str]:
-    """Compare the files of what was rendered, measured or explored with their digests in the journal."""
+def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
+    """List the files of what was rendered, measured or explored: who names them, where they are, their digest."""
     for record in records:
         played = record.content if record.event == events.PartPlayed.event else None
         if not isinstance(played, events.PartPlayed):
@@ -360,11 +370,17 @@ def _audit_files(records: Sequence[Record], folder: Path) -> Iterator[str]:
             (folder / DELIVERED / delivered, played.delivered_sha256),
             (folder / MOTION / track, played.motion_sha256),
         ):
-            name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
-            if sha256 and not path.is_file():
-                yield f"{name} is gone; restore it from a copy"
-            elif sha256 and hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
-                yield f"{name} was changed since it was written; restore it from a copy"
+            if sha256:
+                yield record, path, sha256
+
+
+def _audit_files(records: Sequence[Record], folder: Path) -> Iterator[str]:
+    for record, path, sha256 in list_files(records, folder):
+        name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
+        if not path.is_file():
+            yield f"{name} is gone; restore it from a copy"
+        elif hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+            yield f"{name} was changed since it was written; restore it from a copy"
 
 
 def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) -> Iterator[str]:
@@ -395,7 +411,7 @@ def audit_entry(study: StudyFolder, folder: Path, entry: Entry) -> Iterator[str]
     except (*MALFORMED, OSError, ValueError):
         return
     rebuild = f"rebuild it: feel321 ledger {quote(str(study.path))} --rebuild"
-    who = f"{study.ledger}: {entry.participant}"
+    who = f"{name_place(study)}: {entry.participant}"
     # A session that ended in its opening need not be noted.
     opening = (*events.UNTOUCHED, events.WarmUpBegun, events.SessionReleased)
     unnoted = {kind.event for kind in opening}
@@ -463,17 +479,22 @@ def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
     except (OSError, ValueError):
         return findings, None  # Among the findings already.
     try:
-        rows = read_origin(folder).rows
+        with reading_origin(folder):
+            # An earlier version wrote fewer columns.
+            listed = ({**dict.fromkeys(FURTHER), **row} for row in iterate_rows(folder))
+            pairs = zip_longest(listed, map(describe_row, stimuli))
+            is_same = all(_digest_row(one) == _digest_row(other) for one, other in pairs)
     except ValueError as error:
         return [*findings, str(error)], stimuli.sha256
-    # An earlier version wrote fewer columns.
-    listed = [{**dict.fromkeys(FURTHER), **row} for row in rows]
-    described = [describe_row(row) for row in stimuli.stimuli]
-    if json.dumps(listed, sort_keys=True) != json.dumps(described, sort_keys=True):
+    if not is_same:
         findings.append(
             f"{folder}: manifest.csv and manifest.json differ; one was changed, build the set again"
         )
     return findings, stimuli.sha256
+
+
+def _digest_row(row: object) -> str:
+    return json.dumps(row, sort_keys=True)
 
 
 def _audit_participant(folder: Path, stimuli_sha256: str | None) -> Iterator[str]:

@@ -19,7 +19,9 @@ VERBS = {
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
+    "planning": ("power",),
     "signals": ("match", "port", "reduce"),
+    "stations": ("collect",),
     "studies": (
         "analyze",
         "audit",
@@ -39,7 +41,7 @@ VERBS = {
 }
 """Module of `feel321.study.commands` -> its verbs."""
 
-RESUMED = {"build", "demo", "run", "simulate", "withdraw"}
+RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 

@@ -32,7 +32,7 @@ from feel321.study.exploration.motion import POINTER, Pointer, Strokes, open_tra
 from feel321.study.exploration.track import MOTION, Exploration
 from feel321.study.folder import DELIVERED
 from feel321.study.keys import USUAL
-from feel321.study.ledger.slots import read_ledger
+from feel321.study.ledger.slots import recall
 from feel321.study.minutes import read_pace
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from feel321.study.session.ports import Place, Presenter
     from feel321.study.settings.schema import Settings
 
+from feel321.study.observer.casting import Casting, cast_observers, find_person
 from feel321.study.sessions import (
     lead_session,
     list_rig_problems,
@@ -58,7 +59,6 @@ from feel321.study.sessions import (
     plan_sessions,
     require_current_set,
 )
-from feel321.study.simulation import Casting, cast_observers, find_person
 
 INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
 
@@ -275,12 +275,14 @@ def run_participant(
     view = partial(Lab, windowed=visit.windowed, screen=visit.screen)
     lab = view(study, settings, stimuli, rig, casting=casting, certificate=certificate)
     room, notice = open_room(study, settings, stimuli, now=now)
+    if notice:
+        warn(notice)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
-    for entry in read_ledger(room.ledger, plan.participant):
+    for entry in recall(room.ledger, plan.participant):
         if entry.state == "finished":  # No window is opened for it.
             return Outcome(entry.done, entry.total)
     outcome, repaired = lead_session(
-        replace(room, pace=read_pace(study, stimuli)),
+        replace(room, pace=read_pace(study, stimuli), warn=warn),
         plan,
         identity=read.make_identity(
             settings, study.path, identify_lab(lab), calibration=lab.calibration
@@ -289,8 +291,8 @@ def run_participant(
         on_step=on_step,
         accept_rig=visit.accept_rig,
     )
-    for line in filter(None, (notice, repaired)):
-        warn(line)
+    if repaired:
+        warn(repaired)
     return outcome
 
 

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.ledger.progress import Anchor, check_anchors
-from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger, read_ledger
+from feel321.study.ledger import slots
+from feel321.study.ledger.keeper import Keeper
+from feel321.study.ledger.progress import check_anchors
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.provenance import find_changes
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
-from feel321.study.session.events import SessionFinished
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.plan import Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Place, Presenter
-from feel321.study.settings.read import make_design, make_recipe, read_study_texts
+from feel321.study.settings.read import make_design, make_recipe, make_terms, read_study_texts
 
 if TYPE_CHECKING:
     from sqlalchemy import Engine
@@ -48,6 +48,7 @@ class Room:
     stale: Stale
     now: Clock
     pace: Pace = SIMULATED
+    warn: Callable[[str], None] | None = None
 
 
 def lead_session(
@@ -61,15 +62,14 @@ def lead_session(
 ) -> tuple[Outcome, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
-    for entry in read_ledger(room.ledger, folder.name):
+    for entry in slots.recall(room.ledger, folder.name):
         check_anchors(entry.anchors, folder)  # a journal that was cut is not continued
     with open_session(
         folder, plan, identity=identity, now=room.now, stale=room.stale, accept_rig=accept_rig
     ) as (stored, journal):
         by_code = list_by_code(room.stimuli, seed=stored.seed)
-        keeper = _Keeper(
-            room.ledger, journal, every=TRIALS_BETWEEN_NOTES if stored.simulated else 1
-        )
+        every = TRIALS_BETWEEN_NOTES if stored.simulated else 1
+        keeper = Keeper(room.ledger, journal, every=every, warn=room.warn)
 
         durations = find_durations(room.stimuli)
         left_s = find_left(stored, journal.records, durations=durations, pace=room.pace)
@@ -80,7 +80,7 @@ def lead_session(
                 on_step(replace(place, left_s=left_s.get(place.done)))
 
         with ExitStack() as stack:
-            stack.callback(keeper.write)
+            stack.callback(keeper.close)
             presenter = stack.enter_context(make_presenter(stored, journal, by_code))
             outcome = run_session(
                 stored,
@@ -91,44 +91,6 @@ def lead_session(
                 on_step=note,
             )
         return outcome, "; ".join(filter(None, (journal.notice, keeper.notice)))
-
-
-@dataclass(slots=True)
-class _Keeper:
-    """Keeps the ledger beside the journal: at the opening of a session, now and then, and at its end.
-
-    The journal is the truth: a ledger that cannot be written is reported, and ends nobody's session.
-    """
-
-    ledger: Engine
-    journal: Journal
-    every: int
-    place: Place | None = None
-    noted: int | None = None
-    notice: str = ""
-
-    def see(self, place: Place) -> None:
-        self.place = place
-        if self.noted is None or place.done - self.noted >= self.every:
-            self.write()
-
-    def write(self) -> None:
-        if self.place is None:
-            return
-        self.noted = self.place.done
-        is_finished = self.journal.records.has(SessionFinished)
-        try:
-            note_progress(
-                self.ledger,
-                self.journal.path.parent.name,
-                anchor=Anchor(self.journal.path.name, len(self.journal.records), self.journal.tip),
-                done=self.place.done,
-                total=self.place.total,
-                state="finished" if is_finished else "running",
-            )
-            self.notice = ""
-        except (OSError, ValueError) as error:
-            self.notice = str(error)
 
 
 def require_current_set(study: StudyFolder, settings: Settings) -> None:
@@ -175,7 +137,7 @@ def open_room(
     study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock
 ) -> tuple[Room, str]:
     """Open the shared surroundings of a study's sessions."""
-    ledger, notice = open_study_ledger(study, now=now)
+    ledger, notice = slots.open_study_ledger(study, now=now)
     scales = make_scales(read_study_texts(settings, study.path))
     return Room(
         study, stimuli, scales, ledger, Stale(**settings.session.stale.model_dump()), now
@@ -186,8 +148,12 @@ def plan_sessions(
     room: Room, settings: Settings, participants: Sequence[str], *, simulated: bool
 ) -> list[Plan]:
     """Give participants their numbers in the design, and plan their sessions."""
-    numbers = claim_slots(room.ledger, participants, simulated=simulated, now=room.now)
     design = make_design(settings, room.study.path)
+    terms = make_terms(design, settings, room.study.path)
+    slots.agree(room.study, room.ledger, {**terms, "stimuli_sha256": room.stimuli.sha256})
+    numbers = slots.claim_numbers(
+        room.study, room.ledger, participants, simulated=simulated, now=room.now
+    )
     return [
         make_plan(design, room.stimuli, name, number=numbers[name], simulated=simulated)
         for name in participants

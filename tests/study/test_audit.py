@@ -13,7 +13,8 @@ import pytest
 from feel321.study.audit import audit_study, make_seal
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.slots import open_ledger, rebuild_ledger, rewrite_ledger
+from feel321.study.ledger.database import open_ledger, rewrite_ledger
+from feel321.study.ledger.slots import rebuild_ledger
 from feel321.study.ledger.withdrawal import withdraw_participant
 from feel321.study.session.journal import (
     START,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from feel321.study.ledger.slots import Entry
+    from feel321.study.ledger.database import Entry
     from feel321.study.session.journal import Record
 
     Edit = Callable[[list[bytes]], list[bytes]]

@@ -10,7 +10,8 @@ import pytest
 
 from feel321.protocols.texts import read_scales
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.slots import claim_slots, open_study_ledger, read_ledger
+from feel321.study.ledger.database import read_ledger
+from feel321.study.ledger.slots import claim_slots, open_study_ledger
 from feel321.study.session.plan import Stale
 from feel321.study.sessions import TRIALS_BETWEEN_NOTES, Room, lead_session
 
@@ -94,7 +95,7 @@ def test_a_ledger_that_cannot_be_written_ends_nobodys_session(
     def fail(*_: object, **__: object) -> None:
         raise OSError("ledger.sqlite: is busy")
 
-    monkeypatch.setattr("feel321.study.sessions.note_progress", fail)
+    monkeypatch.setattr("feel321.study.ledger.keeper.note_progress", fail)
     outcome, notice = lead(room, plan, scripted())
     assert (outcome.done, notice) == (20, "ledger.sqlite: is busy")
 

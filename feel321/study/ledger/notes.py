@@ -6,7 +6,7 @@ session fresh, and is in no table of ratings.
 
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import progress, slots
-from feel321.study.ledger.withdrawal import enter, hold_folder, require_entry
+from feel321.study.ledger.withdrawal import hold_folder, require_entry
 from feel321.study.session.events import NoteTaken
 from feel321.study.session.journal import Clock, list_journals, require_journal
 
@@ -15,7 +15,7 @@ def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) ->
     """Write a note into the newest journal of a participant; returns what the experimenter should know besides."""
     note = NoteTaken(text)
     ledger, notice = slots.open_study_ledger(study, now=now)
-    entry = require_entry(ledger, participant)
+    entry = require_entry(ledger, participant, study=study, verb="take the note")
     folder = study.sessions / participant
     if progress.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, nothing is recorded any longer")
@@ -30,7 +30,7 @@ def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) ->
         journal.write(note)
         notices = [notice, journal.notice]
         try:
-            enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
+            slots.enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
         except (OSError, ValueError) as error:
             notices.append(f"the note is in the journal, not yet in the ledger ({error})")
     return "; ".join(filter(None, notices))

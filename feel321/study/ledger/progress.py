@@ -22,7 +22,15 @@ from feel321.study.session.events import (
     SessionReleased,
     TrialRated,
 )
-from feel321.study.session.journal import START, Chain, Records, digest, list_journals
+from feel321.study.session.journal import (
+    Anchor,
+    Chain,
+    Records,
+    digest,
+    find_cut,
+    list_journals,
+    read_anchor,
+)
 from feel321.study.thresholds import list_columns, read_thresholds
 
 ROSTER_FILE = "participants.csv"
@@ -34,47 +42,12 @@ LOCK_FILE = ".lock"
 """Held while a session runs or a participant leaves."""
 
 
-# What was last seen of a journal.
-
-
-@dataclass(frozen=True, slots=True)
-class Anchor:
-    """What was seen of a journal: how many lines, and the digest of the last of them."""
-
-    journal: str
-    lines: int
-    tip: str
-
-
-def read_anchor(path: Path) -> Anchor:
-    """Look at a journal as it is now, whether or not its chain holds."""
-    lines = _read_lines(path)
-    return Anchor(path.name, len(lines), digest(lines[-1]) if lines else START)
-
-
-def find_cut(anchor: Anchor, folder: Path) -> str:
-    """Describe what is missing of a journal since it was last seen; empty if nothing is."""
-    path = folder / anchor.journal
-    if not path.is_file():
-        return f"{path}: is gone, {anchor.lines} lines of it were seen"
-    lines = _read_lines(path)
-    if len(lines) < anchor.lines:
-        return f"{path}: ends with line {len(lines)}, {anchor.lines} lines of it were seen"
-    if anchor.lines and digest(lines[anchor.lines - 1]) != anchor.tip:
-        return f"{path}, line {anchor.lines}: is not the line that was seen there"
-    return ""
-
-
 def check_anchors(anchors: Iterable[Anchor], folder: Path) -> None:
     """Refuse to go on with journals of which less is there than was seen."""
     for anchor in anchors:
         if cut := find_cut(anchor, folder):
             rebuild = f"feel321 ledger {quote(str(folder.parent.parent))} --rebuild"
             raise ValueError(f"{cut}; restore it from a copy, or accept it as it is: {rebuild}")
-
-
-def _read_lines(path: Path) -> list[bytes]:
-    return path.read_bytes().split(b"\n")[:-1]
 
 
 # Tombstones.
@@ -216,7 +189,7 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             groups=plan.groups,
             total=sum(trial.phase == "main" for trial in plan.trials),
             done=plans.replay(plan, newest).done,
-            state=_find_state(newest),
+            state=find_state(newest),
             anchors=tuple(read_anchor(path) for path in list_journals(dossier.folder)),
             first_utc=times[0] if times else "",
             last_utc=times[-1] if times else "",
@@ -231,7 +204,8 @@ def make_progress(dossier: plans.Dossier) -> Progress:
         )
 
 
-def _find_state(records: Records) -> str:
+def find_state(records: Records) -> str:
+    """Find the state in which a session was left, by its newest journal."""
     for kind in (SessionReleased, SessionFinished):
         if records.has(kind):
             return kind.event

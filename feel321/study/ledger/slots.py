@@ -1,181 +1,67 @@
-"""The ledger: who takes part under which number, and how far each session is. SQLite behind SQLAlchemy.
+"""The ledger: who takes part under which number, and how far each session is.
 
 A slot is a number in the design; simulated and real people are counted apart. It is claimed in one transaction,
 confirmed when the session finishes, and free again when the participant is given up or withdraws. The ledger only
 remembers: plans, journals and tombstones are the truth, from which it can be rebuilt.
 
-Transactions that write take the file's lock at their beginning (`BEGIN IMMEDIATE`), so that what they read cannot
-change before they write; others wait. The rollback journal is left as it is: it survives a kill, and unlike a
-write-ahead log it works on a network drive.
+Stations that share a ledger on a server have a study folder each. What a participant of another station did is not
+here until it is collected, and is not missed.
 
 This module imports SQLAlchemy; import it where it is used, so that the command line answers at once.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import Field, asdict, dataclass, field, fields, replace
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from shlex import quote
-from sqlite3 import Connection as SqliteConnection
+from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy.exc import DBAPIError
-from sqlalchemy.pool import NullPool
 
+from feel321.files import is_held
+from feel321.study import server
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger import progress
+from feel321.study.ledger import database, progress, stations
+from feel321.study.ledger.database import LIVE, Entry, read_ledger, rewrite_ledger
+from feel321.study.ledger.keeper import check_live
 from feel321.study.session.journal import (
     Clock,
     create_journal,
+    find_cut,
+    list_journals,
     read_journal,
     require_journal,
     utc_now,
 )
-from feel321.study.session.plan import PARTICIPANT_ID, TOMBSTONE_FILE
+from feel321.study.session.plan import PARTICIPANT_ID, PLAN_FILE, TOMBSTONE_FILE, require_own_plan
 
-PATIENCE_S = 60.0
-"""How long a transaction waits for others to end."""
-
-_DAMAGED = {"SQLITE_NOTADB", "SQLITE_CORRUPT", "SQLITE_ERROR"}
-"""What SQLite says of a file that is no database, a damaged one, or one with other tables."""
-
-LIVE = ("claimed", "running", "finished")
-"""States in which a participant holds a slot."""
-
-STATES = (*LIVE, "released", "withdrawn")
+# Claims.
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """What the ledger knows about a participant; `number` is that in the design, from 1."""
+class Station:
+    """Where claims come from: whose sessions were begun there, and which numbers are its to give."""
 
-    participant: str
-    simulated: bool
-    number: int
-    state: str
-    done: int = 0
-    total: int = 0
-    anchors: tuple[progress.Anchor, ...] = ()
-    claimed_utc: str = field(default="", compare=False)
+    # `first`, `first + of`, `first + 2 of` and so on
+
+    name: str = ""
+    begun: Container[str] = ()
+    first: int = 1
+    of: int = 1
 
 
-_TABLES = sa.MetaData()
-_TYPES: dict[object, type] = {str: sa.String, bool: sa.Boolean, int: sa.Integer}
-
-
-def _declare(name: str, *columns: Field[object], keys: Sequence[str]) -> sa.Table:
-    made: list[sa.Column[object]] = [
-        sa.Column(one.name, _TYPES[one.type], primary_key=one.name in keys, nullable=False)
-        for one in columns
-    ]
-    return sa.Table(name, _TABLES, *made)
-
-
-_NAME, *_REST = (one for one in fields(Entry) if one.name != "anchors")
-_PARTICIPANTS = _declare("participants", _NAME, *_REST, keys=["participant"])
-_ANCHORS = _declare("anchors", _NAME, *fields(progress.Anchor), keys=["participant", "journal"])
-_HOLDS_SLOT = _PARTICIPANTS.c.state.in_(LIVE)
-# Claims see to it by themselves; this keeps any other program from doing otherwise.
-sa.Index(
-    "one_participant_per_slot",
-    _PARTICIPANTS.c.simulated,
-    _PARTICIPANTS.c.number,
-    unique=True,
-    sqlite_where=_HOLDS_SLOT,
-    postgresql_where=_HOLDS_SLOT,
-)
-
-
-# Transactions.
-
-
-def open_ledger(path: Path) -> sa.Engine:
-    """Open a ledger, or begin an empty one; one that may only be read is not written to."""
-    # No pool: connections cost little here, and none is left open in a thread or a forked process.
-    ledger = sa.create_engine(
-        sa.URL.create("sqlite", database=str(path)),
-        poolclass=NullPool,
-        connect_args={"timeout": PATIENCE_S},
-    )
-    sa.event.listen(ledger, "connect", _leave_transactions_alone)
-    sa.event.listen(ledger, "begin", _begin)
-    with _transact(ledger, writes=False) as connection:
-        missing = not all(sa.inspect(connection).has_table(name) for name in _TABLES.tables)
-    if missing:
-        with _transact(ledger) as connection:
-            _TABLES.create_all(connection)
-    return ledger
-
-
-@contextmanager
-def _transact(ledger: sa.Engine, *, writes: bool = True) -> Iterator[sa.Connection]:
-    """Do all of what is inside, or nothing; no other transaction comes in between."""
-    try:
-        with ledger.execution_options(writes=writes).begin() as connection:
-            yield connection
-    except DBAPIError as error:
-        path, reason = ledger.url.database, error.orig
-        if getattr(reason, "sqlite_errorname", "") in _DAMAGED:
-            raise ValueError(
-                f"{path}: got a damaged file ({reason}); move it away, then rebuild it from the journals: "
-                "feel321 ledger --rebuild"
-            ) from error
-        raise OSError(
-            f"{path}: could not be used ({reason}); check that the folder may be written to, the disk has room "
-            "and no other program holds the file, then run again"
-        ) from error
-
-
-def _leave_transactions_alone(connection: SqliteConnection, _record: object) -> None:
-    # Python's sqlite3 would begin transactions by itself, and late.
-    connection.isolation_level = None
-
-
-def _begin(connection: sa.Connection) -> None:
-    writes = connection.get_execution_options()["writes"]
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
-
-
-def _read(connection: sa.Connection, participant: str | None = None) -> list[Entry]:
-    people, seen = sa.select(_PARTICIPANTS), sa.select(_ANCHORS).order_by(_ANCHORS.c.journal)
-    if participant is not None:
-        people = people.where(_PARTICIPANTS.c.participant == participant)
-        seen = seen.where(_ANCHORS.c.participant == participant)
-    anchors: dict[str, tuple[progress.Anchor, ...]] = {}
-    for name, *anchor in connection.execute(seen):
-        anchors[name] = (*anchors.get(name, ()), progress.Anchor(*anchor))
-    entries = [
-        Entry(**row, anchors=anchors.get(row["participant"], ()))
-        for row in connection.execute(people).mappings()
-    ]
-    return sorted(
-        entries,
-        key=lambda entry: (entry.simulated, entry.number, entry.state in LIVE, entry.participant),
-    )
-
-
-def _write(
-    connection: sa.Connection, entries: Sequence[Entry], *, instead_of: Iterable[str] = ()
-) -> None:
-    names = list(instead_of)
-    rows = [asdict(entry) for entry in entries]
-    anchors = [
-        {"participant": row["participant"], **anchor}
-        for row in rows
-        for anchor in row.pop("anchors")
-    ]
-    for table, values in ((_PARTICIPANTS, rows), (_ANCHORS, anchors)):
-        connection.execute(sa.delete(table).where(table.c.participant.in_(names)))
-        if values:  # Without any, one row of defaults would be written.
-            connection.execute(sa.insert(table), values)
-
-
-# Claims and progress.
+ALONE = Station()
 
 
 def claim_slots(
-    ledger: sa.Engine, participants: Sequence[str], *, simulated: bool, now: Clock
+    ledger: sa.Engine,
+    participants: Sequence[str],
+    *,
+    simulated: bool,
+    now: Clock,
+    station: Station = ALONE,
 ) -> dict[str, int]:
     """Give each participant a number, from 1, all in one transaction."""
     for participant in participants:
@@ -183,36 +69,82 @@ def claim_slots(
             raise ValueError(
                 f"participant must be letters, digits, - and _, got {participant!r}; use another code"
             )
-    utc = now().isoformat(timespec="seconds")
-    with _transact(ledger) as connection:
-        known = {entry.participant: entry for entry in _read(connection)}
+    with database.transact(ledger) as connection:
+        utc = stations.tell_time(connection, now=now)
+        known = {entry.participant: entry for entry in database.read_entries(connection)}
         taken = {
             entry.number
             for entry in known.values()
             if entry.simulated == simulated and entry.state in LIVE
         }
-        free = (number for number in count(1) if number not in taken)
+        free = (number for number in count(station.first, station.of) if number not in taken)
         numbers = {
-            name: _keep_slot(known[name], simulated=simulated) if name in known else next(free)
+            name: _keep_slot(known[name], simulated=simulated, station=station)
+            if name in known
+            else next(free)
             for name in dict.fromkeys(participants)
         }
         _check_capitals([*known, *numbers])
         claimed = [
-            Entry(name, simulated, number, "claimed", claimed_utc=utc)
+            Entry(name, simulated, number, "claimed", claimed_utc=utc, station=station.name)
             for name, number in numbers.items()
             if name not in known
         ]
-        _write(connection, claimed)
+        database.write_entries(connection, claimed)
     return numbers
 
 
-def _keep_slot(entry: Entry, *, simulated: bool) -> int:
+def claim_numbers(
+    study: StudyFolder,
+    ledger: sa.Engine,
+    participants: Sequence[str],
+    *,
+    simulated: bool,
+    now: Clock,
+) -> dict[str, int]:
+    """Give participants of a study their numbers; those who were planned here keep theirs without the ledger, too."""
+    planned = [name for name in participants if (study.sessions / name / PLAN_FILE).is_file()]
+    first, of = server.find_share(study.settings)
+    station = Station(database.get_station(ledger), planned, first, of)
+    try:
+        return claim_slots(ledger, participants, simulated=simulated, now=now, station=station)
+    except ConnectionError as error:
+        if missing := [name for name in participants if name not in planned]:
+            raise ConnectionError(
+                f"{error}. Until then, only participants who were planned on this station can go on, got "
+                f"{', '.join(missing)}"
+            ) from None
+        plans = [require_own_plan(study.sessions / name) for name in planned]
+        return {plan.participant: plan.number for plan in plans}
+
+
+def agree(study: StudyFolder, ledger: sa.Engine, terms: Mapping[str, Any]) -> None:
+    """Refuse to plan sessions otherwise than the other stations do; a server out of reach cannot say."""
+    remedy = f"make both folders alike; or, where this one is right: {_write_rebuild(study)}"
+    with suppress(ConnectionError):
+        stations.agree_on(ledger, terms, remedy=remedy)
+
+
+def recall(ledger: sa.Engine, participant: str | None = None) -> list[Entry]:
+    """Read what the ledger knows of one participant, or all, which is nothing while its server is out of reach."""
+    try:
+        return read_ledger(ledger, participant)
+    except ConnectionError:
+        return []
+
+
+def _keep_slot(entry: Entry, *, simulated: bool, station: Station) -> int:
     if entry.simulated != simulated:
         got, known = ("simulated", "real") if simulated else ("real", "simulated")
         raise ValueError(
             f"participant {entry.participant}: {known} in the ledger, got a {got} one; use another code"
         )
-    _check_live(entry)
+    check_live(entry)
+    if entry.station not in {"", station.name} and entry.participant not in station.begun:
+        raise ValueError(
+            f"participant {entry.participant}: the session is at station {entry.station}, this one is {station.name}; "
+            "go on there, or collect it from there first: feel321 collect"
+        )
     return entry.number
 
 
@@ -226,87 +158,94 @@ def _check_capitals(participants: Sequence[str]) -> None:
             )
 
 
-def _check_live(entry: Entry) -> None:
-    if entry.state not in LIVE:
-        raise ValueError(
-            f"participant {entry.participant}: was {entry.state}; no code is used twice, use another"
-        )
-
-
-def note_progress(
-    ledger: sa.Engine,
-    participant: str,
-    *,
-    anchor: progress.Anchor,
-    done: int,
-    total: int,
-    state: str,
-) -> None:
-    """Record how far a participant's journal reaches."""
-    if state not in STATES:
-        raise ValueError(f"state must be one of {', '.join(STATES)}, got {state!r}")
-    with _transact(ledger) as connection:
-        entry = next(iter(_read(connection, participant)), None)
-        if entry is None:
-            raise ValueError(f"participant {participant}: no slot in the ledger; claim one first")
-        _check_live(entry)
-        anchors = {seen.journal: seen for seen in entry.anchors}
-        seen = anchors.get(anchor.journal, anchor)
-        if anchor.lines < seen.lines or (anchor.lines == seen.lines and anchor != seen):
-            raise ValueError(
-                f"participant {participant}: got {anchor.journal} with {anchor.lines} lines, {seen.lines} were "
-                "seen, and another end; restore the file from a copy, or accept it as it is: feel321 ledger --rebuild"
-            )
-        anchors[anchor.journal] = anchor
-        noted = replace(entry, state=state, done=done, total=total, anchors=tuple(anchors.values()))
-        _write(connection, [noted], instead_of=[participant])
-
-
-def read_ledger(ledger: sa.Engine, participant: str | None = None) -> list[Entry]:
-    """Read all that the ledger knows, or what it knows of one participant."""
-    with _transact(ledger, writes=False) as connection:
-        return _read(connection, participant)
-
-
-def rewrite_ledger(ledger: sa.Engine, change: Callable[[list[Entry]], list[Entry]]) -> list[Entry]:
-    """Replace all entries by others, in one transaction; returns those before."""
-    with _transact(ledger) as connection:
-        before = _read(connection)
-        _write(connection, change(before), instead_of=[entry.participant for entry in before])
-    return before
-
-
 # The ledger of a study, rebuilt from its files.
 
 WAS_MISSING = "all that it had seen, for it was missing"
 
 
+def find_place(study: StudyFolder) -> Path | server.Server:
+    """Find where the ledger of a study is."""
+    # Rehearsals take no slot, and are nobody else's.
+    own = None if study.is_rehearsal else server.find_server(study.settings)
+    return own or study.ledger
+
+
+def name_place(study: StudyFolder) -> str:
+    """Name the ledger of a study: its file, or its URL."""
+    place = find_place(study)
+    return str(place) if isinstance(place, Path) else place.url
+
+
 def open_study_ledger(study: StudyFolder, *, now: Clock = utc_now) -> tuple[sa.Engine, str]:
-    """Open the ledger of a study to write in it; one that is missing is rebuilt, and the log beside it says so."""
-    ledger = _open(study)
-    if read_ledger(ledger):
-        return ledger, ""
-    entries, _ = _read_disk(study)
+    """Open the ledger of a study to write in it; one that is missing is rebuilt, and the log beside it says so.
+
+    A server that is out of reach is said, not raised: sessions that were begun here can go on.
+    """
+    ledger = _connect(study)
+    try:
+        database.make_tables(ledger)
+        if known := read_ledger(ledger):
+            _catch_up(ledger, study, known)
+            return ledger, ""
+        return ledger, _fill(ledger, study, now=now)
+    except ConnectionError as error:
+        return ledger, str(error)
+
+
+def _fill(ledger: sa.Engine, study: StudyFolder, *, now: Clock) -> str:
+    """Enter all participants in an empty ledger; returns what to say of it."""
+    entries = settle(ledger, _read_disk(study)[0])
+    # On the first day on a server, the file is still there.
+    was_moved = database.is_shared(ledger) and study.ledger.exists()
 
     def change(known: list[Entry]) -> list[Entry]:
         # Another process may have found it missing first, and claimed slots since.
-        if not known:
+        if not (known or was_moved):
             _log_forgotten(study, [WAS_MISSING], now=now)
         return known or entries
 
     if not entries or rewrite_ledger(ledger, change):
-        return ledger, ""
+        return ""
     done = f"{len(entries)} participants were entered from their plans and journals"
-    return ledger, f"{study.ledger}: was missing; {done}"
+    return f"{database.name_ledger(ledger)}: was {'empty' if was_moved else 'missing'}; {done}"
+
+
+def settle(ledger: sa.Engine, entries: Iterable[Entry]) -> list[Entry]:
+    """Make entries those of this station."""
+    return [replace(entry, station=database.get_station(ledger)) for entry in entries]
+
+
+def _catch_up(ledger: sa.Engine, study: StudyFolder, known: Iterable[Entry]) -> None:
+    """Enter what sessions of this station did while the server was out of reach."""
+    if not (station := database.get_station(ledger)):
+        return
+    for entry in known:
+        folder = study.sessions / entry.participant
+        own = entry.station == station and entry.state in {"claimed", "running"}
+        if own and list_journals(folder) and not is_held(folder / progress.LOCK_FILE):
+            done = progress.read_progress(folder)
+            if not (done.problem or any(find_cut(anchor, folder) for anchor in entry.anchors)):
+                enter(ledger, entry.participant, make_entry(done))
+
+
+def enter(ledger: sa.Engine, participant: str, entry: Entry | None) -> None:
+    """Replace the ledger's entry of a participant, as one of this station; None takes it out."""
+    entries = settle(ledger, [entry] if entry else [])
+    with database.transact(ledger) as connection:
+        database.write_entries(connection, entries, instead_of=[participant])
 
 
 def read_study_ledger(study: StudyFolder) -> list[Entry]:
     """Read the ledger of a study and write nothing."""
-    if study.ledger.exists():
-        return read_ledger(open_ledger(study.ledger))
+    place = find_place(study)
+    if not isinstance(place, Path):
+        if entries := read_ledger(database.open_ledger(place)):
+            return entries
+    elif place.exists():
+        return read_ledger(database.open_ledger(place))
     if any(map(_is_begun, study.participants)):
         raise FileNotFoundError(
-            f"{study.ledger}: is missing, so losses cannot be detected; rebuild it: {_write_rebuild(study)}"
+            f"{name_place(study)}: is missing, so losses cannot be detected; rebuild it: {_write_rebuild(study)}"
         )
     return []
 
@@ -314,28 +253,53 @@ def read_study_ledger(study: StudyFolder) -> list[Entry]:
 def rebuild_ledger(study: StudyFolder, *, now: Clock = utc_now) -> list[str]:
     """Make the ledger of a study anew from plans, journals and tombstones.
 
-    Slots claimed by participants without a plan so far are kept: they are recorded nowhere else. What is forgotten is
-    recorded for good in a log beside the ledger.
+    Slots claimed by participants without a plan so far are kept: they are recorded nowhere else. So is what other
+    stations did; and how sessions are planned is settled anew by the next claim. What is forgotten is recorded for good
+    in a log beside the ledger.
     """
-    was_missing = not study.ledger.exists()
+    place = find_place(study)
+    is_file, ledger = isinstance(place, Path), _connect(study)
+    was_missing = isinstance(place, Path) and not place.exists()
+    database.make_tables(ledger)
+    was_missing = was_missing if is_file else not read_ledger(ledger)
     lost, wrong = ([], []) if was_missing else _compare(study)
     problems: list[str] = []
+    # A server waits for nobody's disk.
+    read = _read_disk(study) if database.is_shared(ledger) else None
 
     def change(known: list[Entry]) -> list[Entry]:
-        entries, found = _read_disk(study)
+        entries, found = read or _read_disk(study)
         problems.extend(found)
-        names = {entry.participant for entry in entries}
-        entries += [
-            entry
-            for entry in known
-            if entry.state == "claimed" and not entry.anchors and entry.participant not in names
-        ]
-        _check_slots(entries)
-        _log_forgotten(study, [WAS_MISSING] if was_missing and names else lost, now=now)
-        return entries
+        merged = merge_entries(known, settle(ledger, entries), station=database.get_station(ledger))
+        _log_forgotten(study, [WAS_MISSING] if was_missing and entries else lost, now=now)
+        return merged
 
-    rewrite_ledger(_open(study), change)
+    rewrite_ledger(ledger, change)
+    stations.forget_terms(ledger)
     return lost + wrong + problems
+
+
+def merge_entries(known: Iterable[Entry], own: Sequence[Entry], *, station: str) -> list[Entry]:
+    """Put what a disk says in place of what the ledger knew, but for claims, and for what other stations did since."""
+    merged = {entry.participant: entry for entry in own}
+    for entry in known:
+        ours = merged.get(entry.participant)
+        is_away = entry.station != station
+        is_claim = entry.state == "claimed" and not entry.anchors
+        if ours is None:
+            if is_away or is_claim:
+                merged[entry.participant] = entry
+        elif is_away and ours.state != "withdrawn":
+            is_ahead = entry.state == "withdrawn" or _has_seen(entry, ours)
+            merged[entry.participant] = entry if is_ahead else replace(ours, station=entry.station)
+    _check_slots(merged.values())
+    return list(merged.values())
+
+
+def _has_seen(entry: Entry, other: Entry) -> bool:
+    """Check whether an entry knows at least as much of all journals as another one."""
+    seen = {anchor.journal: anchor.lines for anchor in entry.anchors}
+    return all(seen.get(anchor.journal, -1) >= anchor.lines for anchor in other.anchors)
 
 
 def find_lost(study: StudyFolder) -> list[str]:
@@ -370,7 +334,7 @@ def list_forgotten(study: StudyFolder) -> list[str]:
     except (OSError, ValueError) as error:
         return [str(error)]
     return [
-        f"{study.ledger}: was rebuilt at {record.utc}, and forgot: {line}"
+        f"{name_place(study)}: was rebuilt at {record.utc}, and forgot: {line}"
         for record in records
         for line in record.data.get("forgot", ())
     ]
@@ -380,21 +344,25 @@ def _write_rebuild(study: StudyFolder) -> str:
     return f"feel321 ledger {quote(str(study.path))} --rebuild"
 
 
-def _open(study: StudyFolder) -> sa.Engine:
+def _connect(study: StudyFolder) -> sa.Engine:
     study.sessions.mkdir(exist_ok=True)
-    return open_ledger(study.ledger)
+    return database.connect_ledger(find_place(study))
 
 
 def _read_disk(study: StudyFolder) -> tuple[list[Entry], list[str]]:
     """Read the entries of all participants, and what is wrong with their journals."""
     everybody = progress.list_progress(study)
-    stones = filter(None, (progress.read_tombstone(folder) for folder in study.participants))
-    entries = [
-        *map(make_entry, everybody),
-        *(Entry(one.participant, one.simulated, one.number, "withdrawn") for one in stones),
-    ]
+    stones = [folder for folder in study.participants if (folder / TOMBSTONE_FILE).exists()]
+    entries = [*map(make_entry, everybody), *map(read_entry, stones)]
     _check_slots(entries)
     return entries, [own.problem for own in everybody if own.problem]
+
+
+def read_entry(folder: Path) -> Entry:
+    """Read the entry of a participant from plan and journals, or from the tombstone."""
+    if (stone := progress.read_tombstone(folder)) is not None:
+        return Entry(stone.participant, stone.simulated, stone.number, "withdrawn")
+    return make_entry(progress.read_progress(folder))
 
 
 def _check_slots(entries: Iterable[Entry]) -> None:
@@ -407,6 +375,16 @@ def _check_slots(entries: Iterable[Entry]) -> None:
                     f"number {entry.number} must be held by one participant, got {holder} and {entry.participant}; "
                     "release one, or move one's folder out of sessions/"
                 )
+
+
+def is_away(entry: Entry, study: StudyFolder) -> bool:
+    """Check whether a participant is at another station, and nothing of it was collected here."""
+    home = entry.station
+    return (
+        bool(home)
+        and home != server.find_station()
+        and not _is_begun(study.sessions / entry.participant)
+    )
 
 
 def _is_begun(folder: Path) -> bool:
@@ -422,6 +400,8 @@ def _compare(study: StudyFolder) -> tuple[list[str], list[str]]:
     lost: list[str] = []
     wrong: list[str] = []
     for entry in entries.values():
+        if is_away(entry, study):
+            continue
         lines = list(_find_lost_of(entry, study))
         lost += lines
         wrong += [] if lines else _find_edited(entry, study)
@@ -442,13 +422,16 @@ def _find_lost_of(entry: Entry, study: StudyFolder) -> Iterator[str]:
         return
     if tombstone is not None:
         yield from _find_unlike(tombstone, entry, study)
+    elif entry.state == "withdrawn" and entry.station and _is_begun(folder):
+        again = f"feel321 withdraw {quote(str(study.path))} --participant {entry.participant}"
+        yield f"{folder}: the participant was withdrawn at station {entry.station}; remove the data here too: {again}"
     elif entry.state == "withdrawn":
         yield f"{folder}: the participant was withdrawn, the tombstone is gone; restore it from a copy"
     elif entry.anchors and not _is_begun(folder):
         lines = sum(anchor.lines for anchor in entry.anchors)
         yield f"{folder}: is gone without a tombstone, {lines} lines of its journals were seen; restore it from a copy"
     else:
-        yield from filter(None, (progress.find_cut(anchor, folder) for anchor in entry.anchors))
+        yield from filter(None, (find_cut(anchor, folder) for anchor in entry.anchors))
 
 
 def _find_unlike(tombstone: progress.Tombstone, entry: Entry, study: StudyFolder) -> Iterator[str]:
@@ -476,6 +459,6 @@ def _find_edited(entry: Entry, study: StudyFolder) -> Iterator[str]:
         got, expected = getattr(entry, name), getattr(own, name)
         if got != expected:
             yield (
-                f"{study.ledger}: {entry.participant} has {name} {got}, plan and journals say {expected}; "
+                f"{name_place(study)}: {entry.participant} has {name} {got}, plan and journals say {expected}; "
                 f"rebuild it: {_write_rebuild(study)}"
             )

@@ -16,10 +16,17 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.answers import ANSWERS_FILE, write_answers
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import progress, slots
+from feel321.study.ledger.database import Entry, read_ledger
 from feel321.study.matches import MATCHES_FILE, write_matches
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
-from feel321.study.session.journal import Clock, Journal, list_journals, require_journal
+from feel321.study.session.journal import (
+    Clock,
+    Journal,
+    list_journals,
+    read_anchor,
+    require_journal,
+)
 from feel321.study.session.plan import TOMBSTONE_FILE
 
 
@@ -33,7 +40,7 @@ def withdraw_participant(
 ) -> list[str]:
     """Remove the data of a participant for good; a tombstone keeps the code from being used again."""
     ledger, notice = slots.open_study_ledger(study, now=now)
-    entry = require_entry(ledger, participant)
+    entry = require_entry(ledger, participant, study=study, verb="withdraw")
     folder = study.sessions / participant
     if (
         (found := progress.read_tombstone(folder))
@@ -51,10 +58,8 @@ def withdraw_participant(
         rehearsal = replace(study, is_rehearsal=True).sessions / participant
         if rehearsal.exists() and rehearsal != folder:
             warnings.append(f"{rehearsal}: was rehearsed under the same code; remove the folder")
-        enter(
-            ledger,
-            participant,
-            slots.Entry(participant, entry.simulated, entry.number, "withdrawn"),
+        slots.enter(
+            ledger, participant, Entry(participant, entry.simulated, entry.number, "withdrawn")
         )
         progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVED))
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
@@ -70,7 +75,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     Of one who never began there is nothing to keep: the plan goes, and the code may be used again.
     """
     ledger, _ = slots.open_study_ledger(study, now=now)
-    entry = require_entry(ledger, participant)
+    entry = require_entry(ledger, participant, study=study, verb="release")
     folder = study.sessions / participant
     if progress.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, there is nothing to release")
@@ -83,22 +88,27 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
         journal = _open_newest(folder, now=now)
         if journal is not None:
             _write_release(journal, participant)
-            enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
+            slots.enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
             return entry.number
         _remove_data(folder)
-        enter(ledger, participant, None)
+        slots.enter(ledger, participant, None)
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
     return entry.number
 
 
-def require_entry(ledger: Engine, participant: str) -> slots.Entry:
-    """Find a participant in the ledger."""
-    entries = {entry.participant: entry for entry in slots.read_ledger(ledger)}
+def require_entry(ledger: Engine, participant: str, *, study: StudyFolder, verb: str) -> Entry:
+    """Find a participant in the ledger, whose session is on this station's disk if it was begun."""
+    entries = {entry.participant: entry for entry in read_ledger(ledger)}
     if participant not in entries:
         known = ", ".join(entries) or "nobody yet"
         raise ValueError(f"participant must be in the ledger, got {participant!r}; known: {known}")
-    return entries[participant]
+    if slots.is_away(entry := entries[participant], study):
+        raise ValueError(
+            f"participant {participant}: is at station {entry.station}; {verb} there, or collect the session first: "
+            "feel321 collect"
+        )
+    return entry
 
 
 @contextmanager
@@ -110,16 +120,14 @@ def hold_folder(folder: Path) -> Iterator[None]:
         yield
 
 
-def _make_tombstone(
-    folder: Path, entry: slots.Entry, *, reason: str, now: Clock
-) -> progress.Tombstone:
+def _make_tombstone(folder: Path, entry: Entry, *, reason: str, now: Clock) -> progress.Tombstone:
     tombstone = progress.Tombstone(
         participant=entry.participant,
         number=entry.number,
         simulated=entry.simulated,
         utc=now().isoformat(timespec="seconds"),
         reason=reason,
-        journals=tuple(progress.read_anchor(path) for path in list_journals(folder)),
+        journals=tuple(read_anchor(path) for path in list_journals(folder)),
         state=progress.REMOVING,
     )
     progress.write_tombstone(folder, tombstone)
@@ -168,16 +176,6 @@ def _remove_report(study: StudyFolder) -> Iterator[str]:
         yield f"{study.report}: was removed, for it held the participant's data; write it anew: feel321 analyze"
     if study.report.exists():
         yield f"{study.report}: holds other files; remove those with the participant's data"
-
-
-def enter(ledger: Engine, participant: str, entry: slots.Entry | None) -> None:
-    """Replace the ledger's entry of a participant; None takes it out."""
-
-    def change(known: list[slots.Entry]) -> list[slots.Entry]:
-        others = [other for other in known if other.participant != participant]
-        return [*others, entry] if entry else others
-
-    slots.rewrite_ledger(ledger, change)
 
 
 def _open_newest(folder: Path, *, now: Clock) -> Journal | None:

@@ -204,7 +204,9 @@ class Journal:
             )
         name = event if isinstance(event, str) else event.event
         data = data or {} if isinstance(event, str) else event.to_data()
-        record = Record(len(self.records), utc, name, data)
+        self._keep(Record(len(self.records), utc, name, data))
+
+    def _keep(self, record: Record) -> None:
         line = write_line(record, self.tip)
         self.is_open = False
         with _naming(self.path):
@@ -302,3 +304,38 @@ def _cut_torn_line(path: Path, torn: bytes) -> Path:
             os.fsync(open_file.fileno())
     sync_folder(path.parent)
     return target
+
+
+# What was last seen of a journal.
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """What was seen of a journal: how many lines, and the digest of the last of them."""
+
+    journal: str
+    lines: int
+    tip: str
+
+
+def read_anchor(path: Path) -> Anchor:
+    """Look at a journal as it is now, whether or not its chain holds."""
+    lines = _read_lines(path)
+    return Anchor(path.name, len(lines), digest(lines[-1]) if lines else START)
+
+
+def find_cut(anchor: Anchor, folder: Path) -> str:
+    """Describe what is missing of a journal since it was last seen; empty if nothing is."""
+    path = folder / anchor.journal
+    if not path.is_file():
+        return f"{path}: is gone, {anchor.lines} lines of it were seen"
+    lines = _read_lines(path)
+    if len(lines) < anchor.lines:
+        return f"{path}: ends with line {len(lines)}, {anchor.lines} lines of it were seen"
+    if anchor.lines and digest(lines[anchor.lines - 1]) != anchor.tip:
+        return f"{path}, line {anchor.lines}: is not the line that was seen there"
+    return ""
+
+
+def _read_lines(path: Path) -> list[bytes]:
+    return path.read_bytes().split(b"\n")[:-1]

@@ -29,6 +29,7 @@ from feel321.stimuli.sets.anchors import ANCHORS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
+from feel321.study import server
 from feel321.study.admission import OURS, name_protocols
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.exploration.explorer import EXPLORERS
@@ -267,7 +268,7 @@ Between = Annotated[
 class StudyTable(kinds.TomlTable):
     """`[study]`: name and seed."""
 
-    name: kinds.Words = "pilot"
+    name: kinds.Words = server.UNNAMED
     seed: kinds.Count = 321
 
 
@@ -526,6 +527,21 @@ class AnalysisTable(kinds.TomlTable):
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
 
 
+class LedgerTable(kinds.TomlTable):
+    """`[ledger]`: where it is kept who takes part, if several stations run the study."""
+
+    url: str | None = None
+    station: int | None = None
+    of: int | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_table(cls, table: object) -> object:
+        # A slip must not lead to another ledger, and a password in it is not repeated.
+        server.check_table(table)
+        return table
+
+
 class Settings(kinds.TomlTable):
     """The whole of `study.toml`."""
 
@@ -542,4 +558,5 @@ class Settings(kinds.TomlTable):
     between: Between = Field(default_factory=dict)
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()
+    ledger: LedgerTable = LedgerTable()
     paper: PaperTable | None = None

@@ -9,10 +9,11 @@ import pytest
 
 from feel321.protocols.trial import Flow, Judgement, Page, Part, Task, Trial
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.progress import Anchor
-from feel321.study.ledger.slots import claim_slots, note_progress, open_study_ledger
+from feel321.study.ledger.keeper import note_progress
+from feel321.study.ledger.slots import claim_slots, open_study_ledger
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
 from feel321.study.session.journal import (
+    Anchor,
     Journal,
     create_journal,
     list_journals,

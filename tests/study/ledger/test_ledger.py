@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-import feel321.study.ledger.slots
-from feel321.study.ledger.progress import Anchor
-from feel321.study.ledger.slots import claim_slots, note_progress, open_ledger, read_ledger
+import feel321.study.ledger.database
+from feel321.study.ledger.database import open_ledger, read_ledger
+from feel321.study.ledger.keeper import note_progress
+from feel321.study.ledger.slots import claim_slots
+from feel321.study.session.journal import Anchor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -28,7 +30,8 @@ CLAIM = """
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
-from feel321.study.ledger.slots import claim_slots, open_ledger
+from feel321.study.ledger.database import open_ledger
+from feel321.study.ledger.slots import claim_slots
 path, name, count = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 sys.stdin.readline()
 for place in range(count):
@@ -280,7 +283,7 @@ def test_a_ledger_that_another_program_holds_is_given_up_after_a_while(
     tmp_path: Path, now: Now, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     open_ledger(tmp_path / "ledger.sqlite")
-    monkeypatch.setattr(feel321.study.ledger.slots, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(feel321.study.ledger.database, "PATIENCE_S", 0.05)
     with closing(sqlite3.connect(tmp_path / "ledger.sqlite", isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         hurried = open_ledger(tmp_path / "ledger.sqlite")

@@ -11,21 +11,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import feel321.study.ledger.slots
+from feel321.study.ledger.database import read_ledger, rewrite_ledger
 from feel321.study.ledger.progress import REMOVING, check_anchors, read_tombstone, write_tombstone
-from feel321.study.ledger.slots import (
-    find_lost,
-    open_study_ledger,
-    read_ledger,
-    rebuild_ledger,
-    rewrite_ledger,
-)
+from feel321.study.ledger.slots import find_lost, open_study_ledger, rebuild_ledger
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import digest
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from feel321.study.ledger.slots import Entry
+    from feel321.study.ledger.database import Entry
 
 NAMES = ("p01", "p02", "p03", "sim001", "sim002")
 DEEDS = ("work", "finish", "spoil", "again", "release", "withdraw")

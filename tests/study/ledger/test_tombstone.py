@@ -7,12 +7,12 @@ import pytest
 
 from feel321.study.ledger.progress import (
     REMOVED,
-    Anchor,
     Tombstone,
     find_leftovers,
     read_tombstone,
     write_tombstone,
 )
+from feel321.study.session.journal import Anchor
 
 if TYPE_CHECKING:
     from pathlib import Path

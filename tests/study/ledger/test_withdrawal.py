@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.files import hold_lock
+from feel321.study.ledger.database import read_ledger
 from feel321.study.ledger.progress import find_leftovers, read_tombstone, write_roster
-from feel321.study.ledger.slots import find_lost, open_study_ledger, read_ledger
+from feel321.study.ledger.slots import find_lost, open_study_ledger
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.plan import PLAN_FILE
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
-    from feel321.study.ledger.slots import Entry
+    from feel321.study.ledger.database import Entry
 
 DYING = """
 import os, signal, sys
@@ -348,7 +349,7 @@ def test_a_release_that_was_killed_before_the_ledger_knew_is_finished_by_the_nex
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("feel321.study.ledger.slots.rewrite_ledger", die)
+        patch.setattr("feel321.study.ledger.slots.enter", die)
         with pytest.raises(KeyboardInterrupt):
             release_participant(lab.study, "p01", now=now)
     assert entries(lab.study)["p01"].state == "running"

@@ -1,0 +1,52 @@
+"""The verb of several stations: `collect`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from feel321.study.commands import shared
+
+if TYPE_CHECKING:
+    from feel321.study.collect import Collected
+
+
+@click.command(
+    epilog="Example: feel321 collect /mnt/lab2/my-study /media/usb/my-study --into my-study"
+)
+@click.argument("sources", metavar="FROM...", nargs=-1, required=True, type=shared.FILE)
+@click.option(
+    "--into", "folder", metavar="STUDY", type=shared.FILE, default=Path(), show_default="current folder",
+    help="The study that gets them.",
+)  # fmt: skip
+@shared.json_option
+@click.pass_context
+def collect(
+    context: click.Context, *, sources: tuple[Path, ...], folder: Path, as_json: bool
+) -> None:
+    """Collect the sessions of other stations into one study.
+
+    FROM are study folders, mounted or copied; they are only read. Plans, journals and what was delivered or explored
+    are verified before and after the copy; a longer journal takes the place of one that it continues. What contradicts
+    what is here is refused and named, and nothing is overwritten. Interrupted, the same call continues; a second one
+    copies nothing. A participant who withdrew at one station is withdrawn here.
+    """
+    from feel321.study.collect import collect_sessions
+
+    study = shared.open_study(folder)
+    with shared.show_progress("collect") as progress:
+        found = collect_sessions(study.folder, sources, now=study.now, follow=progress)
+    if as_json:
+        shared.print_json(asdict(found))
+    else:
+        click.echo("\n".join(_describe(found, folder)))
+    context.exit(1 if found.refused else 0)
+
+
+def _describe(found: Collected, folder: Path) -> list[str]:
+    who = ", ".join(found.participants) or "nobody: all was here"
+    lines = [f"{folder}: {found.files} files ({found.size / 1e6:.1f} MB) of {who}"]
+    return [*lines, *(f"refused: {line}" for line in found.refused), *found.notes]

@@ -1,0 +1,305 @@
+"""Ledgers that several stations share, on a real server and on a file."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from feel321.study import server as servers
+from feel321.study.audit import audit_study
+from feel321.study.ledger import database, slots, stations
+from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.server import Server, check_url, find_server, name_schema
+from feel321.study.settings.read import read_settings
+from feel321.study.simulation import simulate_study
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from feel321.study.folder import StudyFolder
+
+CLAIM = """
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from feel321.study.ledger.database import open_ledger
+from feel321.study.ledger.slots import Station, claim_slots
+from feel321.study.server import Server
+place, name, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
+where = Server(place, "feel321_race", name) if "://" in place else Path(place)
+station = Station(name) if "://" in place else Station()
+sys.stdin.readline()
+ledger = open_ledger(where)
+for place in range(count):
+    names = [f"{name}-{place}"]
+    given = claim_slots(ledger, names, simulated=False, now=lambda: datetime.now(UTC), station=station)
+    print(given[names[0]], flush=True)
+"""
+
+
+def tell_time() -> datetime:
+    return datetime.now(UTC)
+
+
+def race(place: str, *, count: int) -> list[int]:
+    """Let eight processes claim at once; returns the numbers that they were given."""
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", CLAIM, place, f"p{number}", str(count)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )
+        for number in range(8)
+    ]  # fmt: skip
+    for process in processes:
+        assert process.stdin is not None
+        process.stdin.write("\n")
+        process.stdin.flush()
+    given = [int(line) for process in processes for line in process.communicate()[0].split()]
+    assert [process.returncode for process in processes] == [0] * 8
+    return given
+
+
+@pytest.fixture(params=["file", "server"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    if request.param == "file":
+        return str(tmp_path / "ledger.sqlite")
+    server = request.getfixturevalue("login")
+    ledger = database.connect_ledger(Server(server.url, "feel321_race", "one"))
+    with database.transact(ledger) as connection:
+        connection.exec_driver_sql("DROP SCHEMA IF EXISTS feel321_race CASCADE")
+    return str(server.url)
+
+
+@pytest.mark.parametrize("count", [3, pytest.param(500, marks=pytest.mark.soak)])
+def test_eight_processes_never_get_one_slot_and_leave_no_gap(place: str, count: int) -> None:
+    assert sorted(race(place, count=count)) == list(range(1, 8 * count + 1))
+
+
+def test_without_the_lock_of_a_study_slots_would_be_claimed_twice(
+    login: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The index of slots keeps other programs out; without the lock it is what ends one of two claims."""
+    place = Server(login.url, "feel321_unlocked", "one")
+    monkeypatch.setattr(database, "_begin", lambda _connection: None)
+    ledger = database.open_ledger(place)
+    entry = database.Entry("p1", simulated=False, number=1, state="claimed", station="one")
+    with database.transact(ledger) as connection:
+        database.write_entries(connection, [entry])
+    with pytest.raises(OSError, match="one_participant_per_slot"), database.transact(ledger) as own:
+        database.write_entries(own, [replace(entry, participant="p2")])
+
+
+def claim(study: StudyFolder, *names: str) -> dict[str, int]:
+    ledger, _ = slots.open_study_ledger(study)
+    return slots.claim_numbers(study, ledger, names, simulated=False, now=tell_time)
+
+
+def test_stations_share_a_study_and_studies_share_a_server(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two = make_station("one", login.url), make_station("two", login.url)
+    other = make_station("other", login.url)
+    text = other.settings.read_text().replace('name = "', 'name = "another ')
+    other.settings.write_text(text)
+    assert claim(one, "p01") == {"p01": 1}
+    monkeypatch.setenv("FEEL321_STATION", "two")
+    assert claim(two, "p02") == {"p02": 2}
+    assert claim(other, "p01") == {"p01": 1}
+    with pytest.raises(ValueError, match="p01: the session is at station one, this one is two"):
+        claim(two, "p01")
+    with pytest.raises(ValueError, match="p01: is at station one; release"):
+        release_participant(two, "p01", now=tell_time)
+    with pytest.raises(ValueError, match="p01: is at station one; withdraw"):
+        withdraw_participant(two, "p01", now=tell_time)
+    assert not (two.sessions / "p01").exists()
+    assert [entry.participant for entry in slots.read_study_ledger(two)] == ["p01", "p02"]
+    assert audit_study(two) == []  # What is at another station is not missed here.
+
+
+def test_a_station_that_plans_otherwise_is_refused(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two = make_station("one", login.url), make_station("two", login.url)
+    simulate_study(one, participants=1, seed=1, now=tell_time)
+    monkeypatch.setenv("FEEL321_STATION", "two")
+    text = two.settings.read_text()
+    two.settings.write_text(
+        text.replace("repeats = 2", "repeats = 3\n[session.breaks]\nbreak_s = 40")
+    )
+    with pytest.raises(ValueError, match="the other stations run this study otherwise") as refusal:
+        simulate_study(two, participants=1, seed=1, now=tell_time)
+    assert "repeats 2 -> 3" in str(refusal.value)
+    assert "flow.break_s" in str(refusal.value)
+    assert login.url.partition("?")[0] in str(refusal.value)
+    two.settings.write_text(text)
+    with pytest.raises(ValueError, match="sim001: the session is at station one"):
+        simulate_study(two, participants=1, seed=1, now=tell_time)
+
+
+def test_without_the_server_nobody_new_begins(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study = make_station("one", login.url)
+    simulate_study(study, participants=1, seed=1, now=tell_time)
+    monkeypatch.setenv("FEEL321_LEDGER", "postgresql://lab@/postgres?host=/nowhere")
+    warnings: list[str] = []
+    simulate_study(study, participants=1, seed=1, now=tell_time, warn=warnings.append)
+    assert "out of reach" in " ".join(warnings)
+    with pytest.raises(
+        ConnectionError, match=r"planned on this station can go on, got sim002"
+    ) as refusal:
+        simulate_study(study, participants=2, seed=1, now=tell_time)
+    assert "\n" not in str(refusal.value)
+    assert not (study.sessions / "sim002").exists()
+
+
+def test_the_clock_of_claims_is_the_servers(
+    login: Any, make_station: Callable[..., StudyFolder]
+) -> None:
+    study = make_station("one", login.url)
+    ledger, _ = slots.open_study_ledger(study)
+    late = lambda: tell_time() + timedelta(seconds=90)  # noqa: E731 - a clock is passed as a function
+    slots.claim_numbers(study, ledger, ["p01"], simulated=False, now=late)
+    (entry,) = slots.read_study_ledger(study)
+    assert abs(datetime.fromisoformat(entry.claimed_utc) - tell_time()) < timedelta(seconds=45)
+    (line,) = stations.describe_clocks(stations.read_clocks(ledger))
+    assert line.startswith("station one: its clock was 90 s ahead of the server's at 2")
+    claim(study, "p02")
+    assert list(stations.describe_clocks(stations.read_clocks(ledger))) == []
+
+
+def test_a_rebuild_keeps_what_other_stations_did(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two = make_station("one", login.url), make_station("two", login.url)
+    simulate_study(one, participants=1, seed=1, now=tell_time)
+    monkeypatch.setenv("FEEL321_STATION", "two")
+    claim(two, "p02")
+    before = slots.read_study_ledger(one)
+    assert slots.rebuild_ledger(two) == []
+    assert slots.read_study_ledger(one) == before
+    monkeypatch.setenv("FEEL321_STATION", "one")
+    assert slots.rebuild_ledger(one) == []
+    assert [e.station for e in slots.read_study_ledger(one)] == ["two", "one"]
+    withdraw_participant(one, "sim001", now=tell_time)
+    assert [e.state for e in slots.read_study_ledger(two)] == ["claimed", "withdrawn"]
+    assert audit_study(one) == []
+    monkeypatch.setenv("FEEL321_STATION", "two")
+    assert audit_study(two) == []
+
+
+# Passwords.
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "postgresql://lab:s3cret@host/db",
+        "postgresql+psycopg://lab:s3#c@r/e?t@host/db",
+        "postgresql://lab@host/db?password=s3cret",
+        "postgresql://lab@host/db?sslmode=require&SSLPassword=s3cret",
+        "mysql://lab:s3cret@host/db",
+    ],
+)
+def test_a_password_in_a_url_is_refused_and_not_repeated(
+    url: str, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ValueError, match="must hold no password, got one") as refusal:
+        check_url(url)
+    assert "s3" not in str(refusal.value)
+    study = make_station("one", url)
+    for read in (lambda own: find_server(own.settings), lambda own: read_settings(own.settings)):
+        with pytest.raises(ValueError, match="must hold no password, got one") as refusal:
+            read(study)
+        assert "s3" not in str(refusal.value)
+    monkeypatch.setenv("FEEL321_LEDGER", url)
+    with pytest.raises(ValueError, match="FEEL321_LEDGER must hold no password") as refusal:
+        find_server(study.settings)
+    assert "s3" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "slip", ['url = ["s3"]', 'uri = "s3"', 'url = "sqlite:///s3"', "of = 2", "station = 3\nof = 2"]
+)
+def test_a_slip_leads_to_no_other_ledger(
+    slip: str, make_station: Callable[..., StudyFolder]
+) -> None:
+    study = make_station("one", more=f"[ledger]\n{slip}\n")
+    for read in (slots.read_study_ledger, lambda own: read_settings(own.settings)):
+        with pytest.raises(ValueError, match=r"ledger.* must") as refusal:
+            read(study)
+        assert "s3" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", ["PGPASSFILE", "PGSERVICEFILE"])
+def test_a_file_of_passwords_that_others_may_read_is_refused(
+    name: str,
+    login: Any,
+    tmp_path: Path,
+    make_station: Callable[..., StudyFolder],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    path = tmp_path / "secrets"
+    secret = os.environ["PGPASSWORD"]
+    path.write_text(
+        f"*:*:*:*:{secret}\n" if name == "PGPASSFILE" else f"[lab]\npassword={secret}\n"
+    )
+    monkeypatch.delenv("PGPASSWORD")
+    monkeypatch.setenv(name, str(path))
+    query = "&service=lab" if name == "PGSERVICEFILE" else ""
+    study = make_station("one", login.url + query)
+    path.chmod(0o640)
+    with pytest.raises(ValueError, match="secrets: must be readable by you alone, got mode 0640"):
+        claim(study, "p01")
+    path.chmod(0o600)
+    assert claim(study, "p01") == {"p01": 1}
+
+
+def run_verb(study: StudyFolder, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [
+        Path(sys.executable).with_name("feel321"),
+        arguments[0],
+        str(study.path),
+        *arguments[1:],
+    ]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_the_password_is_nowhere_written_or_printed(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    study, secret = make_station("one", login.url), os.environ["PGPASSWORD"]
+    calls = [
+        ("simulate", "--participants", "1"),
+        ("ledger", "--json"),
+        ("audit",),
+        ("status", "--json"),
+    ]
+    done = [run_verb(study, *call) for call in calls]
+    assert [one.returncode for one in done] == [0] * 4
+    assert json.loads(done[1].stdout)[0]["station"] == "one"
+    monkeypatch.setenv("PGPASSWORD", f"{secret}-but-wrong")
+    wrong = run_verb(study, "ledger")
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (1, 1)
+    assert "password authentication failed" in wrong.stderr
+    printed = "".join(one.stdout + one.stderr for one in [*done, wrong])
+    written = [
+        path
+        for path in study.path.rglob("*")
+        if path.is_file() and secret.encode() in path.read_bytes()
+    ]
+    assert (secret in printed, written) == (False, [])
+    assert servers.scrub(f"a {secret}-but-wrong\n b") == "a *** b"
+
+
+def test_a_study_is_the_same_on_every_computer() -> None:
+    assert name_schema("Holz") == name_schema("Holz") != name_schema("holz")
+    assert len(name_schema("x" * 500)) < 64  # PostgreSQL would cut longer ones
