@@ -75,6 +75,7 @@ def run_on_cluster(
     jobs: Iterable[Job], *, address: str, share: str = ""
 ) -> Iterator[tuple[int, Any]]:
     """Yield the place of each job and its result, as they are done; only a few jobs are taken ahead of time."""
+    _check_certificates(address)
     post = _Post(share)
     with _quiet(), _Link(address) as link, post:
         left, running = enumerate(jobs), dict[int, bytes]()
@@ -102,6 +103,18 @@ def _quiet() -> Iterator[None]:
     finally:
         for one, level in zip(loggers, levels, strict=True):
             one.setLevel(level)
+
+
+def _check_certificates(address: str) -> None:
+    """Refuse an encrypted address where Dask's configuration names no certificates."""
+    from distributed import Security
+
+    named: Any = Security().get_connection_args("client")  # type: ignore[no-untyped-call]  # distributed's types
+    if address.startswith("tls://") and named.get("ssl_context") is None:
+        raise ValueError(
+            f"{address}: no certificates are named; set distributed.comm.tls in Dask's configuration, such as "
+            "~/.config/dask/feel321.yaml"
+        )
 
 
 def find_versions() -> dict[str, str]:

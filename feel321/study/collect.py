@@ -363,7 +363,8 @@ def _enter_all(
     try:
         database.rewrite_ledger(ledger, change)
     except ConnectionError as error:
-        collected.notes.append(f"{error}; the files are here, run again for the ledger")
+        # Said already, if it was so at the beginning; the next run enters what is here.
+        collected.notes += [str(error)] if str(error) not in collected.notes else []
 
 
 def _withdraw_all(

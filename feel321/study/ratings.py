@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from feel321.files import write_table
+from feel321.doors import announce
+from feel321.files import write_table, write_twin
 from feel321.protocols.tasks import find_other, score_trial
 from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
@@ -34,9 +35,11 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
     was begun anew, is there and marked as rejected.
     """
-    rows = [row for folder in study.participants for row in read_judgements(folder, stimuli)]
-    write_table(study.ratings, RATING_COLUMNS, rows)
-    return len(rows)
+    rows = (row for folder in study.participants for row in read_judgements(folder, stimuli))
+    count = write_table(study.ratings, RATING_COLUMNS, rows)
+    if line := write_twin(study.ratings, count):
+        announce(line)
+    return count
 
 
 def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:

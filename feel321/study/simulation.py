@@ -83,10 +83,11 @@ def _regress_within(values: NDArray[np.float64], groups: list[tuple[str, str]]) 
     """Regress the last column on the others, within groups."""
     import numpy as np
 
-    names = sorted(set(groups))
-    arms = np.array([names.index(group) for group in groups])
-    for arm in range(len(names)):
-        values[arms == arm] -= values[arms == arm].mean(axis=0)
+    numbers = {group: number for number, group in enumerate(sorted(set(groups)))}
+    arms = np.array([numbers[group] for group in groups])
+    sums = np.zeros((len(numbers), values.shape[1]))
+    np.add.at(sums, arms, values)
+    values = values - (sums / np.bincount(arms)[:, None])[arms]
     found: list[float] = np.linalg.lstsq(values[:, :-1], values[:, -1], rcond=None)[0].tolist()
     return found
 

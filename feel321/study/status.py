@@ -28,6 +28,7 @@ from feel321.study.minutes import (
     measure_length,
     observe_pace,
 )
+from feel321.study.server import find_server
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 from feel321.study.thresholds import find_warnings, read_thresholds
@@ -214,11 +215,12 @@ class ParticipantStatus:
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Status(Result):
-    """Progress of a study."""
+    """Progress of a study; stations: what is to be known of them, where several share a ledger."""
 
     participants: tuple[ParticipantStatus, ...]
     balance: BalanceAsRun | None
     length: Length | None = None
+    stations: tuple[str, ...] = ()
 
     def to_frame(self) -> DataFrame:
         """Return one row per participant."""
@@ -234,7 +236,8 @@ class Status(Result):
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         length = [] if self.length is None else [self.length.describe()]
         uses = [entry.rig for entry in self.participants if entry.rig]
-        return "\n".join([*lines, *describe_rigs(uses), *length, *describe_balance(self.balance)])
+        lines += [*describe_rigs(uses), *self.stations, *length]
+        return "\n".join([*lines, *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
         """Write what `feel321 status --notes` adds."""
@@ -275,7 +278,30 @@ def read_status(
         if progress is not None:
             progress(count, len(folders))
     timed, length = _add_minutes(study, entries, dossiers)
-    return Status(tuple(timed), measure_realised(dossiers), length)
+    others, lines = _read_others(study)
+    return Status((*timed, *others), measure_realised(dossiers), length, lines)
+
+
+def _read_others(study: StudyFolder) -> tuple[list[ParticipantStatus], tuple[str, ...]]:
+    """Read from a shared ledger who is at other stations, and what is to be known of those."""
+    if study.is_rehearsal or find_server(study.settings) is None:
+        return [], ()
+    from feel321.study.ledger.slots import read_others  # brings the ledger's database
+
+    entries, lines = read_others(study)
+    others = [
+        ParticipantStatus(
+            entry.participant,
+            state=entry.state,
+            number=entry.number,
+            done=entry.done,
+            left=entry.total - entry.done,
+            simulated=entry.simulated,
+            warnings=(f"at station {entry.station}, by the ledger",),
+        )
+        for entry in entries
+    ]
+    return others, lines
 
 
 def _add_minutes(

@@ -392,12 +392,10 @@ class Study(Plannable):
         from feel321.study.workflow import build_study
 
         with follow(self.progress, "build") as step:
-            recordings, stimuli = build_study(
-                self.folder, workers=workers, page=page, progress=step
-            )
-        for recording in recordings:
-            for text in recording.warnings:
-                self._warn(f"{recording.name}: {text}")
+            facts, stimuli = build_study(self.folder, workers=workers, page=page, progress=step)
+        for one in facts:
+            for text in one.warnings:
+                self._warn(f"{one.name}: {text}")
         return stimuli
 
     def simulate(self, participants: int = 16, rng: Rng | None = None) -> DataFrame:

@@ -72,12 +72,10 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
     epilog="Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2"
 )
 @shared.study_argument
-@_numbers_option("participants", "Numbers of participants.", "6 to 40")
-@_numbers_option(
-    "recordings", "Numbers of recordings.", "half, once, 1.5 times and twice the study's"
-)
-@_numbers_option("reducers", "Numbers of reducers.", "around the study's")
-@_numbers_option("repeats", "Ratings of each stimulus by one person.", "the study's, and 1 to 3")
+@_numbers_option("participants", "Numbers of participants.", "8 to 48")
+@_numbers_option("recordings", "Numbers of recordings.", "half to three times the study's")
+@_numbers_option("reducers", "Numbers of reducers.", "half to 1.5 times the study's")
+@_numbers_option("repeats", "Ratings of each stimulus by one person.", "1 to 4")
 @click.option(
     "--effect", "effects", multiple=True, callback=_read_effects, metavar="METRIC=POINTS",
     help="Slope to plan for, in points per +0.1 of the metric; repeatable; ATTRIBUTE/METRIC=POINTS for one scale.  "

@@ -113,6 +113,11 @@ class Keeper:
             self._helper.shutdown()
             self._hear()
         self._take(self._write(self._make_note(self.place)))
+        if self.notice and database.is_shared(self.ledger):
+            self.notice = (
+                f"{self.journal.path}: the ledger does not know all of it yet ({self.notice}); it follows when a "
+                "session is next begun at this station"
+            )
 
     def _hear(self) -> None:
         if self._sent is not None:

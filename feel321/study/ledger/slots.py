@@ -250,6 +250,16 @@ def read_study_ledger(study: StudyFolder) -> list[Entry]:
     return []
 
 
+def read_others(study: StudyFolder) -> tuple[list[Entry], tuple[str, ...]]:
+    """Read who is at other stations, and what there is to say: clocks that are off, or a server out of reach."""
+    try:
+        ledger = database.open_ledger(find_place(study))
+        away = [entry for entry in read_ledger(ledger) if is_away(entry, study)]
+        return away, tuple(stations.describe_clocks(stations.read_clocks(ledger)))
+    except (OSError, ValueError) as error:
+        return [], (str(error),)
+
+
 def rebuild_ledger(study: StudyFolder, *, now: Clock = utc_now) -> list[str]:
     """Make the ledger of a study anew from plans, journals and tombstones.
 

@@ -20,6 +20,9 @@ HEIGHT_CM, SMALL_CM = 7.5, 5.0
 END_CM = 0.42
 """Least distance between two names at the ends of curves."""
 
+TICK = 0.06
+"""Least distance of two labelled numbers of participants, as a share of the axis."""
+
 WALKS = ("-", (0, (5, 1.2)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (1, 1)), (0, (8, 1.5)))
 """Line styles, for curves besides that of the study's own number."""
 
@@ -47,9 +50,25 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
         _finish(axes, wanted)
         axes.set_xlim(right=endless)
         axes.set(xlabel="Participants", ylabel="Power")
-        axes.set_xticks([*people, endless], [*map(str, people), "\N{INFINITY}"])
+        ticks = choose_ticks(people)
+        axes.set_xticks([*ticks, endless], [*map(str, ticks), "\N{INFINITY}"])
         _name_ends(axes, ends, own)
     return figure
+
+
+def choose_ticks(numbers: Sequence[int]) -> list[int]:
+    """Choose the numbers whose labels do not touch, from the largest down.
+
+    Examples
+    --------
+    >>> choose_ticks([8, 10, 12, 48])
+    [8, 12, 48]
+    """
+    chosen: list[int] = []
+    for number in reversed(numbers):
+        if not chosen or chosen[-1] - number >= TICK * (numbers[-1] - numbers[0]):
+            chosen.append(number)
+    return chosen[::-1]
 
 
 def list_varied(table: DataFrame) -> list[str]:

@@ -142,6 +142,8 @@ def list_notes(result: Planned) -> list[str]:
 def _list_pictures(result: Planned) -> Iterator[Picture]:
     own, wanted = result.plan.powers[0].design, result.plan.wanted
     table = result.to_frame()
+    # Of the smallest designs that are enough, which may need hundreds of people, only the recommended one is drawn.
+    table = table[(table["kind"] != "smallest") | table["recommended"].astype(bool)]
     still = (table["reducers"] == own.reducers) & (table["repeats"] == own.repeats)
     grid = table[still].drop_duplicates(["participants", "recordings"])
     grid = grid.assign(participants=grid["people"])

@@ -37,7 +37,7 @@ def _explain_none(result: Planned, row: Mapping[str, Any]) -> str:
         ceiling = format_power(float(best["ceiling"]))
         return (
             f"No number of participants is enough: {describe_slope(row)} is found with a power of {ceiling} at most, "
-            f"even with {units}; {_advise(result, row)}."
+            f"with {units}; {_advise(result, row)}."
         )
     most, power = int(result.to_frame()["people"].max()), format_power(plan.table["power"].max())
     return (

@@ -39,6 +39,8 @@ repeats = 2
 [session.rehearsal]
 training = 0
 practice = 0
+[tasks.realism]
+explore = "gain"
 """
 
 

@@ -7,8 +7,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
-import sys
 import warnings
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -19,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study import cli
 from feel321.study.audit import audit_study
 from feel321.study.collect import Collected, collect_sessions
 from feel321.study.folder import StudyFolder
@@ -148,7 +147,7 @@ def test_a_longer_journal_takes_the_place_of_one_that_it_continues(stations: Any
     assert audit_study(main) == []
     (one.sessions / "sim001" / "session-01.jsonl").write_bytes(whole["sim001/session-01.jsonl"])
     found = collect(main, one)
-    assert (found.participants, found.files) == (["sim001"], 1)
+    assert (found.participants, found.files) == (["sim001"], 5)
     assert read_files(main) == whole
     cut(one, "sim001", 4)  # A copy that is older brings nothing back.
     assert collect(main, one).files == 0
@@ -166,11 +165,8 @@ def fork(study: StudyFolder, participant: str, lines: int) -> None:
 
 
 def double_slot(one: StudyFolder, two: StudyFolder) -> None:
-    shutil.copytree(one.sessions / "sim001", two.sessions / "sim009")
-
     plan = require_plan(one.sessions / "sim001" / PLAN_FILE)
-    for path in (two.sessions / "sim009").iterdir():
-        path.unlink()
+    (two.sessions / "sim009").mkdir()
     create_plan(two.sessions / "sim009" / PLAN_FILE, replace(plan, participant="sim009"))
 
 
@@ -320,7 +316,7 @@ def check_whole(main: StudyFolder, whole: Mapping[str, bytes]) -> None:
             assert content == whole[name] or name == "sim001/session-01.jsonl"
 
 
-@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("step", [23, pytest.param(1, marks=pytest.mark.soak)])
 def test_killed_at_any_moment_the_same_call_continues(stations: Any, step: int) -> None:
     one, two, main = stations
     whole = read_sources(one, two)
@@ -346,25 +342,17 @@ def test_killed_at_any_moment_the_same_call_continues(stations: Any, step: int) 
         shutil.rmtree(main.path)
         if is_done:
             break
-    assert kills > 40 / step
+    assert kills > 60 / step
 
 
-def test_the_verb_says_what_it_did(stations: Any) -> None:
+def test_the_verb_says_what_it_did(stations: Any, capsys: pytest.CaptureFixture[str]) -> None:
     one, two, main = stations
-    command = [
-        Path(sys.executable).with_name("feel321"),
-        "collect",
-        one.path,
-        two.path,
-        "--into",
-        main.path,
-    ]
-    done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout)
-    assert (found["files"], found["participants"]) == (8, ["sim001", "sim002", "sim003", "sim004"])
+    command = ["collect", str(one.path), str(two.path), "--into", str(main.path)]
+    assert cli.main([*command, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["files"], found["participants"]) == (24, ["sim001", "sim002", "sim003", "sim004"])
     fork(one, "sim001", 5)
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert done.stdout.startswith(
-        f"{main.path}: 0 files (0.0 MB) of nobody: all was here\nrefused: participant sim001: "
-    )
+    assert cli.main(command) == 1
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == f"{main.path}: 0 files (0.0 MB) of nobody: all was here"
+    assert second.startswith("refused: participant sim001: ")

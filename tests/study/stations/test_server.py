@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
-import subprocess
-import sys
+import warnings
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,36 +13,21 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.study import cli
 from feel321.study import server as servers
 from feel321.study.audit import audit_study
+from feel321.study.collect import collect_sessions
 from feel321.study.ledger import database, slots, stations
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.server import Server, check_url, find_server, name_schema
 from feel321.study.settings.read import read_settings
 from feel321.study.simulation import simulate_study
+from feel321.study.status import read_status
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from feel321.study.folder import StudyFolder
-
-CLAIM = """
-import sys
-from datetime import UTC, datetime
-from pathlib import Path
-from feel321.study.ledger.database import open_ledger
-from feel321.study.ledger.slots import Station, claim_slots
-from feel321.study.server import Server
-place, name, count = sys.argv[1], sys.argv[2], int(sys.argv[3])
-where = Server(place, "feel321_race", name) if "://" in place else Path(place)
-station = Station(name) if "://" in place else Station()
-sys.stdin.readline()
-ledger = open_ledger(where)
-for place in range(count):
-    names = [f"{name}-{place}"]
-    given = claim_slots(ledger, names, simulated=False, now=lambda: datetime.now(UTC), station=station)
-    print(given[names[0]], flush=True)
-"""
 
 
 def tell_time() -> datetime:
@@ -51,20 +36,34 @@ def tell_time() -> datetime:
 
 def race(place: str, *, count: int) -> list[int]:
     """Let eight processes claim at once; returns the numbers that they were given."""
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-c", CLAIM, place, f"p{number}", str(count)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )
-        for number in range(8)
-    ]  # fmt: skip
+    context = multiprocessing.get_context("fork")
+    start, given = context.Barrier(8), context.SimpleQueue()
+
+    def work(name: str) -> None:
+        is_file = "://" not in place
+        ledger_of = Path(place) if is_file else Server(place, "feel321_race", name)
+        station = slots.ALONE if is_file else slots.Station(name)
+        start.wait()
+        ledger = database.open_ledger(ledger_of)
+        for number in range(count):
+            names = [f"{name}-{number}"]
+            claimed = slots.claim_slots(
+                ledger, names, simulated=False, now=tell_time, station=station
+            )
+            given.put(claimed[names[0]])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", DeprecationWarning
+        )  # of threads, which the children do not need
+        processes = [context.Process(target=work, args=(f"p{number}",)) for number in range(8)]
+        for process in processes:
+            process.start()
+    numbers = [given.get() for _ in range(8 * count)]
     for process in processes:
-        assert process.stdin is not None
-        process.stdin.write("\n")
-        process.stdin.flush()
-    given = [int(line) for process in processes for line in process.communicate()[0].split()]
-    assert [process.returncode for process in processes] == [0] * 8
-    return given
+        process.join()
+    assert [process.exitcode for process in processes] == [0] * 8
+    return numbers
 
 
 @pytest.fixture(params=["file", "server"])
@@ -196,6 +195,61 @@ def test_a_rebuild_keeps_what_other_stations_did(
     assert audit_study(two) == []
 
 
+def test_stations_without_a_network_divide_the_numbers(
+    make_station: Callable[..., StudyFolder],
+) -> None:
+    given = {
+        station: claim(
+            make_station(f"s{station}", more=f"[ledger]\nstation = {station}\nof = 3\n"),
+            "a",
+            "b",
+            "c",
+        )
+        for station in (1, 2, 3)
+    }
+    assert [list(numbers.values()) for numbers in given.values()] == [
+        [1, 4, 7],
+        [2, 5, 8],
+        [3, 6, 9],
+    ]
+
+
+def test_what_is_collected_and_the_server_agree(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two = make_station("one", login.url), make_station("two", login.url)
+    simulate_study(one, participants=1, seed=1, now=tell_time)
+    whole = (one.sessions / "sim001" / "session-01.jsonl").read_bytes()
+    before = slots.read_study_ledger(one)
+    monkeypatch.setenv("FEEL321_STATION", "two")
+    (one.sessions / "sim001" / "session-01.jsonl").write_bytes(
+        b"".join(whole.splitlines(keepends=True)[:4])
+    )
+    found = collect_sessions(
+        two, [one.path], now=tell_time
+    )  # from a copy that is older than the ledger
+    assert "ends with line 4" in found.notes[0]
+    assert slots.read_study_ledger(two) == before
+    assert "ends with line 4" in audit_study(two)[0]
+    (one.sessions / "sim001" / "session-01.jsonl").write_bytes(whole)
+    monkeypatch.setenv("FEEL321_LEDGER", "postgresql://lab@/postgres?host=/nowhere")
+    found = collect_sessions(two, [one.path], now=tell_time)  # Files need no server.
+    assert (found.files, len(found.notes)) == (5, 1)
+    assert "out of reach" in found.notes[0]
+    monkeypatch.delenv("FEEL321_LEDGER")
+    assert collect_sessions(two, [one.path], now=tell_time).notes == []
+    assert slots.read_study_ledger(two) == before
+    assert [entry.station for entry in slots.read_study_ledger(two)] == ["one"]
+    assert audit_study(two) == []
+    assert [one.state for one in read_status(two).participants] == ["finished"]
+    withdraw_participant(two, "sim001", now=tell_time)
+    monkeypatch.setenv("FEEL321_STATION", "one")
+    (finding,) = audit_study(one)
+    assert "was withdrawn at station two; remove the data here too: feel321 withdraw" in finding
+    withdraw_participant(one, "sim001", now=tell_time)
+    assert audit_study(one) == []
+
+
 # Passwords.
 
 
@@ -263,18 +317,11 @@ def test_a_file_of_passwords_that_others_may_read_is_refused(
     assert claim(study, "p01") == {"p01": 1}
 
 
-def run_verb(study: StudyFolder, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [
-        Path(sys.executable).with_name("feel321"),
-        arguments[0],
-        str(study.path),
-        *arguments[1:],
-    ]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
-
-
 def test_the_password_is_nowhere_written_or_printed(
-    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+    login: Any,
+    make_station: Callable[..., StudyFolder],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     study, secret = make_station("one", login.url), os.environ["PGPASSWORD"]
     calls = [
@@ -283,20 +330,22 @@ def test_the_password_is_nowhere_written_or_printed(
         ("audit",),
         ("status", "--json"),
     ]
-    done = [run_verb(study, *call) for call in calls]
-    assert [one.returncode for one in done] == [0] * 4
-    assert json.loads(done[1].stdout)[0]["station"] == "one"
+    printed = []
+    for verb, *options in calls:
+        assert cli.main([verb, str(study.path), *options]) == 0
+        printed.append(capfd.readouterr())
+    assert json.loads(printed[1].out)[0]["station"] == "one"
     monkeypatch.setenv("PGPASSWORD", f"{secret}-but-wrong")
-    wrong = run_verb(study, "ledger")
-    assert (wrong.returncode, wrong.stderr.count("\n")) == (1, 1)
-    assert "password authentication failed" in wrong.stderr
-    printed = "".join(one.stdout + one.stderr for one in [*done, wrong])
-    written = [
-        path
-        for path in study.path.rglob("*")
-        if path.is_file() and secret.encode() in path.read_bytes()
-    ]
-    assert (secret in printed, written) == (False, [])
+    assert cli.main(["ledger", str(study.path)]) == 1
+    printed.append(capfd.readouterr())
+    assert "password authentication failed" in printed[-1].err
+    assert printed[-1].err.count("\n") == 1
+    everything = "".join(one.out + one.err for one in printed)
+    files = [path for path in study.path.rglob("*") if path.is_file()]
+    assert (
+        secret in everything,
+        [path for path in files if secret.encode() in path.read_bytes()],
+    ) == (False, [])
     assert servers.scrub(f"a {secret}-but-wrong\n b") == "a *** b"
 
 
