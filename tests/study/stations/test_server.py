@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import time
 import warnings
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -34,23 +35,31 @@ def tell_time() -> datetime:
     return datetime.now(UTC)
 
 
-def race(place: str, *, count: int) -> list[int]:
-    """Let eight processes claim at once; returns the numbers that they were given."""
+def race(place: str, folder: Path, *, count: int, thinking_s: float) -> list[int]:
+    """Let eight processes claim at once, each thinking between reading and writing; returns the numbers given."""
     context = multiprocessing.get_context("fork")
-    start, given = context.Barrier(8), context.SimpleQueue()
+    start, read = context.Barrier(8), database.read_entries
+
+    def read_slowly(*arguments: Any) -> list[database.Entry]:
+        entries = read(*arguments)
+        time.sleep(thinking_s)
+        return entries
 
     def work(name: str) -> None:
         is_file = "://" not in place
-        ledger_of = Path(place) if is_file else Server(place, "feel321_race", name)
         station = slots.ALONE if is_file else slots.Station(name)
+        database.read_entries = read_slowly
         start.wait()
-        ledger = database.open_ledger(ledger_of)
-        for number in range(count):
-            names = [f"{name}-{number}"]
-            claimed = slots.claim_slots(
-                ledger, names, simulated=False, now=tell_time, station=station
-            )
-            given.put(claimed[names[0]])
+        ledger = database.open_ledger(
+            Path(place) if is_file else Server(place, "feel321_race", name)
+        )
+        with (folder / name).open("w") as given:
+            for number in range(count):
+                names = [f"{name}-{number}"]
+                claimed = slots.claim_slots(
+                    ledger, names, simulated=False, now=tell_time, station=station
+                )
+                given.write(f"{claimed[names[0]]}\n")
 
     with warnings.catch_warnings():
         warnings.simplefilter(
@@ -59,11 +68,10 @@ def race(place: str, *, count: int) -> list[int]:
         processes = [context.Process(target=work, args=(f"p{number}",)) for number in range(8)]
         for process in processes:
             process.start()
-    numbers = [given.get() for _ in range(8 * count)]
     for process in processes:
         process.join()
     assert [process.exitcode for process in processes] == [0] * 8
-    return numbers
+    return [int(line) for path in folder.glob("p?") for line in path.read_text().split()]
 
 
 @pytest.fixture(params=["file", "server"])
@@ -77,15 +85,19 @@ def place(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     return str(server.url)
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(500, marks=pytest.mark.soak)])
-def test_eight_processes_never_get_one_slot_and_leave_no_gap(place: str, count: int) -> None:
-    assert sorted(race(place, count=count)) == list(range(1, 8 * count + 1))
+@pytest.mark.parametrize(
+    ("count", "thinking_s"), [(3, 0.02), pytest.param(500, 0.0, marks=pytest.mark.soak)]
+)
+def test_eight_processes_never_get_one_slot_and_leave_no_gap(
+    place: str, tmp_path: Path, count: int, thinking_s: float
+) -> None:
+    given = race(place, tmp_path, count=count, thinking_s=thinking_s)
+    assert sorted(given) == list(range(1, 8 * count + 1))
 
 
-def test_without_the_lock_of_a_study_slots_would_be_claimed_twice(
+def test_no_other_program_can_give_a_slot_twice(
     login: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The index of slots keeps other programs out; without the lock it is what ends one of two claims."""
     place = Server(login.url, "feel321_unlocked", "one")
     monkeypatch.setattr(database, "_begin", lambda _connection: None)
     ledger = database.open_ledger(place)
