@@ -11,7 +11,6 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import create_text, write_text
-from feel321.stimuli.sets import details
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PARTICIPANT_ID
 
@@ -237,10 +236,12 @@ class Origin:
 
 def read_origin(folder: Path) -> Origin:
     """Read what a stimulus set was made of."""
+    from feel321.stimuli.sets.details import iterate_rows
+
     with reading_origin(folder) as head:
         return Origin(
             dict(head["recipe"]),
-            {row["recording"]: row["recording_sha256"] for row in details.iterate_rows(folder)},
+            {row["recording"]: row["recording_sha256"] for row in iterate_rows(folder)},
             {kind: head[kind] for kind in METHODS if kind in head},
         )
 
@@ -248,6 +249,8 @@ def read_origin(folder: Path) -> Origin:
 @contextmanager
 def reading_origin(folder: Path) -> Iterator[dict[str, Any]]:
     """Give what `manifest.json` says of the whole set, and say what to do where it cannot be read."""
+    from feel321.stimuli.sets import details
+
     try:
         head = details.read_head(folder)
         yield head | {"recipe": dict(head["recipe"])}

@@ -90,8 +90,11 @@ def read_rows(path: Path) -> list[dict[str, str]]:
 
 
 @pytest.mark.parametrize("procedure", PROCEDURES)
-def test_planted_thresholds_lie_in_their_intervals(tmp_path: Path, procedure: str) -> None:
+def test_planted_thresholds_lie_in_their_intervals(
+    tmp_path: Path, procedure: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Through the engine; 8 of 12 or fewer come about twice in a thousand. `make bench` takes 100."""
+    monkeypatch.syspath_prepend(str(BENCH.parent))
     recover: Callable[..., Any] = runpy.run_path(str(BENCH))["recover"]
     found = recover(tmp_path, procedure, observers=6, trials=40)
     assert np.sum((found.low <= found.planted) & (found.planted <= found.high)) >= 9

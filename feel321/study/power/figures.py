@@ -45,7 +45,7 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
             axes.plot(rows["participants"], rows["power"], **look, zorder=3)
             _draw_simulated(axes, rows, "participants", colour=look["color"])
             ends[number] = float(rows["ceiling"].iloc[-1])
-            last = [people[-1], endless], [rows["power"].iloc[-1], ends[number]]
+            last = [rows["participants"].iloc[-1], endless], [rows["power"].iloc[-1], ends[number]]
             axes.plot(*last, color=look["color"], linestyle=(0, (2, 2)), linewidth=0.8)
         _finish(axes, wanted)
         axes.set_xlim(right=endless)

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.wav import write_wav
@@ -134,7 +133,7 @@ def read(tmp_path: Path, text: str) -> Rig:
 
 def compare(rig: Rig, **changes: Any) -> Problems:
     noise = np.random.default_rng(0).standard_normal((3, 4000))
-    return find_reach(rig, [Recording(noise, 2000.0, "oak")], Recipe(**changes))
+    return find_reach(rig, {"oak": np.cov(noise)}, Recipe(**changes))
 
 
 def test_the_template_reaches_the_hand_with_equal_energy(tmp_path: Path) -> None:
@@ -191,11 +190,10 @@ def test_coils_for_axes_that_are_not_at_right_angles_are_warned_of_where_it_coun
     ]
     rig = Rig(actuators=(*slanted, coil("tip", 4, direction=(0.0, 0.0, 1.0))), limits=LIMITS)
     wave = np.random.default_rng(0).standard_normal(4000)
-    together = Recording(np.stack([wave, wave, wave]), 2000.0, "together")
-    (warning,) = find_reach(rig, [together], Recipe()).warnings
+    together = np.cov(np.stack([wave, wave, wave]))
+    (warning,) = find_reach(rig, {"together": together}, Recipe()).warnings
     assert "4.7 dB weaker than the three-axis reference" in warning
-    silent = Recording(np.zeros((3, 4000)), 2000.0, "silence")
-    assert find_reach(rig, [silent], Recipe()).warnings == ()
+    assert find_reach(rig, {"silence": np.zeros((3, 3))}, Recipe()).warnings == ()
 
 
 @pytest.mark.parametrize(
