@@ -90,8 +90,8 @@ def measure_single() -> Iterator[Figure]:
         s, floor = REDUCERS["dft321"](a, RATE_HZ), make_floor(n)
         works: dict[str, tuple[float, Callable[[], object]]] = {
             "dft321": (1.5, lambda a=a: REDUCERS["dft321"](a, RATE_HZ)),
-            "dft321_windowed": (2.7, lambda a=a: REDUCERS["dft321_windowed"](a, RATE_HZ)),
-            "spectral_match": (2.5, lambda a=a, s=s: stimuli.spectral_match(a, s, RATE_HZ)),
+            "dft321_windowed": (2.5, lambda a=a: REDUCERS["dft321_windowed"](a, RATE_HZ)),
+            "spectral_match": (2.0, lambda a=a, s=s: stimuli.spectral_match(a, s, RATE_HZ)),
             "temporal_match": (2.0, lambda a=a, s=s: stimuli.temporal_match(a, s)),
         }
         for name, (limit, work) in works.items():
@@ -102,7 +102,7 @@ def measure_single() -> Iterator[Figure]:
         )
         yield Figure(f"both spectral matches, n = {n}", both, "times spectral_match", 1.1)
         for name, plain, limit in (
-            ("dft321_principal", "dft321", 1.6),
+            ("dft321_principal", "dft321", 1.5),
             ("dft321_principal_windowed", "dft321_windowed", 2.25),
         ):
             got = ratio(lambda a=a, f=REDUCERS[name]: f(a, RATE_HZ), works[plain][1])
