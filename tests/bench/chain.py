@@ -48,10 +48,12 @@ def measure_build() -> Iterator[Figure]:
         duration_s = sum(one.duration_s for one in built)
     per_stimulus = len(built) / len(recordings)
     got = float(np.median(np.array(spent) / floors)) / per_stimulus
-    yield Figure(f"building the {source}, a stimulus", got, "times four FFTs of its recording", 5.0)
-    rate = duration_s / float(
-        np.median(spent)
-    )  # 150 or more on an idle machine, half of it on a busy one
+    limit = (
+        5.0 if SHARED.is_dir() else None
+    )  # the scenes are short, so what is done once counts more
+    unit = "times four FFTs of its recording"
+    yield Figure(f"building the {source}, a stimulus", got, unit, limit)
+    rate = duration_s / float(np.median(spent))
     what, unit = f"building the {source}, throughput", "s of stimuli per core second"
     yield Figure(what, rate, unit, at_least=True, compared=False)
 
