@@ -542,6 +542,12 @@ def _bring(parcel: Parcel, home: str, where: str) -> None:
             path.mkdir(parents=True, exist_ok=True)
 
 
+def _hide(url: str) -> str:
+    """Write scheme and host of a URL only: what else it holds may be secret."""
+    scheme, _, rest = url.partition("://")
+    return f"{scheme}://{rest.rpartition('@')[2].partition('/')[0]}"
+
+
 def _open_share(url: str) -> tuple[Any, str]:
     """Open a folder by its URL."""
     from fsspec.core import url_to_fs
@@ -549,8 +555,10 @@ def _open_share(url: str) -> tuple[Any, str]:
     try:
         files, root = url_to_fs(url)
     except (ImportError, ValueError) as error:
+        why = str(error).replace(url, _hide(url))
         raise ValueError(
-            f"--share {url}: {error}; give a URL that fsspec opens, such as file:///data or s3://bucket/folder"
+            f"--share {_hide(url)}: {why}; give a URL that fsspec opens, such as file:///data or "
+            "s3://bucket/folder"
         ) from None
     return files, str(root)
 
@@ -572,6 +580,6 @@ def _take_content(share: str, place: str, *, where: str) -> bytes:
         content = b""
     if hashlib.sha256(content).hexdigest() != place.rpartition("-")[2]:
         raise FileNotFoundError(
-            f"{share}: worker {where} does not see what was put there; give a --share that all machines see"
+            f"{_hide(share)}: worker {where} does not see what was put there; give a --share that all machines see"
         )
     return content

@@ -1,10 +1,12 @@
 """Files that are whole or absent: nobody ever meets half a table, plan or report. And one writer at a time."""
 
 import csv
+import hashlib
 import io
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from filecmp import cmp
 from itertools import chain, count
@@ -53,32 +55,44 @@ LONG_TABLE = 100_000
 """Rows above which a table is written as Parquet too."""
 
 
-def write_twin(path: Path, rows: int) -> str:
-    """Write a CSV table of so many rows as Parquet beside it, if it is long; says so where pyarrow is missing.
+def write_twin(path: Path, rows: int, *, text: Collection[str]) -> None:
+    """Write a CSV table of so many rows as Parquet beside it, if it is long; warns where pyarrow is missing.
 
-    The CSV is what counts: a Parquet file that was written from an earlier one goes.
+    text: columns whose cells stay as they are written; the others are numbers or flags, an empty cell of which is null.
+    The CSV is what counts: the Parquet file holds its digest, and one that was written from an earlier one goes.
     """
     twin = path.with_suffix(".parquet")
+    twin.unlink(missing_ok=True)
     if rows <= LONG_TABLE:
-        twin.unlink(missing_ok=True)
-        return ""
+        return
     try:
         from pyarrow import csv as tables
-        from pyarrow import float64, parquet, types
+        from pyarrow import float64, parquet, string, types
     except ImportError:
-        twin.unlink(missing_ok=True)
-        return (
-            f"{path.name}: {rows} rows, as CSV only; pip install feel321[parquet] for Parquet too"
-        )
-    convert = tables.ConvertOptions(strings_can_be_null=True)
+        how = "pip install feel321[parquet] for Parquet too"
+        warnings.warn(f"{path.name}: {rows} rows, as CSV only; {how}", stacklevel=2)
+        return
+    convert = tables.ConvertOptions(
+        column_types=dict.fromkeys(text, string()), null_values=[""], timestamp_parsers=[]
+    )
     table = tables.read_csv(path, convert_options=convert)
     for place, column in enumerate(table.schema):
         if types.is_null(column.type):  # nothing but empty cells
             empty = table.column(place).cast(float64())
             table = table.set_column(place, column.name, empty)
+    table = table.replace_schema_metadata({TWIN_OF: digest_file(path)})
     with _naming(twin):
         _replace(twin, lambda file: parquet.write_table(table, file))
-    return ""
+
+
+TWIN_OF = b"feel321.csv_sha256"
+"""In the metadata of a Parquet file: the digest of the CSV that it was written from."""
+
+
+def digest_file(path: Path) -> str:
+    """Compute the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -13,7 +13,7 @@ from contextvars import copy_context
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import islice
-from re import fullmatch
+from re import fullmatch, search
 from typing import Any
 
 __all__ = ["Workers"]
@@ -40,7 +40,7 @@ class Workers:
     Raises
     ------
     ValueError
-        If the number is below 1, or the address is not of that form.
+        If the number is below 1, the address is not of that form, or the URL holds a password.
 
     Examples
     --------
@@ -62,6 +62,11 @@ class Workers:
             )
         if self.share and not self.dask:
             raise ValueError("share is for a Dask cluster; give dask too, or leave share out")
+        if search(r"://[^/@:]*:(?!\d*(/|$))[^@]*@", self.share):
+            raise ValueError(
+                "share must hold no password; use a key, or put it into fsspec's configuration on all machines "
+                "(~/.config/fsspec/conf.json)"
+            )
 
     def stay_here(self) -> Workers:
         """Keep to the processes of this machine, where a job's files would travel farther than it is long."""

@@ -7,6 +7,7 @@ from itertools import count
 
 import pytest
 
+from feel321 import cluster
 from feel321.analysis.tradeoff.advise.page import advise_recordings
 from feel321.analysis.tradeoff.advise.scene import Context
 from feel321.analysis.tradeoff.chart.compute import Effort, list_accuracy_jobs
@@ -55,6 +56,22 @@ def test_an_address_that_is_none_is_refused(address: str) -> None:
 def test_a_shared_folder_needs_a_cluster() -> None:
     with pytest.raises(ValueError, match=r"^share is for a Dask cluster"):
         Workers(2, share="file:///data")
+
+
+@pytest.mark.parametrize("url", ["sftp://lab:secret@host/x", "simplecache::ftp://lab:a/secret@h/x"])
+def test_a_share_with_a_password_is_refused_without_printing_it(url: str) -> None:
+    with pytest.raises(ValueError, match=r"^share must hold no password") as caught:
+        Workers(1, "tcp://host:1", url)
+    assert "secret" not in str(caught.value)
+    for plain in ("sftp://lab@host:22/x", "s3://bucket/a:b@c", "file:///data", "ftp://host:21"):
+        assert Workers(1, "tcp://host:1", plain).share == plain
+
+
+def test_an_error_of_a_share_names_scheme_and_host_only() -> None:
+    pytest.importorskip("fsspec", reason="of the extra cluster")
+    with pytest.raises(ValueError, match=r"^--share nosuch://host: ") as caught:
+        cluster._open_share("nosuch://token@host/private")
+    assert not [word for word in ("token", "private") if word in str(caught.value)]
 
 
 def test_a_cluster_needs_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,12 +5,13 @@
 
 import errno
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib import import_module
 
 import click
 
-from feel321.study.commands.shared import add_loudness
+from feel321.study.commands.shared import add_loudness, cap, warn
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
@@ -64,7 +65,9 @@ class _Verbs(click.Group):
 
     def invoke(self, ctx: click.Context) -> object:
         try:
-            return super().invoke(ctx)
+            with warnings.catch_warnings():
+                warnings.showwarning = _tell
+                return super().invoke(ctx)
         except KeyboardInterrupt:
             raise Interrupted(ctx.invoked_subcommand) from None
 
@@ -93,6 +96,11 @@ def feel321() -> None:
 
 
 add_loudness(feel321)
+
+
+def _tell(message: object, *_: object, **__: object) -> None:
+    """Print what Python warns of as every other warning."""
+    warn(str(message))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -143,6 +151,6 @@ def _describe(error: Exception) -> str:
 
 
 def _complain(message: str, *, code: int) -> int:
-    for line in message.splitlines():
+    for line in cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
         click.echo(f"feel321: {line}", err=True)
     return code

@@ -80,7 +80,9 @@ def measure_realised(dossiers: Iterable[Dossier]) -> BalanceAsRun | None:
     # Successive participants belong to successive groups, and each group has its own cycle.
     plans = [dossier.plan for dossier, _ in run]
     cycles = max(prod(map(len, plan.between.values())) for plan in plans)
-    of_trials = cycles * any(plan.order == "williams" for plan in plans)
+    # Shares of the recordings have none: who comes a full cycle later feels other recordings.
+    whole = [plan for plan in plans if plan.recordings_per_participant is None]
+    of_trials = cycles * any(plan.order == "williams" for plan in whole)
     return BalanceAsRun(
         simulated=simulated,
         participants=len(run),

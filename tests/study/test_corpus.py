@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321 import files
 from feel321.analysis import browser, read_table
 from feel321.doors import announcing
-from feel321.files import LONG_TABLE, write_twin
 from feel321.stimuli.sets import details
 from feel321.stimuli.wav import write_wav
 from feel321.study.folder import StudyFolder
@@ -227,30 +227,53 @@ def test_a_manifest_is_read_entry_by_entry_as_it_is_as_a_whole(corpus: StudyFold
             list(details.iterate_rows(corpus.stimuli))
 
 
+def read_as_text(path: Path) -> pd.DataFrame:
+    return pd.read_csv(path, dtype=str, keep_default_na=False)
+
+
 def test_a_long_table_is_written_as_parquet_with_the_same_values_and_types(
     corpus: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Participants 001 and null, a recording called NA: text stays as it is written, numbers are numbers."""
+    named = zip(("NA", "1e3", "2026-11-23"), sorted((tmp_path / "corpus").iterdir()), strict=False)
+    for name, path in named:
+        path.rename(path.with_stem(name))
+    text = CORPUS.replace("recordings_per_participant = 3", "")
+    corpus.settings.write_text(text, encoding="utf-8")
+    monkeypatch.setattr(files, "LONG_TABLE", 1)
     build_study(corpus, page=False)
-    twin = corpus.manifest.with_suffix(".parquet")
-    assert not twin.exists()
-    assert write_twin(corpus.manifest, LONG_TABLE + 1) == ""
-    manifest = pd.read_csv(corpus.manifest)
-    pd.testing.assert_frame_equal(pd.read_parquet(twin), manifest)
+    listed, written = corpus.manifest.with_suffix(".parquet"), read_as_text(corpus.manifest)
+    twin = pd.read_parquet(listed)
+    assert {"NA", "1e3", "2026-11-23"} < {*twin["recording"]}
+    for name, column in twin.items():
+        if isinstance(column[0], str):
+            assert list(column) == list(written[name])
+        else:
+            np.testing.assert_array_equal(column, pd.to_numeric(written[name]).to_numpy())
+    tests = twin.loc[twin["role"] == "test", "stimulus_id"]
+    rows = [
+        {"participant": who, "stimulus_id": name, "rating": 2.5 * place, "trial": place}
+        for who in ("001", "null")
+        for place, name in enumerate(tests)
+    ]
     ratings = tmp_path / "ratings.csv"
-    tests = manifest.loc[manifest["role"] == "test", "stimulus_id"]
-    rows = pd.DataFrame({"stimulus_id": [*tests, *tests], "rating": np.arange(2.0 * len(tests))})
-    rows["participant"] = np.repeat(["a", "b"], len(tests))
-    rows = rows.assign(scale="realism", trial=rows.groupby("participant").cumcount(), empty=np.nan)
-    rows["rejected"] = False
-    rows.to_csv(ratings, index=False)
-    assert write_twin(ratings, LONG_TABLE + 1) == ""
+    fixed = {"scale": "realism", "reference_id": "", "rejected": "false", "empty": ""}
+    count = files.write_table(ratings, [*rows[0], *fixed], (row | fixed for row in rows))
+    text_columns = ("participant", "stimulus_id", "scale", "reference_id")
+    files.write_twin(ratings, count, text=text_columns)
     given = ratings.with_suffix(".parquet")
-    pd.testing.assert_frame_equal(pd.read_parquet(given), pd.read_csv(ratings))
-    table = read_table(given, twin)
-    pd.testing.assert_frame_equal(table.rows, read_table(ratings, corpus.manifest).rows)
+    assert [*pd.read_parquet(given)["reference_id"].unique()] == [""]
+    whole = read_table(given, listed).rows
+    pd.testing.assert_frame_equal(whole, read_table(ratings, corpus.manifest).rows)
+    assert {*whole["participant"]} == {"001", "null"}
+    ratings.write_text(ratings.read_text().replace(",2.5,", ",99.0,"))
+    with pytest.raises(
+        ValueError, match=r"^ratings\.parquet: was written from another ratings\.csv"
+    ):
+        read_table(given, listed)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    (said,) = {write_twin(ratings, LONG_TABLE + 1)}
-    assert said.startswith("ratings.csv: 100001 rows, as CSV only; pip install feel321[parquet]")
+    with pytest.warns(UserWarning, match=r"^ratings\.csv: \d+ rows, as CSV only; pip install"):
+        files.write_twin(ratings, count, text=text_columns)
     assert not given.exists()  # it was of an earlier table
 
 

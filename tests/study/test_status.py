@@ -205,6 +205,20 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     assert lines[1].endswith("; even over 10, 1 to go")
 
 
+def test_shares_of_the_recordings_promise_no_circle(
+    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+) -> None:
+    shared = replace(design, recordings_per_participant=1)
+    for number in (1, 2):
+        present(
+            scripted(), plan=make_plan(shared, stimuli, f"n{number}", number=number, simulated=True)
+        )
+    realised = read_status(StudyFolder(tmp_path)).balance
+    assert realised is not None
+    assert {entry.cycle for entry in realised.evenness} == {0}
+    assert "to go" not in "".join(describe_balance(realised))
+
+
 def test_groups_go_round_their_own_circles(
     present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
 ) -> None:

@@ -16,8 +16,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
-from feel321.doors import Registry, announce, as_path
-from feel321.files import list_csv, write_chunks, write_twin
+from feel321.doors import Registry, as_path
+from feel321.files import digest_file, list_csv, write_chunks, write_twin
 from feel321.records import Result
 from feel321.stimuli.sets import details
 from feel321.stimuli.wav import read_wav
@@ -108,6 +108,7 @@ STRONG_GAIN = 100.0
 # The temporal match of an anchor is 0 but for rounding; so may be that of a silent test stimulus.
 _ROUNDING = 1e-9
 _READ_AS = get_type_hints(Stimulus)
+_TEXT = [name for name in COLUMNS if _READ_AS[name] is str]
 _SHARED = frozenset({"recording", "reducer", "level", "role", "recording_sha256"})
 
 
@@ -237,8 +238,7 @@ def write_manifest(
     whole = {"columns": COLUMN_UNITS | own, **head, **warned}
     details.write_details(folder, head=whole, tables=tables, rows=map(describe_row, stimuli))
     write_chunks(folder / "manifest.csv", list_csv(columns, map(describe_row, stimuli)))
-    if line := write_twin(folder / "manifest.csv", len(stimuli)):
-        announce(line)
+    write_twin(folder / "manifest.csv", len(stimuli), text=_TEXT)
     return built
 
 
@@ -298,8 +298,7 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
         raise FileNotFoundError(
             f"{path}: there is no manifest; build the stimulus set first (feel321 build)"
         )
-    with path.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    sha256 = digest_file(path)
     try:
         with path.open(encoding="utf-8", newline="") as text:
             rows = enumerate(csv.DictReader(text, strict=True), start=2)

@@ -233,10 +233,12 @@ def report_warnings(recordings: Iterable[Recording | Facts]) -> None:
 MOST_LINES = 50
 
 
-def cap(lines: Sequence[str]) -> list[str]:
-    """Cut a long list of lines, and say how many there are more."""
+def cap(
+    lines: Sequence[str], *, whole: str = "--json lists all problems and warnings"
+) -> list[str]:
+    """Cut a long list of lines, and say how many there are more, and where."""
     left = len(lines) - MOST_LINES
-    more = [f"and {left} more like these; --json lists all problems and warnings"]
+    more = [f"and {left} more like these; {whole}"]
     return [*lines[:MOST_LINES], *(more if left > 0 else ())]
 
 

@@ -155,10 +155,14 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
         study.path / ANSWERS_FILE: lambda: write_answers(study),
         study.path / MATCHES_FILE: lambda: write_matches(study, read_stimuli(study.stimuli)),
     }
-    for path, write in tables.items():
+    # The Parquet twin of the ratings is made with the CSV; where that fails, or is missing, no twin may stay.
+    twin = study.ratings.with_suffix(".parquet")
+    twin.unlink(missing_ok=True)
+    for path in (twin, *tables):
         # What a kill may have left of an earlier writing.
         for unfinished in path.parent.glob(f".{path.name}.*.part"):
             unfinished.unlink()
+    for path, write in tables.items():
         if path.exists():
             try:
                 write()
