@@ -63,11 +63,9 @@ docs: .venv/.tests ## the documentation site, into build/docs; warnings are erro
 screenshots: .venv/.tests ## the documentation's pictures of screens and report, by Xvfb and Chromium
 	xvfb-run -a -s "-screen 0 1280x1024x24" $(PYTHON) docs/docsite/screenshots.py
 
-bench: .venv/.tests ## speed against the floor of the FFTs, memory, real-time factor, cost of the session engine, thresholds recovered
-	$(PYTHON) tests/bench/bench.py
-	$(PYTHON) tests/bench/engine.py
-	$(PYTHON) tests/bench/delivered.py
-	$(PYTHON) tests/bench/thresholds.py
+bench: export OPENBLAS_NUM_THREADS = 1
+bench: .venv/.tests ## speed and memory in one table, against the FFTs, NumPy, Octave and the stored run; ARGS="--accept" stores it
+	$(PYTHON) tests/bench/bench.py $(ARGS)
 
 soak: .venv/.tests ## the tests that take minutes
 	$(PYTHON) -m pytest -m "soak or hypothesis" --hypothesis-profile=soak $(ARGS) || [ $$? -eq 5 ]  # pytest's 5: there is none

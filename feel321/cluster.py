@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import islice
 from pathlib import Path, PurePath
 from queue import Empty, SimpleQueue
@@ -31,7 +32,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from feel321.doors import announce
-from feel321.extensions import Method
+from feel321.extensions import Method, find_method
 from feel321.files import write_bytes
 
 if TYPE_CHECKING:
@@ -74,6 +75,7 @@ def run_on_cluster(
     jobs: Iterable[Job], *, address: str, share: str = ""
 ) -> Iterator[tuple[int, Any]]:
     """Yield the place of each job and its result, as they are done; only a few jobs are taken ahead of time."""
+    _check_certificates(address)
     post = _Post(share)
     with _quiet(), _Link(address) as link, post:
         left, running = enumerate(jobs), dict[int, bytes]()
@@ -101,6 +103,18 @@ def _quiet() -> Iterator[None]:
     finally:
         for one, level in zip(loggers, levels, strict=True):
             one.setLevel(level)
+
+
+def _check_certificates(address: str) -> None:
+    """Refuse an encrypted address where Dask's configuration names no certificates."""
+    from distributed import Security
+
+    named: Any = Security().get_connection_args("client")  # type: ignore[no-untyped-call]  # distributed's types
+    if address.startswith("tls://") and named.get("ssl_context") is None:
+        raise ValueError(
+            f"{address}: no certificates are named; set distributed.comm.tls in Dask's configuration, such as "
+            "~/.config/dask/feel321.yaml"
+        )
 
 
 def find_versions() -> dict[str, str]:
@@ -144,15 +158,15 @@ class _Link:
 
     def send(self, place: int, content: bytes, others: Iterable[str] = ()) -> None:
         """Send a job; others: the workers that may do it."""
-        done, token = self._done, uuid.uuid4().hex
-        chosen = list(others) or None
+        done, token, chosen = self._done, uuid.uuid4().hex, list(others) or None
+        futures = self._sent.setdefault(place, (time.monotonic(), []))[1]
         with warnings.catch_warnings(), suppress(OSError, RuntimeError):
             # A job may hold a long recording. A connection that is lost here is found when results are awaited.
             warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
             future = self._client.submit(
                 do_job, content, find_versions(), key=(f"{self._name}", token), pure=False, workers=chosen
             )  # fmt: skip
-            self._sent.setdefault(place, (time.monotonic(), []))[1].append(future)
+            futures.append(future)
             future.add_done_callback(lambda one: done.put((place, one)))
 
     def receive(self, running: Mapping[int, bytes]) -> tuple[int, bytes]:
@@ -166,11 +180,19 @@ class _Link:
             if place not in running:  # done by another worker before
                 continue
             reply = self._read(place, future, running)
-            if reply is not None:
-                since, futures = self._sent.pop(place)
-                if len(futures) == 1:
-                    self._slowest = max(self._slowest, time.monotonic() - since)
+            if reply is not None and self._counts(place, future, reply):
                 return place, reply
+
+    def _counts(self, place: int, future: Any, reply: bytes) -> bool:  # noqa: ANN401 - a future of distributed
+        """Whether a reply counts: of two workers with one job, the second may fail because the first is through."""
+        since, futures = self._sent[place]
+        if len(futures) > 1 and pickle.loads(reply).error:  # noqa: S301 - from the lab's own worker
+            futures.remove(future)
+            return False
+        if len(futures) == 1:
+            self._slowest = max(self._slowest, time.monotonic() - since)
+        del self._sent[place]
+        return True
 
     def _read(self, place: int, future: Any, running: Mapping[int, bytes]) -> bytes | None:  # noqa: ANN401 - a future of distributed
         """Read the reply of a job; None if it was lost, and the job is sent again."""
@@ -214,18 +236,22 @@ class _Link:
 
     def _help(self, running: Mapping[int, bytes], now: float) -> None:
         """Give what is long overdue to a second worker: the first to finish counts."""
-        if not self._slowest:
-            return
         for place, content in running.items():
             since, futures = self._sent[place]
-            if len(futures) == 1 and now - since > OVERDUE * self._slowest + LEAST_S:
+            if not futures:  # the connection was lost while it was sent
+                self.send(place, content)
+            elif (
+                len(futures) == 1
+                and self._slowest > 0
+                and now - since > OVERDUE * self._slowest + LEAST_S
+            ):
                 self._copy(place, content)
 
     def _copy(self, place: int, content: bytes) -> None:
         """Send a job once more, to workers that do not have it, if there are any."""
-        key = self._sent[place][1][0].key
+        keys = {one.key for one in self._sent[place][1]}
         doing, done = self._client.processing(), self._client.has_what()
-        others = [name for name in doing if key not in doing[name] and key not in done[name]]
+        others = [name for name in doing if keys.isdisjoint((*doing[name], *done[name]))]
         self.send(place, content, others)
 
     def _connect_again(self, running: Mapping[int, bytes]) -> None:
@@ -329,11 +355,13 @@ def _arrive(path: str) -> Path:
 class Parcel:
     """A job on its way.
 
-    job: pickled; paths: those that must be there; files: path -> its name in `share`.
+    job: pickled; paths: those that must be there; methods: kind, place and digest of those from installed packages;
+    files: path -> its name in `share`.
     """
 
     job: bytes
     paths: tuple[str, ...]
+    methods: tuple[tuple[str, str, str], ...] = ()
     share: str = ""
     files: dict[str, str] = field(default_factory=dict)
 
@@ -348,8 +376,8 @@ class Reply:
     files: dict[str, str] = field(default_factory=dict)
 
 
-def _make_packer(file: io.BytesIO, paths: set[Path]) -> pickle.Pickler:
-    """Make what pickles a job, notes all paths in it and makes them absolute."""
+def _make_packer(file: io.BytesIO, paths: set[Path], methods: list[Method]) -> pickle.Pickler:
+    """Make what pickles a job, and notes all paths in it, which it makes absolute, and a lab's own methods."""
     from cloudpickle import Pickler
 
     class Packer(Pickler):  # type: ignore[misc]  # cloudpickle has no types
@@ -359,6 +387,7 @@ def _make_packer(file: io.BytesIO, paths: set[Path]) -> pickle.Pickler:
                 return _arrive, (os.path.abspath(obj),)  # noqa: PTH100 - links stay as they are
             if isinstance(obj, Method):
                 paths.update(_list_code(obj))
+                methods.extend([obj] if obj.origin == "module" else [])
             return super().reducer_override(obj)
 
     made: pickle.Pickler = Packer(file, protocol=pickle.HIGHEST_PROTOCOL)
@@ -399,13 +428,15 @@ class _Post:
 
     def pack(self, job: Job) -> bytes:
         """Pickle a job, and put the files that it names where its worker finds them."""
-        content, paths = io.BytesIO(), set[Path]()
-        _make_packer(content, paths).dump(job)
-        there = tuple(str(path) for path in sorted(paths) if path.exists())
-        if not self._share:
-            return pickle.dumps(Parcel(content.getvalue(), there))
-        files = {str(path): self._put(path) for path in sorted(paths) if path.is_file()}
-        return pickle.dumps(Parcel(content.getvalue(), there, self._share, files))
+        content, paths, methods = io.BytesIO(), set[Path](), list[Method]()
+        _make_packer(content, paths, methods).dump(job)
+        there = sorted(path for path in paths if path.exists())
+        shared = [path for path in there if path.is_file()] if self._share else []
+        files = {str(path): self._put(path) for path in shared}
+        installed = tuple((one.kind, one.place, one.sha256) for one in methods)
+        return pickle.dumps(
+            Parcel(content.getvalue(), tuple(map(str, there)), installed, self._share, files)
+        )
 
     def _put(self, path: Path) -> str:
         about = path.stat()
@@ -458,6 +489,8 @@ def _do_here(parcel: Parcel, where: str) -> Any:  # noqa: ANN401 - whatever the 
             f"{missing[0]}: not there on worker {where}; let all machines see the study's folder under the same name, "
             "or give --share URL"
         )
+    for kind, place, sha256 in parcel.methods:
+        _check_method(kind, place, sha256, where=where)
     try:
         function, arguments, named = pickle.loads(parcel.job)  # noqa: S301 - what a worker is there for
     except (ImportError, AttributeError) as error:
@@ -466,6 +499,19 @@ def _do_here(parcel: Parcel, where: str) -> Any:  # noqa: ANN401 - whatever the 
             "folder as methods/NAME.py"
         ) from None
     return function(*arguments, **named)
+
+
+@cache
+def _check_method(kind: str, place: str, sha256: str, *, where: str) -> None:
+    """Refuse to use a method of an installed package that is missing on a worker, or another one there."""
+    try:
+        found = find_method(kind, place)
+    except ValueError as error:
+        raise ValueError(f"worker {where}: {error}") from None
+    if found.sha256 != sha256:
+        raise ValueError(
+            f"worker {where} has other code of {kind} {place!r} than this machine; install the same version there"
+        )
 
 
 def _do(parcel: Parcel, where: str) -> tuple[Any, dict[str, str]]:

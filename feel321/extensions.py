@@ -33,12 +33,15 @@ import types
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from re import fullmatch
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from feel321.doors import describe, refuse_name
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUPS: Mapping[str, str] = {
     "reducer": "feel321.reducers",
@@ -141,12 +144,18 @@ def is_given(kind: str, name: str, declared: Collection[str] = ()) -> bool:
     return ":" in name or name in declared or name in list_entry_points(kind)
 
 
-def list_entry_points(kind: str) -> dict[str, str]:
-    """List the methods of installed packages: name -> dotted name."""
+@cache
+def _sort_entry_points(group: str, path: tuple[str, ...]) -> list[EntryPoint]:  # noqa: ARG001 - where packages are
+    """Sort the entry points of a group; to look through all packages takes longer than to read a short recording."""
     from importlib.metadata import entry_points
 
+    return sorted(entry_points(group=group), key=lambda one: (one.name, one.value))
+
+
+def list_entry_points(kind: str) -> dict[str, str]:
+    """List the methods of installed packages: name -> dotted name."""
     found: dict[str, str] = {}
-    for point in sorted(entry_points(group=GROUPS[kind]), key=lambda one: (one.name, one.value)):
+    for point in _sort_entry_points(GROUPS[kind], tuple(sys.path)):
         if found.setdefault(point.name, point.value) != point.value:
             raise ValueError(
                 f"{kind} {point.name!r} is declared by two installed packages, as {found[point.name]} and "

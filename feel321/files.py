@@ -4,10 +4,12 @@ import csv
 import io
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from filecmp import cmp
+from itertools import chain, count
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 LOOK_S = 0.2
 """How long a lock is waited for: `is_held` takes it for an instant, which must refuse nobody."""
@@ -18,22 +20,80 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write a CSV table in one step; what a row holds besides the columns is left out."""
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> int:
+    """Write a CSV table in one step, and count its rows; what a row holds besides the columns is left out."""
+    return write_chunks(path, list_csv(columns, rows)) - 1
+
+
+def list_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Iterator[str]:
+    """Write a CSV table line by line, the head first."""
     text = io.StringIO(newline="")
     table = csv.DictWriter(text, columns, extrasaction="ignore")
-    table.writeheader()
-    table.writerows(rows)
-    write_text(path, text.getvalue())
+    for row in chain([dict(zip(columns, columns, strict=True))], rows):
+        table.writerow(row)
+        yield text.getvalue()
+        text.seek(0)
+        text.truncate()
+
+
+def write_chunks(path: Path, chunks: Iterable[str]) -> int:
+    """Write a text file as `write_text` does, but piece by piece, never in memory as a whole; counts the pieces."""
+    written = count()
+
+    def write(file: BinaryIO) -> None:
+        for chunk, _ in zip(chunks, written, strict=False):
+            file.write(chunk.encode())
+
+    with _naming(path):
+        _replace(path, write)
+    return next(written)
+
+
+LONG_TABLE = 100_000
+"""Rows above which a table is written as Parquet too."""
+
+
+def write_twin(path: Path, rows: int) -> str:
+    """Write a CSV table of so many rows as Parquet beside it, if it is long; says so where pyarrow is missing.
+
+    The CSV is what counts: a Parquet file that was written from an earlier one goes.
+    """
+    twin = path.with_suffix(".parquet")
+    if rows <= LONG_TABLE:
+        twin.unlink(missing_ok=True)
+        return ""
+    try:
+        from pyarrow import csv as tables
+        from pyarrow import float64, parquet, types
+    except ImportError:
+        twin.unlink(missing_ok=True)
+        return (
+            f"{path.name}: {rows} rows, as CSV only; pip install feel321[parquet] for Parquet too"
+        )
+    convert = tables.ConvertOptions(strings_can_be_null=True)
+    table = tables.read_csv(path, convert_options=convert)
+    for place, column in enumerate(table.schema):
+        if types.is_null(column.type):  # nothing but empty cells
+            empty = table.column(place).cast(float64())
+            table = table.set_column(place, column.name, empty)
+    with _naming(twin):
+        _replace(twin, lambda file: parquet.write_table(table, file))
+    return ""
 
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file in one step, replacing the one that is there unless it holds just that."""
-    try:
+    with _naming(path):
         if not (path.is_file() and path.read_bytes() == content):
-            _replace(path, content)
+            _replace(path, lambda file: file.write(content))
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the file in an error: a full disk is reported without a name, most else with that of the unfinished file."""
+    try:
+        yield
     except OSError as error:
-        # A full disk is reported without a name, most else with that of the unfinished file.
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
@@ -107,14 +167,16 @@ def file_named(path: Path) -> Iterator[None]:
         raise type(error)(f"{prefix}{error.strerror or str(error).removeprefix(prefix)}") from error
 
 
-def _replace(path: Path, content: bytes) -> None:
+def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
     # Beside the target, so that the replacement stays on one file system and is atomic.
     unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with unfinished.open("wb") as file:
-            file.write(content)
+            write(file)
             file.flush()
             os.fsync(file.fileno())
+        if path.is_file() and cmp(unfinished, path, shallow=False):
+            return
         unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)

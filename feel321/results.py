@@ -38,6 +38,7 @@ from feel321.protocols.trial import Page, Part
 from feel321.stimuli.recording import Signal
 from feel321.stimuli.rotation import RotationStatistics
 from feel321.study.findings import Audit, Problems
+from feel321.study.power.page import StudyPower
 from feel321.study.session.events import SessionEvent
 from feel321.study.session.ports import Act, Place
 from feel321.study.status import Status
@@ -94,6 +95,7 @@ __all__ = [
     "Space",
     "Status",
     "Stress",
+    "StudyPower",
     "Table",
     "VotePrediction",
 ]  # fmt: skip

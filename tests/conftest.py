@@ -25,6 +25,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts what runs in its background deaf to Ctrl-C; sessions that tests start would inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+collect_ignore = ["bench"]
+"""Scripts beside each other, which `make bench` and people run; they hold no tests."""
+
 RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 
 

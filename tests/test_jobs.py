@@ -61,3 +61,10 @@ def test_a_cluster_needs_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("feel321.jobs.find_spec", lambda _: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'feel321\[cluster\]'"):
         [*run_jobs([], workers=Workers(1, "tcp://127.0.0.1:1"))]
+
+
+def test_an_encrypted_address_needs_certificates() -> None:
+    pytest.importorskip("distributed")
+    jobs: list[Job] = [(operator.add, (1, 1), {})]
+    with pytest.raises(ValueError, match=r"^tls://127\.0\.0\.1:1: no certificates are named; set "):
+        gather_results(jobs, workers=Workers(1, "tls://127.0.0.1:1"))

@@ -79,6 +79,8 @@ def read_comments(template: str) -> dict[str, str]:
 def _walk(model: type[BaseModel], where: str, brackets: str) -> Iterator[tuple[str, str, Any]]:
     """Give table, key and field of every key, tables within tables included."""
     for key, field in model.model_fields.items():
+        if field.exclude:  # no key of the file
+            continue
         inner, form = _find_tables(field.annotation)
         if not inner:
             yield (

@@ -8,13 +8,13 @@ frequency. Bands are 22 % wide, as those of the spectral match, and axes add by 
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import struct
 import zlib
 from base64 import b64encode
 from collections import Counter
-from itertools import pairwise
+from dataclasses import replace
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -25,8 +25,10 @@ from feel321.analysis.words import MINUS, format_name, format_number
 from feel321.doors import as_path
 from feel321.files import write_text
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, WEBER_FRACTION
+from feel321.stimuli.sets import details
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.thresholds import CONTACTOR, acceleration_threshold
+from feel321.stimuli.wav import read_wav
 from feel321.types import PathLike, Samples
 
 if TYPE_CHECKING:
@@ -43,6 +45,9 @@ MARK = "/* feel321 stimuli "
 
 HEAD = 100_000
 """Characters at the beginning of a page in which it stands."""
+
+MOST_SHOWN = 1000
+"""Stimuli that a page shows; each takes about 4 kB and 5 ms."""
 
 LOWEST_MATCH = -1.0
 """A spectral match below this is flagged: the stimulus has most of its energy where its recording has none."""
@@ -166,20 +171,21 @@ def _read_stamp(path: Path) -> str | None:
 def _render(built: StimulusSet, stamp: str) -> str:
     recipe = _read_recipe(built.folder)
     threshold, full_scale = str(recipe["threshold"]), float(recipe["full_scale_m_s2"])
+    shown = _select(built)
     sketches = {}
-    for row in built:
-        samples, rate_hz = built.read(row.stimulus_id)
+    for row in shown:
+        samples, rate_hz = read_wav(built.folder / row.file)
         sketches[row.stimulus_id] = sketch(full_scale * samples, rate_hz, threshold=threshold)
     highest = max(one.highest_db for one in sketches.values())
     top = max(40, 10 * math.ceil(highest / 10)) if math.isfinite(highest) else 40
-    flagged = Counter(flag for row in built for flag in find_flags(row))
+    flagged = Counter(flag for row in shown for flag in find_flags(row))
     return page.render_template(
         "stimuli.html",
         styles=_own("css"),
-        mark=MARK, stamp=stamp, sha256=built.sha256, built=built, flags=FLAGS, flagged=flagged,
-        groups=_group(built, sketches, full_scale), sentence=_summarise(built, flagged),
+        mark=MARK, stamp=stamp, sha256=built.sha256, built=shown, flags=FLAGS, flagged=flagged,
+        groups=_group(shown, sketches, full_scale), sentence=_summarise(built, shown),
         choices={
-            "recording": list(dict.fromkeys(row.recording for row in built)),
+            "recording": list(dict.fromkeys(row.recording for row in shown)),
             "reducer": list(dict.fromkeys(row.reducer for row in built)),
             "level": list(dict.fromkeys(row.level for row in built)),
         },
@@ -190,11 +196,21 @@ def _render(built: StimulusSet, stamp: str) -> str:
     )  # fmt: skip
 
 
+def _select(built: StimulusSet) -> StimulusSet:
+    """Select the recordings that a page shows: all, or so many that are spread evenly over a large set."""
+    together: dict[str, list[Stimulus]] = {}
+    for row in built:
+        together.setdefault(row.recording, []).append(row)
+    step = math.ceil(len(built) / MOST_SHOWN)
+    rows = chain.from_iterable(list(together.values())[::step])
+    return built if step == 1 else replace(built, stimuli=tuple(rows))
+
+
 def _read_recipe(folder: Path) -> dict[str, Any]:
     path = folder / "manifest.json"
     try:
-        return {"threshold": CONTACTOR, **json.loads(path.read_bytes())["recipe"]}
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        return {"threshold": CONTACTOR, **details.read_head(folder)["recipe"]}
+    except details.MISREAD as error:
         raise ValueError(
             f"{path}: is missing or damaged ({type(error).__name__}); restore it from a copy, or build the set again"
         ) from None
@@ -207,14 +223,14 @@ def _group(
     together: dict[str, list[Stimulus]] = {}
     for row in built:
         together.setdefault(row.recording, []).append(row)
-    groups = []
+    groups, warnings = [], built.warnings
     for name, rows in together.items():
         peak = max(row.peak for row in rows)
         groups.append({
             "name": name,
             "scale": format_number(peak * full_scale, kind="rating"),
             "duration": format_number(rows[0].duration_s),
-            "warnings": [text for text in built.warnings if text.startswith(f"{name}: ")],
+            "warnings": [text for text in warnings if text.startswith(f"{name}: ")],
             "rows": [
                 {
                     "own": row,
@@ -247,12 +263,16 @@ def find_flags(stimulus: Stimulus) -> list[str]:
     return [name for name, applies in found.items() if applies]
 
 
-def _summarise(built: StimulusSet, flagged: Mapping[str, int]) -> str:
+def _summarise(built: StimulusSet, shown: StimulusSet) -> str:
+    flagged = Counter(flag for row in built for flag in find_flags(row))
     hit = sum(bool(find_flags(row)) for row in built)
     counts = ", ".join(f"{flagged[name]} {FLAGS[name][1]}" for name in FLAGS if flagged[name])
     unknown = sum(math.isnan(row.sensation_level_db) and row.rms_m_s2 != 0 for row in built)
     felt = "" if unknown else "all lie above the detection threshold, "
     told = f" Level over threshold not known: {unknown} of {len(built)}." if unknown else ""
+    if len(shown) < len(built):
+        n, of = (len({row.recording for row in one}) for one in (shown, built))
+        told += f" This page shows {n} of {of} recordings, spread evenly; manifest.csv lists all stimuli."
     if not hit:
         return f"None of {len(built)} stimuli is flagged: {felt}none is clipped.{told}"
     return f"{hit} of {len(built)} stimuli {'is' if hit == 1 else 'are'} flagged: {counts}.{told}"

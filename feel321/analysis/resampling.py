@@ -84,8 +84,8 @@ def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
     places = np.empty_like(by_y)
     np.put_along_axis(places, by_y, np.cumsum(rises, axis=-1) - 1, axis=-1)
     order = by_x if steps.all() else np.lexsort((places, x), axis=-1)
-    places, starts = (np.take_along_axis(one, order, axis=-1) for one in (places, x))
-    starts = _find_starts(starts)
+    places = np.take_along_axis(places, order, axis=-1)
+    starts = _find_starts(np.take_along_axis(x, order, axis=-1))
     ordered = _take(weights, order)
     squares = ordered.sum(axis=-1) ** 2
     differ_x = squares - _sum_squares(starts, ordered)
@@ -100,8 +100,8 @@ def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
 
 def _take(values: Values, order: NDArray[np.intp]) -> Values:
     """Put the last axis in order; either may have axes in front that the other has not."""
-    taken: Values = np.take_along_axis(*np.broadcast_arrays(values, order), axis=-1)
-    return taken
+    values, order = np.broadcast_arrays(values, order)
+    return np.take_along_axis(values, order, axis=-1)
 
 
 def _find_starts(ordered: NDArray[np.generic]) -> NDArray[np.bool_]:
@@ -194,7 +194,8 @@ def weighted_ranks(values: Values, weights: Values) -> Values:
     order = np.argsort(values, axis=-1, kind="stable")
     ordered = np.take_along_axis(values, order, axis=-1)
     shape = np.broadcast_shapes(values.shape, weights.shape)
-    order, ordered, weights = (np.broadcast_to(one, shape) for one in (order, ordered, weights))
+    order, ordered = np.broadcast_to(order, shape), np.broadcast_to(ordered, shape)
+    weights = np.broadcast_to(weights, shape)
     upto = np.cumsum(np.take_along_axis(weights, order, axis=-1), axis=-1)
     before = np.concatenate([np.zeros_like(upto[..., :1]), upto[..., :-1]], axis=-1)
     rises = np.diff(ordered, axis=-1) > 0
@@ -404,7 +405,8 @@ def draw_methods(
     return {
         method: Draws(
             correlate_draws(items, method, participants=everyone, recordings=everything)[:, 0],
-            *(np.concatenate(part, axis=1) for part in zip(*found, strict=True)),
+            np.concatenate([two_way for two_way, _ in found], axis=1),
+            np.concatenate([participants for _, participants in found], axis=1),
             correlate_each(items, method) if METHODS[method].within else none,
         )
         for method, found in blocks.items()

@@ -354,21 +354,28 @@ def _list_coefficients(mapping: Polynomial, order: int) -> tuple[float, ...]:
     return tuple(coefficients.tolist())
 
 
+MOST_FOLDS = 200
+"""Groups that are left out one at a time; of more, several together, or a corpus would take hours."""
+
+
 def _map_out_of_fold(given: _Votes, groups: ArrayLike) -> tuple[Values, list[str]]:
     x, order = given.x, given.order
     numbers, names = read_groups(groups, n=len(x), what="item")
     if len(names) < 2:  # noqa: PLR2004 - one to fit to, one to predict
         raise ValueError(f"groups must be two or more, got the one group {names[0]}; leave it out")
-    mapped, n_beyond = np.empty_like(x), 0
-    for number, name in enumerate(names):
-        held = numbers == number
+    mapped, n_beyond, step = np.empty_like(x), 0, -(-len(names) // MOST_FOLDS)
+    for first in range(0, len(names), step):
+        held = (numbers >= first) & (numbers < first + step)
         if order:
-            _check_spread(x[~held], order, where=f"items outside group {name}")
+            _check_spread(x[~held], order, where=f"items outside group {names[first]}")
         known = np.clip(x[held], x[~held].min(), x[~held].max()) if order > 1 else x[held]
         mapped[held] = _fit_mapping(given, ~held)(known)
         n_beyond += int((known != x[held]).sum())
-    beyond = f"{n_beyond} items lie beyond the metric's range in the other groups; the cubic is held at its end there."
-    return mapped, [beyond] if n_beyond else []
+    notes = [f"{len(names)} groups are left out {step} at a time."] if step > 1 else []
+    if n_beyond:
+        where = "beyond the metric's range in the other groups"
+        notes.append(f"{n_beyond} items lie {where}; the cubic is held at its end there.")
+    return mapped, notes
 
 
 def _correlate(mos: Values, other: Values) -> tuple[float, list[str]]:

@@ -283,10 +283,15 @@ def _list_reduced(reduced: Sequence[ArrayLike] | ArrayLike | None, k: int) -> Se
 
 
 def _reduce_piece(piece: _Piece, *, function: Reducer, name: str, together: bool) -> Samples:
-    return np.concatenate([
-        _reduce_chunk(chunk, function, name=name) if together else _one_by_one(chunk, function)
-        for chunk in piece.cut(AT_A_TIME)
-    ])
+    reduced = np.empty((len(piece.places), np.shape(piece.signals[0])[-1]))
+    done = 0
+    for chunk in piece.cut(AT_A_TIME):
+        rows = slice(done, done := done + len(chunk.places))
+        if together:
+            reduced[rows] = _reduce_chunk(chunk, function, name=name)
+        else:
+            reduced[rows] = _one_by_one(chunk, function)
+    return reduced
 
 
 def _reduce_chunk(chunk: _Piece, function: Reducer, *, name: str) -> Samples:
@@ -295,7 +300,7 @@ def _reduce_chunk(chunk: _Piece, function: Reducer, *, name: str) -> Samples:
     if len(chunk.places) == 1 or n > LONGEST:
         return _one_by_one(chunk, function)
     try:
-        samples = recording.coerce_acceleration(np.array(chunk.signals))
+        samples = recording.coerce_acceleration(np.ascontiguousarray(chunk.signals))
         reduced = recording.coerce_real(function(samples, chunk.rate_hz), name)
         recording.check_finite(reduced, name)
     except ValueError:

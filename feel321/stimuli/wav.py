@@ -68,19 +68,25 @@ def write_wav(path: PathLike, samples: ArrayLike, rate_hz: float) -> None:
     ...     stimuli.read_wav(f"{folder}/tap.wav")
     (array([ 0.  ,  0.5 , -0.25]), 48000)
     """
-    from scipy.io import wavfile
-
     target = as_path(path)
     with file_named(target):
-        rate = check_rate(rate_hz)
-        if rate != int(rate) or rate >= 2**32:
-            raise ValueError(
-                f"the rate in a WAV header must be a whole number below 2**32, got {rate!r} Hz"
-            )
-        frames = _as_frames(samples)
+        content = encode_wav(samples, rate_hz)
+    write_bytes(target, content)
+
+
+def encode_wav(samples: ArrayLike, rate_hz: float) -> bytes:
+    """Encode samples as the bytes of a float32 WAV."""
+    from scipy.io import wavfile
+
+    rate = check_rate(rate_hz)
+    if rate != int(rate) or rate >= 2**32:
+        raise ValueError(
+            f"the rate in a WAV header must be a whole number below 2**32, got {rate!r} Hz"
+        )
+    frames = _as_frames(samples)
     content = io.BytesIO()
     wavfile.write(content, int(rate), frames)
-    write_bytes(target, content.getvalue())
+    return content.getvalue()
 
 
 def read_wav(path: PathLike) -> tuple[Samples, int]:

@@ -14,7 +14,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import datetime
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from math import isclose
 from pathlib import Path
 from shlex import quote
@@ -26,9 +26,16 @@ from feel321.protocols.detection import INTERVALS, THRESHOLD
 from feel321.protocols.questions import PREFIX, find_question
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import ASIDE, MATCHING, RATING_RANGE, Page, Trial
+from feel321.stimuli.sets.details import iterate_rows
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
 from feel321.study.exploration.track import MOTION, name_track
-from feel321.study.folder import DELIVERED, MANIFEST_JSON, StudyFolder, name_delivered, read_origin
+from feel321.study.folder import (
+    DELIVERED,
+    MANIFEST_JSON,
+    StudyFolder,
+    name_delivered,
+    reading_origin,
+)
 from feel321.study.ledger.database import Entry
 from feel321.study.ledger.progress import find_leftovers
 from feel321.study.ledger.rigs import describe_rigs, find_rig_use
@@ -474,17 +481,22 @@ def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
     except (OSError, ValueError):
         return findings, None  # Among the findings already.
     try:
-        rows = read_origin(folder).rows
+        with reading_origin(folder):
+            # An earlier version wrote fewer columns.
+            listed = ({**dict.fromkeys(FURTHER), **row} for row in iterate_rows(folder))
+            pairs = zip_longest(listed, map(describe_row, stimuli))
+            is_same = all(_digest_row(one) == _digest_row(other) for one, other in pairs)
     except ValueError as error:
         return [*findings, str(error)], stimuli.sha256
-    # An earlier version wrote fewer columns.
-    listed = [{**dict.fromkeys(FURTHER), **row} for row in rows]
-    described = [describe_row(row) for row in stimuli.stimuli]
-    if json.dumps(listed, sort_keys=True) != json.dumps(described, sort_keys=True):
+    if not is_same:
         findings.append(
             f"{folder}: manifest.csv and manifest.json differ; one was changed, build the set again"
         )
     return findings, stimuli.sha256
+
+
+def _digest_row(row: object) -> str:
+    return json.dumps(row, sort_keys=True)
 
 
 def _audit_participant(folder: Path, stimuli_sha256: str | None) -> Iterator[str]:

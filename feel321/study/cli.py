@@ -19,6 +19,7 @@ VERBS = {
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
+    "planning": ("power",),
     "signals": ("match", "port", "reduce"),
     "stations": ("collect",),
     "studies": (
@@ -40,7 +41,7 @@ VERBS = {
 }
 """Module of `feel321.study.commands` -> its verbs."""
 
-RESUMED = {"build", "collect", "demo", "run", "simulate", "withdraw"}
+RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 

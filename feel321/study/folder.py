@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import re
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from feel321.files import create_text, write_text
+from feel321.stimuli.sets import details
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PARTICIPANT_ID
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 SETTINGS_FILE = "study.toml"
 RIG_FILE = "rig.toml"
@@ -227,28 +231,38 @@ class Origin:
     """
 
     recipe: dict[str, Any]
-    rows: list[dict[str, Any]]
     recordings: dict[str, str]
     methods: dict[str, Any]
 
 
 def read_origin(folder: Path) -> Origin:
     """Read what a stimulus set was made of."""
-    path = folder / MANIFEST_JSON
-    try:
-        details = json.loads(path.read_bytes())
-        rows = list(details["stimuli"])
+    with reading_origin(folder) as head:
         return Origin(
-            dict(details["recipe"]),
-            rows,
-            {row["recording"]: row["recording_sha256"] for row in rows},
-            {kind: details[kind] for kind in METHODS if kind in details},
+            dict(head["recipe"]),
+            {row["recording"]: row["recording_sha256"] for row in details.iterate_rows(folder)},
+            {kind: head[kind] for kind in METHODS if kind in head},
         )
-    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+
+
+@contextmanager
+def reading_origin(folder: Path) -> Iterator[dict[str, Any]]:
+    """Give what `manifest.json` says of the whole set, and say what to do where it cannot be read."""
+    try:
+        head = details.read_head(folder)
+        yield head | {"recipe": dict(head["recipe"])}
+    except details.MISREAD as error:
         raise ValueError(
-            f"{path}: is missing or damaged ({type(error).__name__}); restore it from a copy, or, as long as no "
-            "session was planned with this set, write it anew with: feel321 build"
+            f"{folder / MANIFEST_JSON}: is missing or damaged ({type(error).__name__}); restore it from a copy, or, as "
+            "long as no session was planned with this set, write it anew with: feel321 build"
         ) from None
+
+
+def read_recipe(folder: Path) -> dict[str, Any]:
+    """Read the recipe that a stimulus set was made by."""
+    with reading_origin(folder) as head:
+        recipe: dict[str, Any] = head["recipe"]
+        return recipe
 
 
 def is_in_use(study: StudyFolder, stimuli_sha256: str) -> bool:

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
     from feel321.study.session.ports import Place, Presenter
     from feel321.study.settings.schema import Settings
 
+from feel321.study.observer.casting import Casting, cast_observers, find_person
 from feel321.study.sessions import (
     lead_session,
     list_rig_problems,
@@ -58,7 +59,6 @@ from feel321.study.sessions import (
     plan_sessions,
     require_current_set,
 )
-from feel321.study.simulation import Casting, cast_observers, find_person
 
 INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
 

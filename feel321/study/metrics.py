@@ -1,6 +1,7 @@
 """Further metrics of a study's stimuli, measured from its recordings: rivals, and over orientations of the sensor."""
 
 import os
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,16 +20,17 @@ from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import find_reducer
+from feel321.stimuli.sets.unread import Unread, read_given
 from feel321.study.folder import StudyFolder
 from feel321.study.provenance import find_changes
-from feel321.study.settings.read import make_recipe, try_recordings
+from feel321.study.settings.read import list_unread, make_recipe
 from feel321.study.settings.schema import Settings
 
 # Rival metrics, for an analysis that compares them with the match metrics.
 
 
 def measure_rivals(
-    recordings: Sequence[Recording], stimuli: StimulusSet, recipe: Recipe
+    recordings: Sequence[Recording | Unread], stimuli: StimulusSet, recipe: Recipe
 ) -> pd.DataFrame:
     """Measure every rival metric that the manifest lacks, for every test stimulus.
 
@@ -38,10 +40,13 @@ def measure_rivals(
     """
     lacking = [name for name in RIVALS if name not in stimuli.to_frame().columns]
     tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
+    made: dict[str, set[str]] = defaultdict(set)
+    for one in tests:
+        made[one.recording].add(one.reducer)
 
-    def measure(recording: Recording) -> dict[str, dict[str, float]]:
-        ready = condition(recording, recipe.conditioning)
-        names = {one.reducer for one in tests if one.recording == recording.name}
+    def measure(given: Recording | Unread) -> dict[str, dict[str, float]]:
+        ready = condition(read_given(given), recipe.conditioning)
+        names = made[ready.name]
         return {
             name: {
                 metric: float(value)
@@ -94,17 +99,26 @@ def add_rivals(
     )
 
 
-def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Recording], Recipe, str]:
-    """Read a study's recordings, if the stimuli are still those of them; else give the reason."""
-    recordings, mistakes = try_recordings(settings, study.path)
+def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread], Recipe, str]:
+    """List a study's recordings, if the stimuli are still those of them; else give the reason."""
+    sources: list[Unread] = []
+    digests: dict[str, str | None] = {}
+    problems: list[str] = []
+    for source in list_unread(settings, study.path):
+        try:
+            recording = source.read()
+        except (OSError, TypeError, ValueError) as error:
+            problems.append(f"recording {source.name!r}: {error}")
+            continue
+        digests[source.name] = recording.sha256
+        sources.append(replace(source, size=recording.acceleration.size))
     recipe = make_recipe(settings, study.path)
     try:
-        digests = {recording.name: recording.sha256 for recording in recordings}
-        problems = mistakes or find_changes(study.stimuli, recipe, digests)
+        problems = problems or find_changes(study.stimuli, recipe, digests)
     except (OSError, ValueError) as error:
         problems = [str(error)]
     reason = problems[0].splitlines()[0].rstrip(".") if problems else ""
-    return recordings, recipe, reason
+    return sources, recipe, reason
 
 
 # How the metrics of a study's stimuli depend on the way the sensor was mounted: explored, or declared as predictors.
@@ -167,7 +181,7 @@ def measure_declared(study: StudyFolder, settings: Settings) -> Further | None:
 
 
 def compute_rotations(
-    recordings: Sequence[Recording],
+    recordings: Sequence[Recording | Unread],
     stimuli: StimulusSet,
     *,
     recipe: Recipe,
@@ -190,12 +204,15 @@ def compute_rotations(
         )
     own = [find_reducer(recipe, name) for name in reducers]
     first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
-    size = sum(recording.acceleration.size for recording in first.values()) * len(reducers)
+    sizes = [
+        one.size if isinstance(one, Unread) else one.acceleration.size for one in first.values()
+    ]
+    size = sum(sizes) * len(reducers)
     n_turns = min(effort * MOST, max(effort * LEAST, effort * AFFORDABLE // size))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
-    def match(recording: Recording) -> np.ndarray:
-        ready = condition(recording, recipe.conditioning)
+    def match(given: Recording | Unread) -> np.ndarray:
+        ready = condition(read_given(given), recipe.conditioning)
         return match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
 
     # Threads: nearly all of the work is done by libraries that release the interpreter. A lab's own code gets one.
@@ -239,7 +256,8 @@ def _tabulate_mountings(matches: Mapping[str, np.ndarray], reducers: Sequence[st
     for recording, found in matches.items():
         for reducer, of_reducer in zip(reducers, found, strict=True):
             for metric, values in zip(MATCHES, of_reducer, strict=True):
-                ends = {key: float(np.quantile(values, share)) for key, share in shares.items()}
+                found_ends = np.quantile(values, [*shares.values()])
+                ends = dict(zip(shares, found_ends.tolist(), strict=True))
                 names = {"recording": recording, "reducer": reducer, "metric": metric}
                 rows.append(names | {"mounting_mean": float(values.mean()), **ends})
     return pd.DataFrame(rows)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.replication.claims import Paper
-    from feel321.stimuli.recording import Recording
+    from feel321.stimuli.sets.build import Facts
     from feel321.study.actuator.rig import Rig
     from feel321.study.findings import Problems
     from feel321.study.settings.paper import PaperTable
@@ -31,7 +31,7 @@ FROM_PAPER = "the paper's study"
 
 
 def compare_with_paper(
-    settings: Settings, recordings: Sequence[Recording], rig: Rig | None, *, found: Problems
+    settings: Settings, recordings: Sequence[Facts], rig: Rig | None, *, found: Problems
 ) -> Problems:
     """Add to what was found where a study differs from the paper's, and note what of the paper is not known."""
     if (paper := settings.paper) is None:
@@ -93,7 +93,7 @@ def _compare_names(settings: Settings, paper: PaperTable) -> Iterator[str]:
 
 
 def _compare_signals(
-    settings: Settings, paper: PaperTable, recordings: Sequence[Recording]
+    settings: Settings, paper: PaperTable, recordings: Sequence[Facts]
 ) -> Iterator[str]:
     """Compare rates, bands and windows."""
     rates = {one.name: one.rate_hz for one in recordings}

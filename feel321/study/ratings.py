@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from feel321.files import write_table
+from feel321.doors import announce
+from feel321.files import write_table, write_twin
 from feel321.protocols.tasks import find_other, score_trial
 from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
@@ -34,9 +35,11 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
     was begun anew, is there and marked as rejected.
     """
-    rows = [row for folder in study.participants for row in read_judgements(folder, stimuli)]
-    write_table(study.ratings, RATING_COLUMNS, rows)
-    return len(rows)
+    rows = (row for folder in study.participants for row in read_judgements(folder, stimuli))
+    count = write_table(study.ratings, RATING_COLUMNS, rows)
+    if line := write_twin(study.ratings, count):
+        announce(line)
+    return count
 
 
 def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
@@ -61,11 +64,25 @@ def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
             if fault := next(find_misplaced(path, header, plan), ""):
                 remedy = "move a copy out of sessions/, or restore the plan from one"
                 raise ValueError(f"{path}{fault}; {remedy}")
-            judged = _list_judgements(plan, records, path=path)
             levels = find_own_levels(plan, records, stimuli)
-            own = [_decode(row, header, by_code, levels=levels) for row in judged]
-            rows += sorted(own, key=lambda row: row["trial"])
+            rows += decode_judgements(plan, records, by_code, levels=levels, path=path)
     return rows
+
+
+def decode_judgements(
+    plan: Plan,
+    records: Records,
+    by_code: Mapping[str, Stimulus],
+    *,
+    levels: Mapping[str, float],
+    path: Path,
+) -> list[dict[str, Any]]:
+    """Decode the completed judgements of a journal that has a header, in the order of the plan's trials."""
+    if (header := records.find_header()) is None:
+        return []
+    judged = _list_judgements(plan, records, path=path)
+    rows = [_decode(row, header, by_code, levels=levels) for row in judged]
+    return sorted(rows, key=lambda row: row["trial"])
 
 
 def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str]:

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from itertools import count, islice
 from pathlib import Path
@@ -15,14 +12,8 @@ from threading import Event, Lock
 from typing import TYPE_CHECKING, NamedTuple
 
 from feel321.study.exploration.track import MOTION
-from feel321.study.observer.participant import (
-    SPECTRAL,
-    ObserverModel,
-    Touch,
-    expect_rating,
-    identify_observer,
-)
-from feel321.study.observer.percepts import Percept, read_percepts
+from feel321.study.observer.casting import Casting, cast_observers, find_person, make_model
+from feel321.study.observer.participant import Touch, expect_rating, identify_observer
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import Journal, list_journals, read_journal
@@ -48,18 +39,6 @@ from feel321.study.sessions import Room, lead_session, open_room, plan_sessions,
 from feel321.study.settings.read import read_settings
 from feel321.study.strength import find_unfelt
 
-NUMBERED = re.compile(r"sim(\d+)")
-"""Codes that hold the number of a simulated person."""
-
-
-@dataclass(frozen=True, slots=True)
-class Casting:
-    """The simulated participants of a study: their model, seed and percepts."""
-
-    model: ObserverModel
-    seed: int
-    percepts: Mapping[str, Percept]
-
 
 class Planted(NamedTuple):
     """What simulated participants plant in realism ratings: points per +0.1 of a metric, and points of a reducer."""
@@ -81,7 +60,7 @@ def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
     """
     import numpy as np
 
-    model = _make_model(settings)
+    model = make_model(settings)
     tests = [stimulus for stimulus in stimuli.stimuli if stimulus.role == "test"]
     if model.uses_percepts or "realism" not in settings.session.protocols or not tests:
         return Planted({}, {})
@@ -104,40 +83,13 @@ def _regress_within(values: NDArray[np.float64], groups: list[tuple[str, str]]) 
     """Regress the last column on the others, within groups."""
     import numpy as np
 
-    names = sorted(set(groups))
-    arms = np.array([names.index(group) for group in groups])
-    for arm in range(len(names)):
-        values[arms == arm] -= values[arms == arm].mean(axis=0)
+    numbers = {group: number for number, group in enumerate(sorted(set(groups)))}
+    arms = np.array([numbers[group] for group in groups])
+    sums = np.zeros((len(numbers), values.shape[1]))
+    np.add.at(sums, arms, values)
+    values = values - (sums / np.bincount(arms)[:, None])[arms]
     found: list[float] = np.linalg.lstsq(values[:, :-1], values[:, -1], rcond=None)[0].tolist()
     return found
-
-
-def _make_model(settings: Settings) -> ObserverModel:
-    declared = [name for name in settings.analysis.metrics if name in SPECTRAL]
-    return ObserverModel(
-        **settings.observer.model_dump(),
-        spectral_metric=(declared or SPECTRAL)[0],
-        detection_curve=settings.stimuli.threshold,
-    )
-
-
-def cast_observers(settings: Settings, stimuli: StimulusSet, *, seed: int) -> Casting:
-    """Set the observer parameters of a study's simulated participants, by the spectral match that it declares."""
-    model = _make_model(settings)
-    return Casting(model, seed, read_percepts(stimuli) if model.uses_percepts else {})
-
-
-def find_person(participant: str) -> int:
-    """Find the simulated person of a code: always the same one, with or without a hand, whatever the design.
-
-    Examples
-    --------
-    >>> find_person("sim007"), find_person("p07") == find_person("p07"), find_person("p07") == find_person("p08")
-    (7, True, False)
-    """
-    if numbered := NUMBERED.fullmatch(participant):
-        return int(numbered[1])
-    return int.from_bytes(hashlib.sha256(participant.encode()).digest()[:8], "big")
 
 
 SIDE_BY_SIDE = 16

@@ -4,17 +4,17 @@ Everything here works on what a build would make (`feel321.stimuli.sets.build.fo
 whether it was made yet or not.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import inf, log10, sqrt
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.protocols.trial import SURFACE
-from feel321.stimuli.condition import condition
-from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.anchors import to_db
-from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
+from feel321.stimuli.sets.build import Foreseen
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, Recipe
 from feel321.stimuli.sets.render import find_headroom_cost
@@ -34,6 +34,10 @@ REACH_DB = 12.0
 
 COSTLY_DB = 1.0
 """A recording that takes less headroom from the others is not worth a line."""
+
+
+MOST_LISTED = 50
+"""Recordings whose levels are listed; all are among the figures."""
 
 
 # How strongly a study's stimuli will be felt: sensation levels and gains.
@@ -56,7 +60,7 @@ def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Reci
         warnings=(
             *(unfelt if is_accepted else ()),
             *weak,
-            *_compare_with_surface(settings, foreseen),
+            *_compare_with_surface(settings, [one.gain for one in foreseen]),
             *_find_out_of_reach(settings),
         ),
         notes=(*describe_gains(foreseen, recipe), *_list_levels(levels)),
@@ -85,22 +89,38 @@ def _find_out_of_reach(settings: Settings) -> Iterator[str]:
             )
 
 
-def describe_gains(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
+class _Played(NamedTuple):
+    recording: str
+    reducer: str
+    level: str
+    gain: float
+    peak_m_s2: float
+
+
+def describe_gains(foreseen: Iterable[Foreseen], recipe: Recipe) -> list[str]:
     """Describe by which gains stimuli are played, and what one recording's peak costs the others."""
-    gains = [one.gain for one in foreseen if one.level == "as_is"]
+    played = [
+        _Played(one.recording, one.reducer, one.level, one.gain, one.peak_m_s2) for one in foreseen
+    ]
+    return _describe_gains(played, recipe)
+
+
+def _describe_gains(played: Sequence[_Played], recipe: Recipe) -> list[str]:
+    gains = [one.gain for one in played if one.level == "as_is"]
     scope = {ONE_GAIN: "one for the whole set", GAIN_PER_RECORDING: "one per recording"}
     how = f"gain, {scope.get(str(recipe.gain), 'as given in study.toml')}"
     lines = [f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how]
     if recipe.gain != ONE_GAIN:
         return lines
-    loudest = {
-        name: max(own, key=lambda one: one.measured.peak) for name, own in _group(foreseen).items()
-    }
-    peaks = {name: one.measured.peak for name, one in loudest.items()}
-    recording, cost_db = find_headroom_cost(peaks)
+    loudest: dict[str, tuple[float, str]] = {}
+    for one in played:
+        peak = one.peak_m_s2 / one.gain
+        if peak > loudest.get(one.recording, (-1.0, ""))[0]:
+            loudest[one.recording] = peak, one.reducer
+    recording, cost_db = find_headroom_cost({name: peak for name, (peak, _) in loudest.items()})
     if cost_db >= COSTLY_DB:
         lines.append(
-            f"headroom: the peak of recording {recording!r} ({loudest[recording].reducer}) sets the gain; all other "
+            f"headroom: the peak of recording {recording!r} ({loudest[recording][1]}) sets the gain; all other "
             f'recordings are played {cost_db:.1f} dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that'
         )
     return lines
@@ -118,15 +138,16 @@ def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
     )
 
 
-def describe_built(
-    settings: Settings, recordings: Sequence[Recording], stimuli: StimulusSet
-) -> list[str]:
+def describe_built(settings: Settings, stimuli: StimulusSet) -> list[str]:
     """Describe the gains of a built set, beside a real surface too, and how many of its stimuli cannot be felt."""
     recipe = make_recipe(settings, stimuli.folder.parent)
-    foreseen = foresee_stimuli(recordings, stimuli.folder, recipe=recipe)
+    heard = [
+        _Played(one.recording, one.reducer, one.level, one.gain, recipe.full_scale_m_s2 * one.peak)
+        for one in stimuli
+    ]
     unfelt = filter(None, [find_unfelt(settings, stimuli)])
-    beside = _compare_with_surface(settings, foreseen)
-    return [*describe_gains(foreseen, recipe), *beside, *unfelt, *stimuli.warnings]
+    beside = _compare_with_surface(settings, [one.gain for one in stimuli])
+    return [*_describe_gains(heard, recipe), *beside, *unfelt, *stimuli.warnings]
 
 
 def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
@@ -197,13 +218,12 @@ def _advise(own: Sequence[Foreseen], weak: Sequence[Foreseen], recipe: Recipe) -
     return "leave out the recording or these reducers, or use a stronger rig (full_scale_m_s2)"
 
 
-def _compare_with_surface(settings: Settings, foreseen: Sequence[Foreseen]) -> Iterator[str]:
+def _compare_with_surface(settings: Settings, gains: Sequence[float]) -> Iterator[str]:
     beside = [
         task.protocol
         for task in make_design(settings).tasks
         if task.surface or task.reference == SURFACE
     ]
-    gains = [one.gain for one in foreseen]
     if beside and set(gains) != {1.0}:
         yield (
             f"tasks {', '.join(beside)}: the real surface is felt, but stimuli are played at {_write_range(gains)} "
@@ -219,12 +239,14 @@ def _write_range(values: Sequence[float]) -> str:
 
 def _list_levels(levels: Mapping[str, Mapping[str, Sequence[float]]]) -> Iterator[str]:
     """List the weakest and strongest stimulus of each recording under every threshold curve."""
-    width = max(map(len, ("recording", *levels)))
+    width = max(map(len, ("recording", *list(levels)[:MOST_LISTED])))
     yield "sensation levels, dB over the detection threshold in the loudest 200 ms, weakest to strongest stimulus:"
     yield f"  {'recording':{width}}" + "".join(f"  {curve:>16}" for curve in THRESHOLDS)
-    for recording, ranges in levels.items():
+    for recording, ranges in list(levels.items())[:MOST_LISTED]:
         cells = (" to ".join(map(write_db, ranges[curve])) for curve in THRESHOLDS)
         yield f"  {recording:{width}}" + "".join(f"  {text:>16}" for text in cells)
+    if len(levels) > MOST_LISTED:
+        yield f"  and {len(levels) - MOST_LISTED} more recordings; feel321 check --json lists all"
 
 
 def energy_db(energy: float, other: float) -> float:
@@ -242,8 +264,13 @@ def write_db(value: float) -> str:
 # What a rig makes of the strength of stimuli: equal energy for one axis and for three, and peaks that it can play.
 
 
-def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Problems:
-    """Compare the energy with which one-axis stimuli and the three-axis reference reach the hand."""
+def find_reach(
+    rig: Rig, covariances: Mapping[str, NDArray[np.float64]], recipe: Recipe
+) -> Problems:
+    """Compare the energy with which one-axis stimuli and the three-axis reference reach the hand.
+
+    covariances: of the axes of each conditioned recording, (3, 3).
+    """
     if recipe.reference != ORIGINAL:
         return Problems()
     directions, unknown = render.find_directions(rig)
@@ -257,11 +284,9 @@ def find_reach(rig: Rig, recordings: Sequence[Recording], recipe: Recipe) -> Pro
     mix = render.find_mix(rig)
     reduced = render.reduced_energy(mix, directions)
     differences: dict[str, float] = {}
-    for recording in recordings:
-        acceleration = condition(recording, recipe.conditioning).acceleration
-        covariance = np.einsum("in,jn->ij", acceleration, acceleration)
+    for recording, covariance in covariances.items():
         original = render.original_energy(mix, directions, covariance)
-        differences[recording.name] = energy_db(reduced, original)
+        differences[recording] = energy_db(reduced, original)
     name = max(differences, key=lambda name: abs(differences[name]))
     figures = {"reduced_over_reference_db": differences}
     worst = differences[name]

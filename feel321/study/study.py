@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.findings import Audit, Problems
+    from feel321.study.power.page import StudyPower
     from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
     from feel321.types import PathLike, Progress, Rng
@@ -216,7 +217,88 @@ class Contents:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Study(Contents):
+class Plannable(Contents):
+    """A study that can be planned by what it would find."""
+
+    def power(  # noqa: PLR0913 - every choice that changes the answer has a name of its own
+        self,
+        *,
+        participants: Sequence[int] = (),
+        recordings: Sequence[int] = (),
+        reducers: Sequence[int] = (),
+        repeats: Sequence[int] = (),
+        effects: Mapping[str, float] | None = None,
+        hypothesis: str | None = None,
+        pilot: str | None = None,
+        manifest: PathLike | None = None,
+        screening: Sequence[str] = (),
+        wanted: float = 0.8,
+        studies: int = 1000,
+        whole: int = 0,
+        workers: int | Workers = 1,
+        seed: int | None = None,
+        folder: PathLike | None = None,
+    ) -> StudyPower:
+        """Find how many participants, recordings and reducers the study needs, and write the page into `power/`.
+
+        Parameters
+        ----------
+        participants, recordings, reducers, repeats : sequence of int
+            Numbers that are compared; around the study's own if left out.
+        effects : Mapping of str to float, optional
+            Metric, or attribute/metric -> slope to plan for, in points per +0.1 of it; as the study's simulated
+            observers feel if left out.
+        hypothesis : str, optional
+            Attribute/metric that the recommended design is for; the one with the least power if left out.
+        pilot : str, optional
+            Table of ratings to take standard deviations from, "study" for the study's own, "observers" for those of its
+            simulated observers; the usual ones of `analysis.Truth` if left out.
+        manifest : str or path, optional
+            The stimuli of the pilot; the study's by default.
+        screening : sequence of str
+            Screening rules; whoever is flagged is left out. `analyze` itself leaves nobody out.
+        wanted : float
+            Power that is asked for.
+        studies : int
+            Simulated studies of each checked design; 0 for the closed form alone.
+        whole : int
+            Whole studies through sessions and analysis, which take a second each.
+        workers : int or Workers
+            Number of processes, or who else does the work. The result does not depend on it.
+        seed : int, optional
+            Random seed; the study's by default.
+        folder : str or path, optional
+            Where to, instead of `power/`.
+
+        Returns
+        -------
+        StudyPower
+            The answer, and every number behind it.
+        """
+        from feel321.analysis.report.folder import check_target
+        from feel321.jobs import as_workers
+        from feel321.study.power import setup
+
+        target = self.folder.path / "power" if folder is None else as_path(folder, "folder")
+        check_target(target)
+        given = None if manifest is None else as_path(manifest, "manifest")
+        seed = self.settings.study.seed if seed is None else seed
+        sizes = setup.Sizes(
+            participants, recordings, reducers, repeats, hypothesis or "", studies, whole, seed
+        )
+        with follow(self.progress, "power") as step:
+            task = setup.set_up(
+                self.folder, effects=effects, pilot=pilot, pilot_manifest=given, screening=screening, wanted=wanted
+            )  # fmt: skip
+            found = setup.plan_study(
+                task, sizes, keep=target / setup.KEPT, workers=as_workers(workers), progress=step
+            )
+        found.write(target)
+        return found
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Study(Plannable):
     """A study in its folder; begin with `Study.create` or `Study.open`.
 
     Parameters
@@ -310,12 +392,10 @@ class Study(Contents):
         from feel321.study.workflow import build_study
 
         with follow(self.progress, "build") as step:
-            recordings, stimuli = build_study(
-                self.folder, workers=workers, page=page, progress=step
-            )
-        for recording in recordings:
-            for text in recording.warnings:
-                self._warn(f"{recording.name}: {text}")
+            facts, stimuli = build_study(self.folder, workers=workers, page=page, progress=step)
+        for one in facts:
+            for text in one.warnings:
+                self._warn(f"{one.name}: {text}")
         return stimuli
 
     def simulate(self, participants: int = 16, rng: Rng | None = None) -> DataFrame:

@@ -1,11 +1,14 @@
 """Steps of a study before the sessions: check and build."""
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from feel321.doors import announce
+import numpy as np
+from numpy.typing import NDArray
+
+from feel321.doors import announce, follow
 from feel321.jobs import Workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
@@ -13,9 +16,18 @@ from feel321.protocols.trial import CHOOSING, Item
 from feel321.stimuli.condition import condition, fade
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.anchors import quietest_hz
-from feel321.stimuli.sets.build import Foreseen, build_stimuli, foresee_stimuli
+from feel321.stimuli.sets.build import (
+    Facts,
+    Foreseen,
+    Survey,
+    build_set,
+    place_surveyed,
+    read_history,
+    survey_recording,
+)
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.unread import Unread
 from feel321.study import strength
 from feel321.study.actuator.certificate import Certificate, judge_certificates, list_certificates
 from feel321.study.actuator.render import find_mix
@@ -31,12 +43,11 @@ from feel321.study.session.plan import PLAN_FILE, Design, make_plan
 from feel321.study.settings.read import (
     find_language,
     list_remarks,
+    list_unread,
     make_design,
     make_recipe,
-    open_recordings,
     read_settings,
     read_study_texts,
-    try_recordings,
 )
 from feel321.study.settings.schema import Settings, count_groups
 
@@ -49,15 +60,14 @@ def build_study(
     workers: int | Workers = 1,
     page: bool = True,
     progress: Progress | None = None,
-) -> tuple[list[Recording], StimulusSet]:
-    """Build the stimulus set of a study, and its page."""
+) -> tuple[list[Facts], StimulusSet]:
+    """Build the stimulus set of a study, and its page; also gives what was found of its recordings."""
     settings = read_settings(study.settings)
-    recordings = open_recordings(settings, study.path)
+    sources = list_unread(settings, study.path)
     recipe = make_recipe(settings, study.path)
-    _protect_used_set(study, recipe, recordings)
-    stimuli = build_stimuli(
-        recordings, study.stimuli, recipe=recipe, workers=workers, progress=progress
-    )
+    _protect_used_set(study, recipe, sources)
+    with follow(progress or False, "build") as move:
+        facts, stimuli = build_set(sources, study.stimuli, recipe, workers=workers, move=move)
     if page:
         from feel321.analysis.browser import write_stimulus_page
 
@@ -67,18 +77,17 @@ def build_study(
         from feel321.analysis.browser import remove_stimulus_page
 
         remove_stimulus_page(study.stimuli)
-    return recordings, stimuli
+    return facts, stimuli
 
 
-def _protect_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[Recording]) -> None:
+def _protect_used_set(study: StudyFolder, recipe: Recipe, sources: Sequence[Unread]) -> None:
     """Refuse to replace a set that sessions were run with, or may have been."""
     if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
         return
+    digests = dict(map(_digest_unread, sources))
     try:
         sha256 = read_stimuli(study.stimuli).sha256
-        changes = find_changes(
-            study.stimuli, recipe, {recording.name: recording.sha256 for recording in recordings}
-        )
+        changes = find_changes(study.stimuli, recipe, digests)
     except (OSError, ValueError) as error:
         raise ValueError(
             f"{study.stimuli}: sessions may have been run with this set, which cannot be read ({error}); "
@@ -89,7 +98,29 @@ def _protect_used_set(study: StudyFolder, recipe: Recipe, recordings: Sequence[R
         raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))
 
 
+def _digest_unread(source: Unread) -> tuple[str, str | None]:
+    """Digest a recording; None if it cannot be read, which is reported by itself."""
+    try:
+        return source.name, source.read().sha256
+    except (OSError, TypeError, ValueError):
+        return source.name, None
+
+
 # Everything that stands in the way of a study, found in one go.
+
+
+@dataclass(frozen=True, slots=True)
+class _Examined:
+    """What one look at each recording gave; faults: why some cannot be read; problems: why some cannot be used."""
+
+    surveyed: tuple[Survey, ...] = ()
+    covariances: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
+    faults: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    @property
+    def facts(self) -> list[Facts]:
+        return [one.facts for one in self.surveyed if one.facts]
 
 
 def check_study(
@@ -100,26 +131,26 @@ def check_study(
         settings = read_settings(study.settings)
     except ValueError as error:
         return Problems(tuple(str(error).splitlines()))
-    recordings, unread = try_recordings(settings, study.path)
-    rig, rigged = _check_conditions(study, settings, recordings, now=now)
+    recipe, unusable = _try_recipe(study, settings)
+    examined = _examine(study, settings, None if unusable else recipe, progress=progress)
+    rig, rigged = _check_conditions(study, settings, examined.facts, now=now)
     problems = [
-        *unread,
+        *examined.faults,
         *_check_pictures(study, settings),
         *_check_texts(study, settings),
         *rigged.problems,
+        *examined.problems,
+        *unusable,
     ]
-    recipe, unusable = _try_recipe(study, settings, recordings)
-    problems += unusable
     found = Problems()
-    if recipe is not None and not unread and not unusable:
+    if recipe is not None and not (examined.faults or examined.problems or unusable):
         try:
-            foreseen = foresee_stimuli(recordings, study.stimuli, recipe=recipe, progress=progress)
-            found = _find_strength(study, settings, recordings, foreseen=foreseen, rig=rig)
+            found = _find_strength(study, settings, examined, recipe=recipe, rig=rig)
         except ValueError as error:
             problems.append(str(error))
     problems += found.problems
     if study.stimuli.exists():
-        problems += _check_set(study, settings, recordings, recipe=recipe)
+        problems += _check_set(study, settings, examined.facts, recipe=recipe)
     elif study.participants:
         problems.append(
             f"{study.stimuli}: missing, but sessions were run with it; put it back or build it again"
@@ -131,18 +162,59 @@ def check_study(
         + rigged.warnings
         + tuple([] if problems else find_warnings(study, settings)),
         notes=rigged.notes + found.notes,
-        remarks=tuple(f"{one.name}: {text}" for one in recordings for text in one.warnings),
+        remarks=tuple(f"{one.name}: {text}" for one in examined.facts for text in one.warnings),
     )
 
 
-def _try_recipe(
-    study: StudyFolder, settings: Settings, recordings: Sequence[Recording]
-) -> tuple[Recipe | None, list[str]]:
+def _try_recipe(study: StudyFolder, settings: Settings) -> tuple[Recipe | None, list[str]]:
     try:
         recipe = make_recipe(settings, study.path)
     except ValueError as error:
         return None, [f"{study.settings.name}: {error}"]
-    return recipe, [*_check_recordings(recordings, recipe), *_check_methods(study, settings)]
+    return recipe, _check_methods(study, settings)
+
+
+def _examine(
+    study: StudyFolder, settings: Settings, recipe: Recipe | None, *, progress: Progress | None
+) -> _Examined:
+    """Read each recording once, try out what a build does to it, and measure its stimuli; keep no samples."""
+    history, sources = read_history(study.stimuli), list_unread(settings, study.path)
+    surveyed: list[Survey] = []
+    covariances: dict[str, NDArray[np.float64]] = {}
+    problems: list[str] = []
+    for done, source in enumerate(sources, start=1):
+        try:
+            recording = source.read()
+        except (OSError, TypeError, ValueError) as error:
+            surveyed.append(Survey(None, {}, f"recording {source.name!r}: {error}"))
+            continue
+        own = Survey(Facts.find(recording), {})
+        try:
+            if recipe is not None:
+                covariances[source.name] = _try_recording(recording, recipe)
+                known = history.select(source.name).measured
+                found = survey_recording(recording, known, recipe=recipe)
+                own = found if found.facts else own
+                problems += [found.fault] if found.fault else []
+        except ValueError as error:
+            problems.append(str(error))
+        surveyed.append(own)
+        if progress:
+            progress(done, len(sources))
+    faults = tuple(one.fault for one in surveyed if one.fault)
+    return _Examined(tuple(surveyed), covariances, faults, tuple(problems))
+
+
+def _try_recording(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
+    """Try out what a build does to a recording, but for what takes long; returns the covariance of its axes."""
+    try:
+        ready = condition(recording, recipe.conditioning)
+        fade(ready.acceleration, ready.rate_hz, fade_s=recipe.fade_s)
+        if recipe.anchors:
+            quietest_hz(ready)
+    except ValueError as error:
+        raise ValueError(f"recording {recording.name!r}: {error}") from None
+    return np.asarray(np.einsum("in,jn->ij", ready.acceleration, ready.acceleration))
 
 
 def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
@@ -165,24 +237,19 @@ def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
 
 
 def _find_strength(
-    study: StudyFolder,
-    settings: Settings,
-    recordings: Sequence[Recording],
-    *,
-    foreseen: Sequence[Foreseen],
-    rig: Rig | None,
+    study: StudyFolder, settings: Settings, examined: _Examined, *, recipe: Recipe, rig: Rig | None
 ) -> Problems:
     """Find out how strong stimuli are, how long a session takes, and, with a rig, how it brings them to the hand."""
-    recipe = make_recipe(settings, study.path)
+    foreseen = place_surveyed(examined.surveyed, recipe)
     found = strength.find_strength(settings, foreseen, recipe)
-    found = _add_minutes(found, settings, recordings, foreseen=foreseen)
+    found = _add_minutes(found, settings, examined.facts, foreseen=foreseen)
     is_built = study.manifest.exists()  # then its files are examined themselves
     problems = [*found.problems, *([] if is_built else strength.find_clipping(foreseen, recipe))]
     if rig is None:
         return replace(found, problems=tuple(problems))
     name = study.rig.name
     limits = [] if is_built else strength.find_rig_limits(rig, foreseen, recipe.reference)
-    reach = strength.find_reach(rig, recordings, recipe)
+    reach = strength.find_reach(rig, examined.covariances, recipe)
     return Problems(
         problems=(*problems, *(f"{name}: {line}" for line in limits)),
         warnings=(*found.warnings, *(f"{name}: {line}" for line in reach.warnings)),
@@ -194,7 +261,7 @@ def _find_strength(
 def _add_minutes(
     found: Problems,
     settings: Settings,
-    recordings: Sequence[Recording],
+    recordings: Sequence[Facts],
     *,
     foreseen: Sequence[Foreseen],
 ) -> Problems:
@@ -222,11 +289,7 @@ def _keep_choosing(design: Design) -> tuple[Design, int]:
 
 
 def _check_set(
-    study: StudyFolder,
-    settings: Settings,
-    recordings: Sequence[Recording],
-    *,
-    recipe: Recipe | None,
+    study: StudyFolder, settings: Settings, recordings: Sequence[Facts], *, recipe: Recipe | None
 ) -> Iterator[str]:
     """Check the set that is there: its files, that tasks and analysis can use it, and that the settings ask for it."""
     damage = check_stimuli(study.stimuli)
@@ -266,8 +329,13 @@ def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
     from feel321.analysis.table.metrics import ROTATIONS  # build needs nothing of the analysis
 
     with study.manifest.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    numeric = [name for name in rows[0] if any(_is_number(row[name]) for row in rows)]
+        known = dict.fromkeys(csv.DictReader(file).fieldnames or (), False)
+        file.seek(0)
+        for row in csv.DictReader(file):
+            known |= {
+                name: True for name, seen in known.items() if not seen and _is_number(row[name])
+            }
+    numeric = [name for name, seen in known.items() if seen]
     for name in settings.analysis.metrics:
         if name not in numeric and name not in ROTATIONS:
             yield (
@@ -282,18 +350,6 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _check_recordings(recordings: Sequence[Recording], recipe: Recipe) -> Iterator[str]:
-    """Try out what a build does to every recording, but for what takes long."""
-    for recording in recordings:
-        try:
-            ready = condition(recording, recipe.conditioning)
-            fade(ready.acceleration, ready.rate_hz, fade_s=recipe.fade_s)
-            if recipe.anchors:
-                quietest_hz(ready)
-        except ValueError as error:
-            yield f"recording {recording.name!r}: {error}"
 
 
 def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
@@ -330,7 +386,7 @@ def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
 
 
 def _check_conditions(
-    study: StudyFolder, settings: Settings, recordings: Sequence[Recording], *, now: Clock
+    study: StudyFolder, settings: Settings, recordings: Sequence[Facts], *, now: Clock
 ) -> tuple[Rig | None, Problems]:
     """Check the rig, and compare the study with that of the paper which it replicates, if it does."""
     rig, rigged = _check_rig(study, settings, now=now)

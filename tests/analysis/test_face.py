@@ -12,8 +12,7 @@ from feel321 import analysis, results, types
 HEAVY = ("pandas", "scipy", "matplotlib", "statsmodels", "jinja2", "joblib", "soxr")
 
 
-def test_face_is_flat_and_sorted() -> None:
-    assert analysis.__all__ == sorted(analysis.__all__)
+def test_every_name_of_the_face_is_there() -> None:
     assert all(hasattr(analysis, name) for name in analysis.__all__)
 
 

@@ -203,6 +203,16 @@ def test_too_much_to_leave_out_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.find_turns(METRICS[0]).empty
 
 
+def test_of_many_recordings_only_reducers_and_stimuli_are_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sensitivity, "MOST_UNITS", 3)
+    rows = plant(people=3, recordings=4)
+    found = measure_influence(rows, METRICS, fit_primary(rows, METRICS, explain=False))
+    assert set(found.table["kind"]) <= {"reducer", "stimulus"}
+    assert found.notes == ("Recordings were not left out in turn: more than 3.",)
+
+
 @pytest.mark.parametrize(
     ("rows", "why"),
     [

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2, f, norm, pearsonr, spearmanr, t
 
+from feel321.analysis import standard
 from feel321.analysis.association.classic import repeated_measures_correlation
 from feel321.analysis.standard import P1401, compare_p1401, fit_monotone_cubic, p1401
 
@@ -221,6 +222,16 @@ def test_out_of_fold_predicts_without_the_group() -> None:
     assert result.held_out
     assert result.coefficients == pytest.approx(p1401(votes, metric, order=1).coefficients)
     assert result.rmse == pytest.approx(math.sqrt(((mos - result.mapped) ** 2).sum() / 39))
+
+
+def test_of_many_groups_several_are_left_out_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    votes, metric = make_votes()
+    groups = np.arange(40) % 5
+    together = p1401(votes, metric, order=1, groups=groups // 3)
+    monkeypatch.setattr(standard, "MOST_FOLDS", 2)
+    result = p1401(votes, metric, order=1, groups=groups)
+    np.testing.assert_array_equal(result.mapped, together.mapped)
+    assert "5 groups are left out 3 at a time." in result.notes
 
 
 def test_out_of_fold_flatters_nobody() -> None:

@@ -1,4 +1,4 @@
-"""What simulated coils deliver of a study's stimuli, before and after calibration: python tests/bench/delivered.py
+"""What simulated coils deliver of a study's stimuli, before and after calibration: `make bench`.
 
 Each stimulus is played on the simulated device, through the stream that sessions use, and measured by a three-axis
 sensor. Intended and delivered match metrics, level errors and coherence, uncalibrated and with a certificate.
@@ -13,6 +13,7 @@ from time import perf_counter, sleep
 from typing import TYPE_CHECKING
 
 import numpy as np
+from figures import Figure
 
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.build import build_stimuli
@@ -26,6 +27,8 @@ from feel321.study.actuator.rig import read_rig
 from feel321.study.session.events import find_loss
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.actuator.mixer import Sounds
     from feel321.study.actuator.rig import Rig
@@ -86,7 +89,8 @@ q = 8.0
 """
 
 
-def main() -> None:
+def measure() -> Iterator[Figure]:
+    """Play everything, uncalibrated and calibrated; the largest errors with a certificate."""
     recordings = [make_scene(name) for name in SCENES]
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "rig.toml").write_text(RIG, encoding="utf-8")
@@ -106,7 +110,12 @@ def main() -> None:
             sounds = render_set(stimuli, rig, **choices)
             print("calibrated" if one else "uncalibrated")
             own = one.apply(rig) if one else rig
-            report(stimuli, play_all(stimuli, own, sounds, check=check, folder=Path(folder)))
+            worst = report(
+                stimuli, play_all(stimuli, own, sounds, check=check, folder=Path(folder))
+            )
+        for name, limit in (*((match, 0.02) for match in MATCHES), ("level_error_db", 0.1)):
+            what = f"{name} delivered, calibrated"
+            yield Figure(what, worst[name], "largest error of a stimulus", limit, compared=False)
 
 
 def play_all(
@@ -126,7 +135,9 @@ def play_all(
     return played
 
 
-def report(stimuli: StimulusSet, played: dict[str, Playback]) -> None:
+def report(stimuli: StimulusSet, played: dict[str, Playback]) -> dict[str, float]:
+    """Print errors by role; the largest of the test stimuli."""
+    worst = {}
     for role in ("test", "reference"):
         errors = {name: [] for name in (*MATCHES, "level_error_db")}
         own = [one for one in stimuli if one.role == role]
@@ -137,12 +148,10 @@ def report(stimuli: StimulusSet, played: dict[str, Playback]) -> None:
             if loss := find_loss(found, Flow()):
                 print(f"  {one.stimulus_id}: {loss}")
         for name, values in errors.items():
+            worst.setdefault(name, float(np.abs(values).max()))
             print(
                 f"  {role:10}{name:24}mean {np.mean(values):+.4f}, largest {np.abs(values).max():.4f}"
             )
         least = min(played[one.stimulus_id].delivered["coherence"] for one in own)
         print(f"  {role:10}least coherence {least:.3f}")
-
-
-if __name__ == "__main__":
-    main()
+    return worst

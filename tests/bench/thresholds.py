@@ -6,14 +6,14 @@ engine. Their 95 % intervals should hold 95 of 100 planted thresholds: fewer tha
 
 from __future__ import annotations
 
-import math
-import sys
 import tempfile
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from figures import Figure
 
 from feel321.protocols.detection import ThresholdBlock
 from feel321.protocols.tasks import make_task
@@ -25,6 +25,9 @@ from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
 from feel321.study.session.plan import Design, Stale, make_plan, open_session
 from feel321.study.thresholds import is_usable, read_thresholds
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 OBSERVERS = 100
 LEAST_COVERAGE = 0.89
@@ -98,21 +101,13 @@ def recover(
     return Recovery(*np.array(rows).T)
 
 
-def main() -> int:
-    """Measure once and print; 1 if intervals hold too few thresholds."""
-    is_kept = True
+def measure() -> Iterator[Figure]:
+    """Share of the planted thresholds that lie in their intervals, by procedure and number of trials."""
     for procedure in PROCEDURES:
         for trials in (40, USUAL.trials):
             with tempfile.TemporaryDirectory() as folder:
                 found = recover(Path(folder), procedure, observers=OBSERVERS, trials=trials)
-            kept = found.coverage >= LEAST_COVERAGE and not math.isnan(found.off.mean())
-            is_kept = is_kept and kept
-            print(
-                f"{'ok  ' if kept else 'MISS'} {procedure}, {OBSERVERS} observers, {len(FREQUENCIES_HZ)} frequencies, "
-                f"{trials} trials each: {found.describe()}"
-            )
-    return 0 if is_kept else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+            what = f"{procedure}, {trials} trials"
+            print(f"     {what}, {OBSERVERS} observers: {found.describe()}")
+            unit = "of thresholds in their intervals"
+            yield Figure(what, found.coverage, unit, LEAST_COVERAGE, at_least=True, compared=False)

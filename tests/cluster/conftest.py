@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
 LONGEST_S = 90.0
@@ -39,13 +38,16 @@ class Cluster:
         wait_until(lambda: about.is_file() and about.stat().st_size > 0)
         self.address = json.loads(about.read_text())["address"]
 
-    def start_worker(self, *options: str) -> subprocess.Popen[bytes]:
-        """Start a worker, and wait until the scheduler knows it."""
+    def start_worker(
+        self, *options: str, before: Sequence[str] = (), python_path: Path | None = None
+    ) -> subprocess.Popen[bytes]:
+        """Start a worker, and wait until the scheduler knows it; before: a program that starts it."""
         scratch = self.folder / f"worker-{len(self.workers)}"
         known = self._count_workers()
         worker = self._start(
             "worker", self.address, "--no-nanny", "--nthreads", "1", "--host", "127.0.0.1",
-            "--memory-limit", "0", "--local-directory", str(scratch), *options,
+            "--memory-limit", "0", "--local-directory", str(scratch), *options, before=before,
+            python_path=python_path,
         )  # fmt: skip
         self.workers.append(worker)
         wait_until(lambda: self._count_workers() > known)
@@ -55,12 +57,14 @@ class Cluster:
         log = (self.folder / "scheduler.log").read_text()
         return log.count("Register worker")
 
-    def _start(self, *command: str) -> subprocess.Popen[bytes]:
+    def _start(
+        self, *command: str, before: Sequence[str] = (), python_path: Path | None = None
+    ) -> subprocess.Popen[bytes]:
         environment = {
             **os.environ, "DASK_TEMPORARY_DIRECTORY": str(self.folder), "OPENBLAS_NUM_THREADS": "1",
-            "DASK_DISTRIBUTED__VERSION": "2",
+            **({"PYTHONPATH": str(python_path)} if python_path else {}),
         }  # fmt: skip
-        words = [sys.executable, "-m", "dask", *command, "--no-dashboard"]
+        words = [*before, sys.executable, "-m", "dask", *command, "--no-dashboard"]
         words += ["--dashboard-address", "127.0.0.1:0"]
         with (self.folder / f"{command[0]}.log").open("ab") as log:
             return subprocess.Popen(
@@ -85,11 +89,6 @@ def wait_until(is_so: Callable[[], bool]) -> None:
     while not is_so():
         assert time.monotonic() < until, "did not happen"
         time.sleep(0.05)
-
-
-def stop_for_now(process: subprocess.Popen[bytes]) -> None:
-    """Make a process as slow as can be."""
-    process.send_signal(signal.SIGSTOP)
 
 
 @pytest.fixture

@@ -12,10 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.jobs import Workers
+from feel321.analysis.tradeoff.advise.page import advise_recordings
+from feel321.analysis.tradeoff.advise.scene import Context
+from feel321.analysis.tradeoff.chart.compute import Effort, list_accuracy_jobs
+from feel321.analysis.tradeoff.stress.run import stress_reducers
+from feel321.extensions import find_method
+from feel321.jobs import Workers, gather_results
+from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.build import build_stimuli
+from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import SCENES, make_scene
-from feel321.study.folder import create_study
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
@@ -190,9 +196,8 @@ def test_a_bundled_study_is_built_by_a_cluster_as_by_one_process(
 ) -> None:
     cluster.start_worker()
     cluster.start_worker()
-    create_study(tmp_path / "here")
-    create_study(tmp_path / "there")
-    Study(tmp_path / "here").build()
+    Study.create(tmp_path / "there")
+    Study.create(tmp_path / "here").build()
     command = "import sys; from feel321.study.cli import main; sys.exit(main(sys.argv[1:]))"
     words = [sys.executable, "-W", "error", "-c", command, "build", "there"]
     done = subprocess.run(
@@ -217,3 +222,103 @@ def test_a_failing_job_says_what_it_says_without_a_cluster(
             build_stimuli(short, tmp_path / "set", fade_s=5.0, workers=workers)
         messages.append(str(caught.value))
     assert messages[0] == messages[1]
+
+
+MINE = """
+import numpy as np
+
+def my321(acceleration, rate_hz):
+    return np.asarray(acceleration)[0] * {factor}
+"""
+
+
+def build_own(
+    folder: Path, place: str, cluster: Cluster | None, share: str = ""
+) -> dict[str, bytes]:
+    """Build with a method of the lab's own."""
+    folder.mkdir()
+    method = find_method("reducer", place, folder=folder.parent)
+    recipe = Recipe(reducers=("my321",), methods=(method,), anchors=False)
+    workers = Workers(1, cluster.address, share) if cluster else Workers()
+    build_stimuli(make_scenes()[:2], folder, recipe, workers=workers)
+    return contents(folder)
+
+
+@pytest.mark.soak
+def test_a_labs_own_code_travels_with_the_study(tmp_path: Path, cluster: Cluster) -> None:
+    cluster.start_worker()
+    (tmp_path / "methods").mkdir()
+    (tmp_path / "methods" / "my321.py").write_text(MINE.format(factor=1.0))
+    place, share = "methods/my321.py:my321", (tmp_path / "share").as_uri()
+    here = build_own(tmp_path / "one", place, None)
+    assert build_own(tmp_path / "two", place, cluster) == here
+    assert build_own(tmp_path / "three", place, cluster, share) == here
+
+
+@pytest.mark.soak
+def test_a_labs_package_must_be_the_same_on_a_worker(
+    tmp_path: Path, cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, factor in {"here": 1.0, "there": 2.0}.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mylab321.py").write_text(MINE.format(factor=factor))
+    monkeypatch.syspath_prepend(tmp_path / "here")
+    first = cluster.start_worker()
+    with pytest.raises(
+        ValueError, match=r"worker tcp://.*cannot be imported: no module named 'mylab321'"
+    ):
+        build_own(tmp_path / "one", "mylab321:my321", cluster)
+    first.kill()
+    first.wait()
+    second = cluster.start_worker(python_path=tmp_path / "there")
+    with pytest.raises(ValueError, match="has other code of reducer 'mylab321:my321'"):
+        build_own(tmp_path / "two", "mylab321:my321", cluster)
+    second.kill()
+    second.wait()
+    cluster.start_worker(python_path=tmp_path / "here")
+    here = build_own(tmp_path / "three", "mylab321:my321", None)
+    assert build_own(tmp_path / "four", "mylab321:my321", cluster) == here
+
+
+@pytest.mark.soak
+def test_a_worker_that_does_not_see_the_folder_is_named(tmp_path: Path, cluster: Cluster) -> None:
+    target = tmp_path / "set"
+    target.mkdir()
+    hide = ["unshare", "--mount", "--propagation", "private", "sh", "-c"]
+    if subprocess.run([*hide, "true"], capture_output=True, check=False).returncode:
+        pytest.skip(
+            "NO MOUNT NAMESPACES HERE: the test of a folder that a worker does not see is left out"
+        )
+    hide += [f'mount -t tmpfs none "{target}" && exec "$@"', "sh"]
+    cluster.start_worker(before=hide)
+    with pytest.raises(
+        FileNotFoundError, match=r"not there on worker tcp://.* or give --share URL"
+    ):
+        build(target, cluster)
+    here = tmp_path / "here"
+    shared = build(target, cluster, share=(tmp_path / "share").as_uri())
+    build_stimuli(make_scenes(), here, **SOME)  # type: ignore[arg-type]  # fields of a recipe
+    assert shared == contents(here)
+
+
+@pytest.mark.soak
+def test_chart_stress_and_advice_are_those_of_one_process(cluster: Cluster) -> None:
+    cluster.start_worker()
+    cluster.start_worker()
+    scenes, workers = make_scenes()[:2], Workers(1, cluster.address)
+
+    def calculate(who: Workers) -> list[object]:
+        little = Effort("little", 0.2, 2, 2, 100, 3)
+        advice = advise_recordings(scenes, Context(), workers=who)
+        few = {name: REDUCERS[name] for name in ("sax321", "dft321")}
+        stress = stress_reducers(scenes, few, seeds=2, draws=2, seed=0, workers=who)
+        rows = gather_results(list_accuracy_jobs(scenes, little, {}, seed=0), workers=who)
+        return [
+            advice.summary(),
+            repr(stress.cells),
+            repr(stress.gains),
+            repr(stress.metrics),
+            repr(rows),
+        ]
+
+    assert calculate(Workers()) == calculate(workers)

@@ -127,7 +127,7 @@ def test_what_a_build_would_refuse_is_found_for_every_recording(
     assert second.startswith("recording 'hard_taps': ")
     with pytest.raises(ValueError, match=r"^recording 'bumps': ") as caught:
         build_study(study)
-    assert str(caught.value) == first
+    assert str(caught.value) == f"{first}\n{second}"
 
 
 def test_a_silent_recording_is_found_before_the_build(study: StudyFolder) -> None:

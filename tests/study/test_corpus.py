@@ -1,11 +1,20 @@
 from __future__ import annotations
 
+import json
+import signal
+import subprocess
+import sys
 from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from feel321.analysis import browser, read_table
+from feel321.doors import announcing
+from feel321.files import LONG_TABLE, write_twin
+from feel321.stimuli.sets import details
 from feel321.stimuli.wav import write_wav
 from feel321.study.folder import StudyFolder
 from feel321.study.session.plan import compare_plans, create_plan, make_plan, require_plan
@@ -115,3 +124,169 @@ def test_the_share_stands_in_the_plan(corpus: StudyFolder, tmp_path: Path) -> No
     )
     assert compare_plans(stored, whole) == ["recordings_per_participant 3 -> None"]
     assert {trial.recording for trial in whole.trials} == {f"tap{n:03d}" for n in range(8)}
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from feel321.study.folder import StudyFolder
+from feel321.study.workflow import build_study
+
+def kill(done, total):
+    if done == int(sys.argv[2]):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+build_study(StudyFolder(Path(sys.argv[1])), page=False, progress=kill)
+"""
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+@pytest.mark.parametrize(("steps", "most"), [(5, 9), (13, 0)])
+def test_a_killed_build_goes_on_where_it_was(
+    corpus: StudyFolder, tmp_path_factory: pytest.TempPathFactory, steps: int, most: int
+) -> None:
+    """Of 8 recordings x 3 stimuli, measured in 8 steps and written in 8 more."""
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, str(corpus.path), str(steps)], check=False
+    )
+    assert killed.returncode == -signal.SIGKILL
+    finished = corpus.stimuli / ".parts" / "finished"
+    before = {path.name: path.stat().st_mtime_ns for path in finished.glob("*.wav")}
+    assert len(before) >= 3 * (steps - 8)
+    rendered: list[str] = []
+    with announcing(rendered.append):
+        build_study(corpus, page=False)
+    assert len(rendered) <= most
+    for name, time_ns in before.items():  # moved, not written again
+        assert (corpus.stimuli / name).stat().st_mtime_ns == time_ns
+    other = StudyFolder(tmp_path_factory.mktemp("whole"))
+    write_corpus(other.path, 8)
+    build_study(other, page=False)
+    assert read_files(corpus.stimuli) == read_files(other.stimuli)
+    assert not (corpus.stimuli / ".parts").exists()
+
+
+COUNTING = """
+import weakref
+import numpy as np
+from feel321.stimuli import Recording
+
+OPEN = set()
+
+def read_raw(path):
+    samples = np.fromfile(path).reshape(3, -1)
+    OPEN.add(id(samples))
+    weakref.finalize(samples, OPEN.discard, id(samples))
+    with (path.parent / "open.txt").open("a") as file:
+        file.write(f"{len(OPEN)}\\n")
+    return Recording(samples, 2000.0)
+"""
+
+
+def test_recordings_are_open_only_while_they_are_used(tmp_path: Path) -> None:
+    (tmp_path / "methods").mkdir()
+    (tmp_path / "corpus").mkdir()
+    (tmp_path / "methods" / "raw.py").write_text(COUNTING.replace("\\\\", "\\"), encoding="utf-8")
+    for number in range(8):
+        np.random.default_rng(number).standard_normal((3, 400)).tofile(
+            tmp_path / "corpus" / f"tap{number}.raw"
+        )
+    text = CORPUS.replace("*.wav", "*.raw").replace('unit = "m/s^2"\n', "")
+    study = StudyFolder(tmp_path)
+    study.settings.write_text(
+        f'{text}[formats]\nraw = "methods/raw.py:read_raw"\n', encoding="utf-8"
+    )
+    assert check_study(study).problems == ()
+    build_study(study, page=False)
+    opened = [int(line) for line in (tmp_path / "corpus" / "open.txt").read_text().split()]
+    assert len(opened) == 8 + 2 * 8  # by check, and by both rounds of build
+    assert max(opened) <= 2  # threads of one process
+
+
+def test_a_manifest_is_read_entry_by_entry_as_it_is_as_a_whole(corpus: StudyFolder) -> None:
+    build_study(corpus, page=False)
+    path = corpus.stimuli / details.NAME
+    text = path.read_text(encoding="utf-8")
+    whole = json.loads(text)
+    layouts = [json.dumps(whole, indent=4), json.dumps(whole, indent=1, sort_keys=True), text]
+    for layout in layouts:
+        path.write_text(layout, encoding="utf-8")
+        assert details.read_head(corpus.stimuli) == {
+            name: value for name, value in whole.items() if name not in details.LONG
+        }
+        assert list(details.iterate_rows(corpus.stimuli)) == whole["stimuli"]
+        for name in ("keys", "measured", "conditioning", "sensation_levels_db"):
+            found = details.iterate_tables(corpus.stimuli, name)
+            assert {key: value for _, key, value in found} == whole[name]
+    for end in range(1, len(text) - 2, len(text) // 40):
+        path.write_text(text[:end], encoding="utf-8")
+        with pytest.raises(ValueError):  # noqa: PT011 - of JSON, or of ours
+            list(details.iterate_rows(corpus.stimuli))
+
+
+def test_a_long_table_is_written_as_parquet_with_the_same_values_and_types(
+    corpus: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build_study(corpus, page=False)
+    twin = corpus.manifest.with_suffix(".parquet")
+    assert not twin.exists()
+    assert write_twin(corpus.manifest, LONG_TABLE + 1) == ""
+    manifest = pd.read_csv(corpus.manifest)
+    pd.testing.assert_frame_equal(pd.read_parquet(twin), manifest)
+    ratings = tmp_path / "ratings.csv"
+    tests = manifest.loc[manifest["role"] == "test", "stimulus_id"]
+    rows = pd.DataFrame({"stimulus_id": [*tests, *tests], "rating": np.arange(2.0 * len(tests))})
+    rows["participant"] = np.repeat(["a", "b"], len(tests))
+    rows = rows.assign(scale="realism", trial=rows.groupby("participant").cumcount(), empty=np.nan)
+    rows["rejected"] = False
+    rows.to_csv(ratings, index=False)
+    assert write_twin(ratings, LONG_TABLE + 1) == ""
+    given = ratings.with_suffix(".parquet")
+    pd.testing.assert_frame_equal(pd.read_parquet(given), pd.read_csv(ratings))
+    table = read_table(given, twin)
+    pd.testing.assert_frame_equal(table.rows, read_table(ratings, corpus.manifest).rows)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (said,) = {write_twin(ratings, LONG_TABLE + 1)}
+    assert said.startswith("ratings.csv: 100001 rows, as CSV only; pip install feel321[parquet]")
+    assert not given.exists()  # it was of an earlier table
+
+
+def test_the_page_of_a_large_set_shows_a_part_and_says_so(
+    corpus: StudyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(browser, "MOST_SHOWN", 9)
+    build_study(corpus)
+    page = (corpus.stimuli / "index.html").read_text(encoding="utf-8")
+    assert "This page shows 3 of 8 recordings, spread evenly; manifest.csv lists all" in page
+    assert [f"tap{n:03d}__dft321__as_is.wav" in page for n in range(8)] == [
+        n in {0, 3, 6} for n in range(8)
+    ]
+
+
+@pytest.mark.soak
+def test_a_build_of_a_thousand_that_is_killed_twice_gives_the_same_bytes(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """What was done is not done again, but for the few recordings that were under way."""
+    write_corpus(tmp_path, 1000)
+    other = StudyFolder(tmp_path_factory.mktemp("whole"))
+    write_corpus(other.path, 1000)
+    build_study(other, page=False)
+    for steps in (500, 1500):
+        command = [sys.executable, "-c", KILLED, str(tmp_path), str(steps)]
+        assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+        parts = tmp_path / "stimuli" / ".parts"
+        assert len(list(parts.glob("*.json"))) >= min(steps, 1000) * 3
+    written = {path.name: path.stat().st_mtime_ns for path in (parts / "finished").glob("*.wav")}
+    assert len(written) >= 500 * 3
+    rendered: list[str] = []
+    with announcing(rendered.append):
+        build_study(StudyFolder(tmp_path), page=False)
+    assert not rendered
+    for name, time_ns in written.items():
+        assert (tmp_path / "stimuli" / name).stat().st_mtime_ns == time_ns
+    assert read_files(tmp_path / "stimuli") == read_files(other.stimuli)
+    assert check_study(StudyFolder(tmp_path)).problems == ()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from feel321.analysis.tradeoff.stress import run
-from feel321.analysis.tradeoff.stress.measures import measure_battery
+from feel321.analysis.tradeoff.stress.measures import measure_scene
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.cli import main
@@ -41,9 +41,9 @@ def few_takes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two takes of every scene instead of forty."""
 
     def measure(*given: Any, **named: Any) -> Any:
-        return measure_battery(*given, **{**named, "takes": 2})
+        return measure_scene(*given, **{**named, "takes": 2})
 
-    monkeypatch.setattr(run, "measure_battery", measure)
+    monkeypatch.setattr(run, "measure_scene", measure)
 
 
 def test_figures_warnings_and_page(recording: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -264,13 +264,15 @@ class Truth:
             raise ValueError(f"{', '.join(SHARES[1:])} must be at most 1 together, got {careless}")
 
     @classmethod
-    def from_fit(cls, primary: Primary, **changes: object) -> Truth:
+    def from_fit(cls, primary: Primary, *, repeats: int = 1, **changes: object) -> Truth:
         """Take the standard deviations, slopes and mean of a fitted primary model, such as that of pilot data.
 
         Parameters
         ----------
         primary : Primary
             From `fit_primary`.
+        repeats : int
+            Ratings that each mean of the model was taken over, where it was (`Primary.averaged`).
         **changes : object
             Any field of a truth, instead of the estimate.
 
@@ -286,9 +288,9 @@ class Truth:
 
         Notes
         -----
-        A model of means over K repeats has a residual of both what a person thinks of a stimulus and K-th parts of what
-        repeats differ by; the two are separated by `rating_sd` among the changes, and where that is not given all of
-        the residual is taken for the first, which no repeat makes smaller.
+        The residual of a model of means holds what a person thinks of a stimulus, and the part of what repeats differ
+        by that averaging leaves. `rating_sd` among the changes separates them; where it is not given, all of the
+        residual is taken for the first, which no repeat makes smaller.
         """
         spreads = {
             (row["group"], row["term"]): float(row["sd"])
@@ -298,7 +300,7 @@ class Truth:
         found: dict[str, object] = {
             name: spreads.get((group, "(Intercept)"), 0.0) for name, group in GROUPS.items()
         }
-        found |= _split_residual(primary, spreads, changes)
+        found |= _split_residual(primary, spreads, changes, repeats=repeats)
         people = primary.fit.n_levels.get("participant", 0)
         found |= {
             "slopes": primary.slopes["estimate"].to_dict(),
@@ -334,15 +336,19 @@ GROUPS = {
 
 
 def _split_residual(
-    primary: Primary, spreads: Mapping[tuple[str, str], float], changes: Mapping[str, object]
+    primary: Primary,
+    spreads: Mapping[tuple[str, str], float],
+    changes: Mapping[str, object],
+    *,
+    repeats: int,
 ) -> dict[str, object]:
     """Divide the residual between what a person thinks of a stimulus and what repeats differ by."""
     residual, own = primary.fit.residual_sd, spreads.get(("participant:item", "(Intercept)"))
     if own is not None:
         return {"person_item_sd": own, "rating_sd": residual}
     given = changes.get("rating_sd")
-    repeats = float(given) if isinstance(given, int | float) else 0.0
-    return {"person_item_sd": float(np.sqrt(max(residual**2 - repeats**2, 0.0))), "rating_sd": 0.0}
+    noise = float(given) ** 2 / repeats if isinstance(given, int | float) else 0.0
+    return {"person_item_sd": float(np.sqrt(max(residual**2 - noise, 0.0))), "rating_sd": 0.0}
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)

@@ -10,6 +10,7 @@ import numpy as np
 from feel321.analysis.power import closed, draw, engine, simulate
 from feel321.analysis.power.design import LEVEL, Power, PowerDesign, Truth
 from feel321.analysis.primary.model import adjust_holm
+from feel321.analysis.primary.plan import SCENE, SOURCE
 from feel321.doors import as_path, follow
 from feel321.jobs import ALONE, Workers, as_workers
 
@@ -282,6 +283,11 @@ def _list_notes(
         notes.append(
             "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are "
             "more than the set has, some stand in the study twice, with the same metrics."
+        )
+    if SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique:
+        notes.append(
+            "Several recordings come from one source; what they share besides the metrics is not planted, so that real "
+            "power is lower."
         )
     if found and design.screening:
         left, rules = found.people[:, 0].mean(), ", ".join(design.screening)

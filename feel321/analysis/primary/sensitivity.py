@@ -112,7 +112,8 @@ def leave_out_units(cells: Cells) -> Iterator[Variant]:
     for column in (SOURCE if cells.shared else SCENE, REDUCER):
         names = list(cells.items[column].unique() if column in cells.items else ())
         ordered = order_reducers(names) if column == REDUCER else sorted(names, key=str)
-        yield from leave_out_each(cells, column, ordered if len(names) > 1 else [])
+        several = 1 < len(names) <= MOST_UNITS
+        yield from leave_out_each(cells, column, ordered if several else [])
 
 
 def vary_primary(
@@ -385,6 +386,9 @@ MOVED = 1.0
 MOST_CELLS = 20_000
 """Participants x stimuli beyond which some thirty models would take many minutes."""
 
+MOST_UNITS = 100
+"""Recordings, or sources, beyond which a model without each would take hours, and says little of so small a share."""
+
 LEAST_EXCESS = 5.0
 """Points that an exceptional reducer must differ by: less is also what the ends of the scale do to the best ones."""
 
@@ -441,6 +445,9 @@ def measure_influence(
             f"Influence was not measured: more than {MOST_CELLS} participant x stimulus cells."
         )
     elif whole.slopes["estimable"].any():
+        if cells.n_sources > MOST_UNITS:
+            what = "sources" if cells.shared else "recordings"
+            notes.append(f"{what.capitalize()} were not left out in turn: more than {MOST_UNITS}.")
         candidates = leave_out_each(cells, ITEM, find_candidates(cells))
         before = _conclude(whole.slopes, others)
         for variant in (*leave_out_units(cells), *candidates):

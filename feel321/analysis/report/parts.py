@@ -107,7 +107,7 @@ def thin_parts(
 def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tuple[DataFrame, str]:
     """Subsample participants or recordings so that the model fits in memory, and note it."""
     sources, left = find_sources(rows), rows
-    while _is_large(left, n_slopes):
+    while is_large(left, n_slopes):
         names = {name: sorted(left[name].unique()) for name in (WHO, SCENE)}
         longer = max((WHO, SCENE), key=lambda name: len(names[name]))
         if len(names[longer]) < 2 * FEWEST:
@@ -135,7 +135,8 @@ def _draw_half(names: list[str], sources: Series | None, *, rng: np.random.Gener
     return set(copy.sort_values(kind="stable").index[:half])
 
 
-def _is_large(rows: DataFrame, n_slopes: int) -> bool:
+def is_large(rows: DataFrame, n_slopes: int) -> bool:
+    """Check whether a mixed model of these ratings would take gigabytes, or hours."""
     cells = rows.groupby([WHO, ITEM], observed=True).size()
     levels = [
         rows[WHO].nunique() * (1 + n_slopes), rows[SCENE].nunique(), rows[ITEM].nunique(),

@@ -259,7 +259,8 @@ def _list_flagged(screening: Screening, group: str) -> list[Hashable]:
         rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")
     ]
     rules = {"everyone": [], "standard": standard}.get(group, list(screening.rules))
-    return sorted({who for rule in rules for who in screening.hits[rule]}, key=str)
+    hits = screening.hits
+    return sorted({who for rule in rules for who in hits[rule]}, key=str)
 
 
 def _list_rules(screening: Screening) -> Iterator[dict[str, Any]]:

@@ -24,6 +24,7 @@ from feel321.analysis.report.parts import (
     add_step,
     find_table_steps,
     fit_rest,
+    is_large,
     join_steps,
     split_parts,
 )
@@ -104,7 +105,7 @@ def compute_robustness(table: Table, choices: Choices) -> Section:
     parts, steps = {part.lead: part for part in split_parts(table)}, find_table_steps(table)
     for part in parts.values():
         try:
-            _check_size(part)
+            _check_size(part, len(table.metrics))
             varied[part.lead] = vary_primary(part.rows, table.metrics, leave_out=False)
             pictures.append(_picture_variants(part, steps, varied[part.lead]))
             universes |= _run_universes(table, part, choices)
@@ -155,11 +156,13 @@ def _list_variants(
         yield from (more | row for row in frame.to_dict("records"))
 
 
-def _check_size(part: RatingsPart) -> None:
+def _check_size(part: RatingsPart, n_slopes: int) -> None:
     cells = len(part.rows.groupby(["participant", ITEM], observed=True))
     if cells > MOST_CELLS:
         why = f"They are left out for {cells} participant x stimulus cells"
         raise ValueError(f"{why}; up to {MOST_CELLS} are varied.")
+    if is_large(part.rows, n_slopes):
+        raise ValueError("They are left out, for these ratings are too many for one fit.")
 
 
 def _join_excluded(table: DataFrame) -> DataFrame:

@@ -251,8 +251,9 @@ def gauge_raters(
     tests, means = judgements.of_kind("test"), judgements.means()
     people = list(tests.groupby("participant", observed=True))
     between = [
-        _mean_squares(own["item"].to_numpy(), own["rating"].to_numpy()[None])[0][0]
+        _mean_squares(ratings, _average_items(own["item"].to_numpy(), ratings))[0][0]
         for _, own in people
+        for ratings in [own["rating"].to_numpy()[None]]
     ]
     panel_square = float(np.nanmean(between)) if np.isfinite(between).any() else float("nan")
     rows = []
@@ -272,9 +273,11 @@ def _gauge(
     shape = permutations, len(trials.rating)
     shuffled = rng.permuted(np.broadcast_to(trials.rating, shape), axis=1)
     ratings = np.vstack([trials.rating, shuffled])
-    between, within = _mean_squares(trials.item, ratings)
+    averages = _average_items(trials.item, ratings)
+    between, within = _mean_squares(ratings, averages)
     with np.errstate(invalid="ignore", divide="ignore"):
-        measured = between / within, trials.panel_square / within, _agree(trials, ratings)
+        agreement = _agree(trials, averages[0])
+        measured = between / within, trials.panel_square / within, agreement
     rows: list[dict[str, object]] = []
     for name, values in zip(MEASURES, measured, strict=True):
         value, null = float(values[0]), values[1:][~np.isnan(values[1:])]
@@ -286,9 +289,11 @@ def _gauge(
     return rows
 
 
-def _mean_squares(item: NDArray[np.intp], ratings: Values) -> tuple[Values, Values]:
-    means, counts, place = _average_items(item, ratings)
-    n_items, spare = len(counts), len(item) - len(counts)
+def _mean_squares(
+    ratings: Values, averages: tuple[Values, Values, NDArray[np.intp]]
+) -> tuple[Values, Values]:
+    means, counts, place = averages
+    n_items, spare = len(counts), len(place) - len(counts)
     nothing = np.full(len(ratings), np.nan)
     if n_items < 2 or not spare:  # noqa: PLR2004 - a variance needs two
         return nothing, nothing
@@ -308,12 +313,11 @@ def _average_items(
     return sums / counts, counts.astype(np.float64), place
 
 
-def _agree(trials: RaterTrials, ratings: Values) -> Values:
-    means = _average_items(trials.item, ratings)[0]
+def _agree(trials: RaterTrials, means: Values) -> Values:
     others = trials.others[np.unique(trials.item)]
     shared = np.isfinite(others)
     if shared.sum() < FEWEST_ITEMS:
-        return np.full(len(ratings), np.nan)
+        return np.full(len(means), np.nan)
     own = means[:, shared] - means[:, shared].mean(axis=1, keepdims=True)
     other = others[shared] - others[shared].mean()
     scale = np.sqrt((own**2).sum(axis=1) * (other**2).sum())

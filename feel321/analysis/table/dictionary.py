@@ -88,11 +88,15 @@ def describe_column(
     return replace(found, file=file.rsplit("/", 1)[-1], column=column)
 
 
+@cache
+def _read_rows(file: str) -> tuple[Variable, ...]:
+    """Read the list's rows for a file."""
+    names = (file, file.rsplit("/", 1)[-1])
+    return tuple(row for row in read_dictionary() if any(fnmatch(one, row.file) for one in names))
+
+
 def _find(file: str, column: str, info: Mapping[str, MetricInfo]) -> Iterator[Variable]:
-    for row in read_dictionary():
-        of_file = fnmatch(file, row.file) or fnmatch(file.rsplit("/", 1)[-1], row.file)
-        if of_file and fnmatch(column, row.column):
-            yield row
+    yield from (row for row in _read_rows(file) if fnmatch(column, row.column))
     metrics = {**METRIC_INFO, **ROTATIONS, **info}
     if column in metrics:
         one = metrics[column]

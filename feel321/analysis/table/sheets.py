@@ -64,7 +64,19 @@ def open_source(given: PathLike | DataFrame, what: str) -> Source:
     if isinstance(given, DataFrame):
         return Source(given, what)
     path = as_path(given, what)
-    return Source(path, path.name)
+    return Source(open_parquet(path) if path.suffix == ".parquet" else path, path.name)
+
+
+def open_parquet(path: Path) -> DataFrame:
+    """Read a table in Parquet, which the extra of that name reads."""
+    from pandas import read_parquet
+
+    try:
+        return read_parquet(path)
+    except ImportError:
+        raise ValueError(
+            f"{path.name}: Parquet needs pyarrow; pip install feel321[parquet], or give the CSV"
+        ) from None
 
 
 # `ratings.csv`, from feel321 or from elsewhere.

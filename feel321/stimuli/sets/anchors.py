@@ -103,14 +103,19 @@ def loudest_levels(
     # Far above the edge there is nothing to weigh; most bins of a rig's rate are there.
     felt = slice(np.searchsorted(frequency, 2 * HIGHEST_HZ))
     spectrum = fft.rfft(acceleration, padded)[..., felt]
-    levels = {}
+    levels, summed = {}, np.zeros(padded + 1)
     for name in thresholds:
         weights = _weigh(frequency[felt], threshold=name, edge_octaves=EDGE_OCTAVES)
         if shift_db is not None:
             weights[1:] *= 10 ** (-shift_db(frequency[felt][1:]) / 20)  # nothing is felt at 0 Hz
-        energy = np.square(np.atleast_2d(fft.irfft(spectrum * weights, padded))).sum(axis=0)
-        summed = np.concatenate([[0.0], np.cumsum(energy)])
-        most = max((summed[window:] - summed[:-window]).max(), 0.0)
+        # In place: fresh memory of this size takes as long as the arithmetic.
+        weighted = np.atleast_2d(fft.irfft(spectrum * weights, padded))
+        np.square(weighted, out=weighted)
+        energy = weighted[0] if len(weighted) == 1 else weighted.sum(axis=0)
+        np.cumsum(energy, out=summed[1:])
+        most = max(
+            np.subtract(summed[window:], summed[:-window], out=energy[window - 1 :]).max(), 0.0
+        )
         levels[name] = float(np.sqrt(most / window))
     return levels
 

@@ -11,11 +11,11 @@ import hashlib
 import json
 import math
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,10 +25,11 @@ from feel321.files import hold_lock
 from feel321.jobs import Job, Workers, as_workers, run_jobs
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
-from feel321.stimuli.sets import render
+from feel321.stimuli.sets import details, render
 from feel321.stimuli.sets.anchors import sensation_level_db, to_db
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, describe_row, write_manifest
 from feel321.stimuli.sets.recipe import Recipe, check_names, describe_recipe
+from feel321.stimuli.sets.unread import Unread, read_given
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.types import PathLike, Progress
 
@@ -43,33 +44,47 @@ THREADS = 2
 class History:
     """Results of an earlier build, from `manifest.json`: they save work and are never trusted further.
 
-    rows: by stimulus id; keys: stimulus id -> the key it was rendered under; measured: by key.
+    rows: by stimulus id; keys: stimulus id -> the key it was rendered under; measured: by key; ids: by recording.
     """
 
     rows: dict[str, Stimulus] = field(default_factory=dict)
     keys: dict[str, str] = field(default_factory=dict)
     measured: dict[str, render.Measured] = field(default_factory=dict)
+    ids: dict[str, list[str]] = field(default_factory=dict)
+
+    def select(self, recording: str) -> "History":
+        """Select what is known of the stimuli of one recording."""
+        ids = self.ids.get(recording, [])
+        keys = {one: self.keys[one] for one in ids if one in self.keys}
+        measured = {key: self.measured[key] for key in keys.values() if key in self.measured}
+        return History({one: self.rows[one] for one in ids}, keys, measured)
 
 
 def read_history(folder: Path) -> History:
     """Read the results of an earlier build; if the manifest is missing or damaged, all is built anew."""
     from pydantic import TypeAdapter
 
+    found = History()
     try:
-        details = json.loads((folder / "manifest.json").read_bytes())
-        further = list(details.get("metrics", {}))
-        known = [_fold_row(row, further) for row in details["stimuli"]]
-        whole = TypeAdapter(tuple[list[Stimulus], dict[str, str], dict[str, render.Measured]])
-        given = (known, details["keys"], details["measured"])
-        stimuli, keys, measured = whole.validate_python(given)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        further = list(details.read_head(folder).get("metrics", {}))
+        read_row = TypeAdapter(Stimulus).validate_python
+        read_note = TypeAdapter(render.Measured).validate_python
+        for kind, key, value in details.iterate_tables(folder, "keys", "measured", "stimuli"):
+            if kind == "keys":
+                found.keys[key] = str(value)
+            elif kind == "measured":
+                found.measured[key] = read_note(value)
+            else:
+                _keep_row(found, read_row(_fold_row(value, further)))
+    except details.MISREAD:
         return History()
-    own = {
-        row.stimulus_id: row
-        for row in stimuli
-        if PurePath(row.file).name == row.file == f"{row.stimulus_id}.wav"
-    }
-    return History(own, keys, measured)
+    return found
+
+
+def _keep_row(history: History, row: Stimulus) -> None:
+    if PurePath(row.file).name == row.file == f"{row.stimulus_id}.wav":
+        history.rows[row.stimulus_id] = row
+        history.ids.setdefault(row.recording, []).append(row.stimulus_id)
 
 
 def _fold_row(row: Mapping[str, Any], further: Sequence[str]) -> dict[str, Any]:
@@ -102,6 +117,34 @@ class Foreseen(render.Draft):
     def sensation_levels_db(self) -> dict[str, float]:
         """By threshold curve, as it will be played; minus infinity for silence."""
         return {name: to_db(level * self.gain) for name, level in self.measured.levels.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a build keeps of a recording: all but its samples. drafts: what is made of it."""
+
+    name: str
+    sha256: str
+    rate_hz: float
+    duration_s: float
+    warnings: tuple[str, ...]
+    drafts: tuple[render.Draft, ...] = ()
+
+    @classmethod
+    def find(cls, recording: Recording, drafts: Iterable[render.Draft] = ()) -> "Facts":
+        """Take the facts of a recording."""
+        one = recording
+        return cls(
+            one.name, one.sha256, one.rate_hz, one.duration_s, tuple(one.warnings), tuple(drafts)
+        )
+
+
+class Survey(NamedTuple):
+    """Facts of a recording and the measurements of its stimuli by key, or why it cannot be used."""
+
+    facts: Facts | None
+    measured: Mapping[str, render.Measured]
+    fault: str = ""
 
 
 def build_stimuli(
@@ -155,96 +198,154 @@ def build_stimuli(
     """
     recordings = [recordings] if isinstance(recordings, Recording) else recordings
     for one in recordings:
-        if not isinstance(one, Recording):
+        if not isinstance(one, Recording | Unread):
             raise TypeError(f"recordings must each be a Recording, got {describe(one)}")
     recipe = replace(recipe or Recipe(), **changes)
+    with follow(progress or False, "build") as move:
+        return build_set(recordings, folder, recipe, workers=workers, move=move)[1]
+
+
+def build_set(
+    recordings: Sequence[Recording | Unread],
+    folder: PathLike,
+    recipe: Recipe,
+    *,
+    workers: int | Workers,
+    move: Callable[[int, int], None],
+) -> tuple[list[Facts], StimulusSet]:
+    """Build a stimulus set as `build_stimuli` does; also gives the facts of the recordings."""
     check_names([recording.name for recording in recordings])
     folder = as_path(folder, "folder")
     folder.mkdir(parents=True, exist_ok=True)
     busy = "another build is running here; let it finish or stop it first"
-    with hold_lock(folder / ".lock", busy=busy), follow(progress or False, "build") as move:
-        return _build(recordings, folder, recipe=recipe, workers=as_workers(workers), move=move)
+    with hold_lock(folder / ".lock", busy=busy):
+        crew = _Crew(recipe, folder, read_history(folder), as_workers(workers), move)
+        facts, measured = _survey(recordings, crew)
+        orders = _place({one.name: one.drafts for one in facts}, measured, recipe)
+        jobs = (
+            (_write_recording, (one, orders[one.name], crew.history.select(one.name)))
+            for one in recordings
+        )
+        stimuli = [row for rows in crew.run(jobs, len(recordings), before=1) for row in rows]
+        return facts, _publish(stimuli, crew, _list_details(facts, orders, recipe))
 
 
-def _build(
-    recordings: Sequence[Recording],
-    folder: Path,
+@dataclass(frozen=True, slots=True)
+class _Crew:
+    """What all steps of a build have in common: where, by which recipe, what was there, and who does the work."""
+
+    recipe: Recipe
+    folder: Path
+    history: History
+    workers: Workers
+    move: Callable[[int, int], None]
+
+    def run(self, jobs: Iterable[tuple[Any, Any]], n: int, *, before: int) -> list[Any]:
+        """Run n jobs, one per recording, after so many other rounds of two; returns their results in order."""
+        found: list[Any] = [None] * n
+        how = {"recipe": self.recipe, "parts": _make_parts_folder(self.folder)}
+        whole: Iterable[Job] = ((*job, how) for job in jobs)
+        threads = 1 if self.recipe.methods else THREADS
+        done = count(before * n + 1)
+        workers = self.workers.stay_here() if before else self.workers
+        for place, result in run_jobs(whole, workers=workers, threads=threads):
+            found[place] = result
+            self.move(next(done), 2 * n)
+        return found
+
+
+def _survey(
+    recordings: Sequence[Recording | Unread], crew: _Crew
+) -> tuple[list[Facts], dict[str, render.Measured]]:
+    """Survey all recordings; refuses with every one that cannot be used."""
+    # Where machines have no folder in common, samples travel.
+    given = (read_given(one) if crew.workers.share else one for one in recordings)
+    jobs = ((survey_recording, (one, crew.history.select(one.name).measured)) for one in given)
+    return _gather(crew.run(jobs, len(recordings), before=0))
+
+
+def _gather(surveyed: Iterable[Survey]) -> tuple[list[Facts], dict[str, render.Measured]]:
+    facts: list[Facts] = []
+    measured: dict[str, render.Measured] = {}
+    faults: list[str] = []
+    for one in surveyed:
+        facts += [one.facts] if one.facts else []
+        measured.update(one.measured)
+        faults += [one.fault] if one.fault else []
+    if faults:
+        raise ValueError("\n".join(faults))
+    return facts, measured
+
+
+def survey_recording(
+    given: Recording | Unread,
+    known: Mapping[str, render.Measured],
     *,
     recipe: Recipe,
-    workers: Workers,
-    move: Callable[[int, int], None],
-) -> StimulusSet:
-    parts = _make_parts_folder(folder)
-    history = read_history(folder)
-    wanted = {recording.name: render.list_drafts(recording, recipe) for recording in recordings}
-    new = [r for r in recordings if any(c.key not in history.measured for c in wanted[r.name])]
-    total, done = len(new) + len(recordings), count(1)
-    measured = dict(history.measured)
-    jobs: list[Job] = [
-        (render.render_recording, (r, wanted[r.name]), {"recipe": recipe, "parts": parts})
-        for r in new
-    ]
-    threads = 1 if recipe.methods else THREADS
-    for _, found in run_jobs(jobs, workers=workers, threads=threads):
-        measured.update(found)
-        move(next(done), total)
-    orders = _place(wanted, measured, recipe)
-    how = {"recipe": recipe, "folder": folder, "history": history}
-    written: dict[str, Stimulus] = {}
-    jobs = [(_write_recording, (r, orders[r.name]), how) for r in recordings]
-    for _, rows in run_jobs(jobs, workers=workers.stay_here(), threads=threads):
-        written.update((row.stimulus_id, row) for row in rows)
-        move(next(done), total)
-    in_order = [order for recording in recordings for order in orders[recording.name]]
-    details = _list_details(in_order, recipe, recordings)
-    stimuli = [written[order.stimulus_id] for order in in_order]
-    return _publish(stimuli, folder, history=history, details=details)
+    parts: Path | None = None,
+) -> Survey:
+    """Read a recording, and measure its stimuli at unit gain but for those that are known; parts: to keep them."""
+    try:
+        recording = read_given(given)
+    except (OSError, TypeError, ValueError) as error:
+        return Survey(None, {}, f"recording {given.name!r}: {error}")
+    drafts = render.list_drafts(recording, recipe)
+    measured = {one.key: known[one.key] for one in drafts if one.key in known}
+    new = [one for one in drafts if one.key not in measured]
+    try:
+        if parts is not None:
+            measured |= render.render_recording(recording, new, recipe=recipe, parts=parts)
+        elif new:
+            announce(recording.name)
+            measured |= render.measure_recording(recording, new, recipe=recipe)
+    except ValueError as error:
+        return Survey(None, {}, str(error))
+    return Survey(Facts.find(recording, drafts), measured)
 
 
 def foresee_stimuli(
-    recordings: Sequence[Recording],
-    folder: Path,
-    *,
-    recipe: Recipe,
-    progress: Callable[[int, int], None] | None = None,
+    recordings: Iterable[Recording | Unread], folder: Path, *, recipe: Recipe
 ) -> list[Foreseen]:
     """Compute how strong the stimuli of a set will be; nothing is written."""
-    measured = dict(read_history(folder).measured)
-    wanted = {recording.name: render.list_drafts(recording, recipe) for recording in recordings}
-    for done, recording in enumerate(recordings, start=1):
-        new = [draft for draft in wanted[recording.name] if draft.key not in measured]
-        if new:
-            announce(recording.name)
-        measured.update(render.measure_recording(recording, new, recipe=recipe))
-        if progress:
-            progress(done, len(recordings))
+    history = read_history(folder)
+    surveyed = (
+        survey_recording(one, history.select(one.name).measured, recipe=recipe)
+        for one in recordings
+    )
+    return place_surveyed(surveyed, recipe)
+
+
+def place_surveyed(surveyed: Iterable[Survey], recipe: Recipe) -> list[Foreseen]:
+    """Give stimuli their levels and gains."""
+    facts, measured = _gather(surveyed)
+    wanted = {one.name: one.drafts for one in facts}
     return [one for orders in _place(wanted, measured, recipe).values() for one in orders]
 
 
-def _publish(
-    rows: Sequence[Stimulus], folder: Path, *, history: History, details: Mapping[str, Any]
-) -> StimulusSet:
+def _publish(rows: Sequence[Stimulus], crew: _Crew, described: tuple[Any, Any]) -> StimulusSet:
     """Move finished files into the set and remove what is no longer wanted, without a manifest meanwhile."""
-    finished = sorted((folder / PARTS / FINISHED).iterdir())
-    stale = {row.file for row in history.rows.values()} - {row.file for row in rows}
+    folder, files = crew.folder, {row.file for row in rows}
+    finished = sorted(files & {path.name for path in (folder / PARTS / FINISHED).iterdir()})
+    stale = {row.file for row in crew.history.rows.values()} - files
     if finished or stale:
         (folder / "manifest.csv").unlink(missing_ok=True)
-    for path in finished:
-        path.replace(folder / path.name)
+    for name in finished:
+        (folder / PARTS / FINISHED / name).replace(folder / name)
     for name in stale:
         (folder / name).unlink(missing_ok=True)
-    published = write_manifest(folder, rows, details=details)
+    head, tables = described
+    published = write_manifest(folder, rows, head=head, tables=tables)
     shutil.rmtree(folder / PARTS)
     return published
 
 
 def _make_parts_folder(folder: Path) -> Path:
-    """Make the folder of unfinished work; what a killed build had rendered is kept, half-written files are not."""
+    """Make the folder of unfinished work; what a killed build had done is kept, half-written files are not."""
     parts = folder / PARTS
-    shutil.rmtree(parts / FINISHED, ignore_errors=True)
-    (parts / FINISHED).mkdir(parents=True)
-    for unfinished in [*folder.glob(".*.part"), *parts.glob(".*.part")]:
-        unfinished.unlink(missing_ok=True)
+    (parts / FINISHED).mkdir(parents=True, exist_ok=True)
+    for place in (folder, parts, parts / FINISHED):
+        for unfinished in place.glob(".*.part"):
+            unfinished.unlink(missing_ok=True)
     return parts
 
 
@@ -268,33 +369,55 @@ def _place(
 
 
 def _write_recording(
-    recording: Recording,
+    given: Recording | Unread,
     orders: Sequence[Foreseen],
+    history: History,
     *,
     recipe: Recipe,
-    folder: Path,
-    history: History,
+    parts: Path,
 ) -> list[Stimulus]:
-    """Write the files of one recording that are not there already, and return all their rows."""
-    kept = {
-        order.stimulus_id: history.rows[order.stimulus_id]
-        for order in orders
-        if _is_there(order, folder, history)
-    }
-    changed = [order for order in orders if order.stimulus_id not in kept]
-    render.render_recording(recording, changed, recipe=recipe, parts=folder / PARTS)
-    written = [_write(one, recording, recipe=recipe, parts=folder / PARTS) for one in changed]
-    return [*kept.values(), *written]
+    """Write the files of one recording that are not there already, and return all their rows.
+
+    A killed build may have written some: a note beside the parts says of each what it holds. Parts that were used go.
+    """
+    known = {one.stimulus_id: _find_written(one, parts, history) for one in orders}
+    changed = [one for one in orders if known[one.stimulus_id] is None]
+    if changed:
+        recording = read_given(given)
+        render.render_recording(recording, changed, recipe=recipe, parts=parts, whole=True)
+        for one in changed:
+            row = known[one.stimulus_id] = _write(one, recording, recipe=recipe, parts=parts)
+            note = {"key": one.key, "row": describe_row(row)}
+            _note_path(parts, one).write_text(json.dumps(note), encoding="utf-8")
+    for one in orders:
+        render.part_path(parts, one.key).unlink(missing_ok=True)
+    return [row for row in known.values() if row is not None]
 
 
-def _is_there(order: Foreseen, folder: Path, history: History) -> bool:
-    """Whether the earlier build made just this, and its file still holds it."""
+def _note_path(parts: Path, order: Foreseen) -> Path:
+    return parts / f"{order.stimulus_id}.row"
+
+
+def _find_written(order: Foreseen, parts: Path, history: History) -> Stimulus | None:
+    """Find the row of a stimulus that an earlier build, or this one before it was killed, made just so."""
+    name, folder = f"{order.stimulus_id}.wav", parts.parent
     row = history.rows.get(order.stimulus_id)
-    key = history.keys.get(order.stimulus_id)
-    if row is None or key != order.key or row.gain != order.gain:
-        return False
-    path = folder / row.file
-    return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == row.sha256
+    is_same = history.keys.get(order.stimulus_id) == order.key
+    if row and is_same and row.gain == order.gain and _holds(folder / name, row.sha256):
+        (parts / FINISHED / name).unlink(missing_ok=True)
+        return row
+    try:
+        note = json.loads(_note_path(parts, order).read_bytes())
+        row = Stimulus(**_fold_row(note["row"], list(order.measured.metrics)))
+    except details.MISREAD:
+        return None
+    is_same = note["key"] == order.key and row.gain == order.gain
+    places = (parts / FINISHED / name, folder / name)  # it may have been moved already
+    return row if is_same and any(_holds(one, row.sha256) for one in places) else None
+
+
+def _holds(path: Path, sha256: str) -> bool:
+    return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == sha256
 
 
 def _write(order: Foreseen, recording: Recording, *, recipe: Recipe, parts: Path) -> Stimulus:
@@ -337,21 +460,28 @@ def _write(order: Foreseen, recording: Recording, *, recipe: Recipe, parts: Path
 
 
 def _list_details(
-    orders: Sequence[Foreseen], recipe: Recipe, recordings: Sequence[Recording]
-) -> dict[str, Any]:
+    facts: Sequence[Facts], placed: Mapping[str, Sequence[Foreseen]], recipe: Recipe
+) -> tuple[dict[str, Any], dict[str, Iterator[tuple[str, Any]]]]:
     """List the other entries of `manifest.json`: enough to rebuild the set and to find what has changed."""
-    return {
+    orders = [one for own in placed.values() for one in own]
+    by_id = sorted(orders, key=lambda one: one.stimulus_id)
+    by_key = sorted({one.key: one for one in orders}.values(), key=lambda one: one.key)
+    rates = {one.name: one.rate_hz for one in facts}
+    head = {
         "recipe": describe_recipe(recipe),
         **render.list_methods(recipe),
-        "conditioning": {r.name: list_steps(recipe.conditioning, r.rate_hz) for r in recordings},
         "versions": {"feel321": __version__, **render.versions()},
-        "sensation_levels_db": {
-            order.stimulus_id: {
-                name: value if np.isfinite(value) else None
-                for name, value in order.sensation_levels_db.items()
-            }
-            for order in orders
-        },
-        "keys": {order.stimulus_id: order.key for order in orders},
-        "measured": {order.key: asdict(order.measured) for order in orders},
     }
+    return head, {
+        "conditioning": (
+            (name, list_steps(recipe.conditioning, rates[name])) for name in sorted(rates)
+        ),
+        "sensation_levels_db": ((one.stimulus_id, _describe_levels(one)) for one in by_id),
+        "keys": ((one.stimulus_id, one.key) for one in by_id),
+        "measured": ((one.key, asdict(one.measured)) for one in by_key),
+    }
+
+
+def _describe_levels(order: Foreseen) -> dict[str, float | None]:
+    levels = order.sensation_levels_db.items()
+    return {name: value if np.isfinite(value) else None for name, value in levels}

@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import io
-import json
 import math
+import sys
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
-from feel321.doors import Registry, as_path
-from feel321.files import write_text
+from feel321.doors import Registry, announce, as_path
+from feel321.files import list_csv, write_chunks, write_twin
 from feel321.records import Result
+from feel321.stimuli.sets import details
 from feel321.stimuli.wav import read_wav
 from feel321.types import PathLike, Samples
 
@@ -108,6 +108,7 @@ STRONG_GAIN = 100.0
 # The temporal match of an anchor is 0 but for rounding; so may be that of a silent test stimulus.
 _ROUNDING = 1e-9
 _READ_AS = get_type_hints(Stimulus)
+_SHARED = frozenset({"recording", "reducer", "level", "role", "recording_sha256"})
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -140,7 +141,9 @@ class StimulusSet(Result):
         """Return the stimulus of an id, or of a place in the manifest's order."""
         if isinstance(stimulus_id, int):
             return self.stimuli[stimulus_id]
-        return Registry("stimulus_id", {row.stimulus_id: row for row in self})[stimulus_id]
+        if (found := next((row for row in self if row.stimulus_id == stimulus_id), None)) is None:
+            found = Registry("stimulus_id", {row.stimulus_id: row for row in self})[stimulus_id]
+        return found
 
     def __repr__(self) -> str:
         """Count the stimuli and say where they are."""
@@ -203,36 +206,39 @@ class StimulusSet(Result):
 def find_methods(folder: Path) -> dict[str, str]:
     """Find the lab's own reducers and metrics of a set, with the digests of their code; empty where none are known."""
     try:
-        details = json.loads((folder / "manifest.json").read_bytes())
-        kinds = [details.get(kind, {}) for kind in ("reducers", "metrics")]
+        head = details.read_head(folder)
+        kinds = [head.get(kind, {}) for kind in ("reducers", "metrics")]
         own = {
             name: one["sha256"]
             for kind in kinds
             for name, one in kind.items()
             if one["method"] != "feel321"
         }
-    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+    except details.MISREAD:
         return {}
     return own
 
 
 def write_manifest(
-    folder: Path, stimuli: Sequence[Stimulus], *, details: Mapping[str, Any]
+    folder: Path,
+    stimuli: Sequence[Stimulus],
+    *,
+    head: Mapping[str, Any],
+    tables: Mapping[str, Iterable[tuple[str, Any]]],
 ) -> StimulusSet:
-    """Write `manifest.json`, then `manifest.csv`, each whole or not at all."""
-    rows = [describe_row(stimulus) for stimulus in stimuli]
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, (*COLUMNS, *stimuli[0].metrics), lineterminator="\r\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    built = StimulusSet(
-        folder, tuple(stimuli), hashlib.sha256(text.getvalue().encode()).hexdigest()
-    )
+    """Write `manifest.json`, then `manifest.csv`, each whole or not at all; head, tables: what else the first holds."""
+    digest = hashlib.sha256()
+    columns = (*COLUMNS, *stimuli[0].metrics)
+    for line in list_csv(columns, map(describe_row, stimuli)):
+        digest.update(line.encode())
+    built = StimulusSet(folder, tuple(stimuli), digest.hexdigest())
     warned = {"warnings": built.warnings} if built.warnings else {}
-    own = {name: describe_facts(entry) for name, entry in details.get("metrics", {}).items()}
-    whole = {"columns": COLUMN_UNITS | own, "stimuli": rows, **details, **warned}
-    write_text(folder / "manifest.json", json.dumps(whole, indent=1, sort_keys=True) + "\n")
-    write_text(folder / "manifest.csv", text.getvalue())
+    own = {name: describe_facts(entry) for name, entry in head.get("metrics", {}).items()}
+    whole = {"columns": COLUMN_UNITS | own, **head, **warned}
+    details.write_details(folder, head=whole, tables=tables, rows=map(describe_row, stimuli))
+    write_chunks(folder / "manifest.csv", list_csv(columns, map(describe_row, stimuli)))
+    if line := write_twin(folder / "manifest.csv", len(stimuli)):
+        announce(line)
     return built
 
 
@@ -292,19 +298,19 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
         raise FileNotFoundError(
             f"{path}: there is no manifest; build the stimulus set first (feel321 build)"
         )
-    table = path.read_bytes()
+    with path.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     try:
-        rows = list(csv.DictReader(io.StringIO(table.decode(), newline=""), strict=True))
+        with path.open(encoding="utf-8", newline="") as text:
+            rows = enumerate(csv.DictReader(text, strict=True), start=2)
+            stimuli = tuple(_read_row(row, f"{path}, line {line}") for line, row in rows)
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(
             f"{path}: not a CSV table in UTF-8 ({error}); build the set again"
         ) from None
-    stimuli = tuple(
-        _read_row(row, f"{path}, line {line}") for line, row in enumerate(rows, start=2)
-    )
     if not stimuli:
         raise ValueError(f"{path}: holds no stimulus; build the set again")
-    return StimulusSet(path.parent, stimuli, hashlib.sha256(table).hexdigest())
+    return StimulusSet(path.parent, stimuli, sha256)
 
 
 def _read_row(row: dict[str, str], place: str) -> Stimulus:
@@ -317,8 +323,8 @@ def _read_row(row: dict[str, str], place: str) -> Stimulus:
             "further metrics"
         )
     try:
-        values = {
-            name: _READ_AS[name](row[name])
+        values: dict[str, Any] = {
+            name: sys.intern(row[name]) if name in _SHARED else _READ_AS[name](row[name])
             for name in COLUMNS
             if row.get(name) or name not in FURTHER
         }
@@ -356,11 +362,12 @@ def check_stimuli(folder: PathLike) -> list[str]:
     except (OSError, ValueError) as error:
         return [str(error)]
     problems = [problem for stimulus in built for problem in _check_file(stimulus, built.folder)]
-    named = {stimulus.file for stimulus in built}
+    there = {path.name for path in built.folder.iterdir()}
+    strangers = there - {stimulus.file for stimulus in built}
     problems += [
-        f"{path.name}: not in the manifest; move it away, or build the set again"
-        for path in sorted(built.folder.glob("*.wav"))
-        if path.name not in named
+        f"{name}: not in the manifest; move it away, or build the set again"
+        for name in sorted(strangers)
+        if name.endswith(".wav")
     ]
     together = defaultdict(list)
     for stimulus in built:

@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL, Recipe
 from feel321.stimuli.thresholds import THRESHOLDS
-from feel321.stimuli.wav import write_wav
+from feel321.stimuli.wav import encode_wav
 from feel321.types import Metric, Reducer, Samples
 
 
@@ -161,6 +162,7 @@ def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
     )
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of the software whose arithmetic decides the samples."""
     from importlib.metadata import version
@@ -169,17 +171,26 @@ def versions() -> dict[str, str]:
 
 
 def render_recording(
-    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe, parts: Path
+    recording: Recording,
+    drafts: Sequence[Draft],
+    *,
+    recipe: Recipe,
+    parts: Path,
+    whole: bool = False,
 ) -> dict[str, Measured]:
-    """Render those drafts of one recording that are not in the parts folder yet; key -> measurements."""
-    measured = {c.key: found for c in drafts if (found := _read_part(parts, c.key)) is not None}
-    new = [c for c in drafts if c.key not in measured]
-    for draft, samples, note in _render(recording, new, recipe):
-        path = part_path(parts, draft.key)
-        write_wav(path, samples, recipe.rate_hz)
-        # A note that a killed build left unfinished does not count, so it may be written as it comes.
-        whole = json.dumps({"bytes": path.stat().st_size, **asdict(note)})
-        path.with_suffix(".json").write_text(whole, encoding="utf-8")
+    """Render those drafts of one recording that are not in the parts folder yet; key -> measurements.
+
+    whole: whether the samples are wanted too; a build that goes on after a kill needs those no longer that it used.
+    """
+    known = {c.key: _read_part(parts, c.key, whole=whole) for c in drafts}
+    measured = {key: found for key, found in known.items() if found is not None}
+    new = {c.key: c for c in drafts if c.key not in measured}
+    for draft, samples, note in _render(recording, [*new.values()], recipe):
+        path, content = part_path(parts, draft.key), encode_wav(samples, recipe.rate_hz)
+        path.write_bytes(content)
+        # What a kill left unfinished, or a power cut lost, does not count, so it may be written as it comes.
+        text = json.dumps({"sha256": hashlib.sha256(content).hexdigest(), **asdict(note)})
+        path.with_suffix(".json").write_text(text, encoding="utf-8")
         measured[draft.key] = note
     return measured
 
@@ -226,12 +237,15 @@ def part_path(parts: Path, key: str) -> Path:
     return parts / f"{key}.wav"
 
 
-def _read_part(parts: Path, key: str) -> Measured | None:
-    """Read a part's note, which is written after its samples; a part that is damaged or has none does not count."""
+def _read_part(parts: Path, key: str, *, whole: bool) -> Measured | None:
+    """Read a part's note; whole: it counts only if the samples are there, and are those of which it was written."""
     path = part_path(parts, key)
     try:
         note = json.loads(path.with_suffix(".json").read_bytes())
-        return Measured(**note) if path.stat().st_size == note.pop("bytes") else None
+        digest = note.pop("sha256")
+        if whole and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            return None
+        return Measured(**note)
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from os import PathLike
 
     from feel321.stimuli.recording import Recording
+    from feel321.stimuli.sets.build import Facts
 
     Verb = Callable[..., None]
 
@@ -84,7 +85,7 @@ def workers_option(verb: Verb) -> Verb:
         type=click.IntRange(min=1),
         default=1,
         show_default=True,
-        help="Number of processes.",
+        help="Number of processes; each takes a second or two to start, which a few short recordings do not repay.",
     )
     @click.option(
         "--dask",
@@ -107,7 +108,7 @@ def workers_option(verb: Verb) -> Verb:
             raise click.UsageError(f"--{error}") from None
         verb(workers=workers, **own)
 
-    return employ_then_do  # fmt: skip
+    return employ_then_do
 
 
 def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]:
@@ -223,11 +224,20 @@ def warn(message: str) -> None:
         click.echo(f"feel321: warning: {message}", err=True)
 
 
-def report_warnings(recordings: Iterable[Recording]) -> None:
+def report_warnings(recordings: Iterable[Recording | Facts]) -> None:
     """Print what was noticed in recordings, one line each, to stderr."""
-    for recording in recordings:
-        for text in recording.warnings:
-            warn(f"{recording.name}: {text}")
+    for line in cap([f"{one.name}: {text}" for one in recordings for text in one.warnings]):
+        warn(line)
+
+
+MOST_LINES = 50
+
+
+def cap(lines: Sequence[str]) -> list[str]:
+    """Cut a long list of lines, and say how many there are more."""
+    left = len(lines) - MOST_LINES
+    more = [f"and {left} more like these; --json lists all problems and warnings"]
+    return [*lines[:MOST_LINES], *(more if left > 0 else ())]
 
 
 def print_json(entry: object) -> None:

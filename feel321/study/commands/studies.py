@@ -78,7 +78,7 @@ def check(
         context.exit(_check_method(folder, method, kind, as_json=as_json))
     study = shared.open_study(folder)
     found = study.check()
-    for text in (*found.remarks, *found.warnings):
+    for text in (*shared.cap(found.remarks), *shared.cap(found.warnings)):
         shared.warn(text)
     if as_json:
         shared.print_json({
@@ -91,7 +91,7 @@ def check(
         count = len(found.warnings) + len(found.remarks)
         counted = f", {count} warning{'s' * (count > 1)}" if count else ""
         good = f"{study.folder.path}: no problems{counted}"
-        click.echo("\n".join([*(found.problems or [good]), *found.notes]))
+        click.echo("\n".join([*(shared.cap(found.problems) or [good]), *found.notes]))
     context.exit(1 if found.problems else 0)
 
 
@@ -128,17 +128,18 @@ def build(*, study: Study, workers: Workers, no_page: bool, as_json: bool) -> No
     from feel321.study.workflow import build_study
 
     with shared.show_progress("build") as progress:
-        recordings, stimuli = build_study(
+        facts, stimuli = build_study(
             study.folder, workers=workers, page=not no_page, progress=progress
         )
-    shared.report_warnings(recordings)
-    notes = describe_built(study.settings, recordings, stimuli)
+    shared.report_warnings(facts)
+    notes = describe_built(study.settings, stimuli)
     count, sha256 = len(stimuli.stimuli), stimuli.sha256
     if as_json:
         folder = str(stimuli.folder)
         shared.print_json({"stimuli": count, "folder": folder, "sha256": sha256, "notes": notes})
     else:
-        click.echo("\n".join([f"{stimuli.folder}: {count} stimuli, set {sha256[:12]}", *notes]))
+        lines = [f"{stimuli.folder}: {count} stimuli, set {sha256[:12]}", *shared.cap(notes)]
+        click.echo("\n".join(lines))
 
 
 @click.command(epilog="Example: feel321 demo --dir demo-study")
@@ -181,7 +182,7 @@ def _simulate(study: Study, participants: int, seed: int | None = None) -> int:
 
 def _open_demo(folder: Path) -> StudyFolder:
     """Begin the demonstration, or resume it; a folder with anything else in it is left alone."""
-    from feel321.study.simulation import NUMBERED
+    from feel321.study.observer.casting import NUMBERED
 
     study = StudyFolder(folder)
     if not folder.exists() or not any(folder.iterdir()):

@@ -23,6 +23,7 @@ from feel321.study.keys import USUAL, KeysTable
 from feel321.study.ledger.progress import LOCK_FILE
 from feel321.study.monitor.media import SoundBank, read_words, write_svg
 from feel321.study.monitor.script import Cast, Shot, make_shots
+from feel321.study.observer.casting import cast_observers
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.screen import view as ui
 from feel321.study.screen.drawing import GROUND
@@ -34,7 +35,6 @@ from feel321.study.session.identity import UNCOMPARED, find_differences
 from feel321.study.session.journal import Records, create_journal, read_journal
 from feel321.study.session.plan import PARTICIPANT_ID, PLANNED, Plan, make_plan, require_own_plan
 from feel321.study.settings import read
-from feel321.study.simulation import cast_observers
 
 if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import StimulusSet

@@ -197,6 +197,10 @@ class Rater:
         return float(rng.lognormal(*(HASTY if self.kind == RANDOM_CLICKER else UNHURRIED)))
 
 
+AT_ONCE = 256
+"""Percepts whose quadrature is computed at once: 3 MB."""
+
+
 def expect_rating(
     model: ObserverModel, percepts: Sequence[float], *, sure: float = RATING_RANGE[0]
 ) -> list[float]:
@@ -210,6 +214,9 @@ def expect_rating(
     import numpy as np
     from scipy.stats import norm
 
+    if len(percepts) > AT_ONCE:
+        parts = (percepts[start : start + AT_ONCE] for start in range(0, len(percepts), AT_ONCE))
+        return [rating for part in parts for rating in expect_rating(model, part, sure=sure)]
     low, high = RATING_RANGE
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     weights /= weights.sum()

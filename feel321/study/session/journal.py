@@ -204,7 +204,9 @@ class Journal:
             )
         name = event if isinstance(event, str) else event.event
         data = data or {} if isinstance(event, str) else event.to_data()
-        record = Record(len(self.records), utc, name, data)
+        self._keep(Record(len(self.records), utc, name, data))
+
+    def _keep(self, record: Record) -> None:
         line = write_line(record, self.tip)
         self.is_open = False
         with _naming(self.path):

@@ -23,6 +23,7 @@ from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, check_names
+from feel321.stimuli.sets.unread import Unread
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
 from feel321.study.session.journal import digest
@@ -106,17 +107,26 @@ def try_recordings(settings: Settings, folder: Path) -> tuple[list[Recording], l
     """Read every recording of a study that can be read, and say why the others cannot."""
     recordings: list[Recording] = []
     mistakes: list[str] = []
-    for entry in settings.recordings:
+    for source in list_unread(settings, folder):
         try:
-            recordings.append(_open_recording(entry, folder, settings.formats))
+            recordings.append(source.read())
         except (OSError, TypeError, ValueError) as error:
-            mistakes.append(f"recording {entry.title!r}: {error}")
+            mistakes.append(f"recording {source.name!r}: {error}")
     return recordings, mistakes
 
 
-def _open_recording(
+def list_unread(settings: Settings, folder: Path) -> list[Unread]:
+    """List the recordings of a study as they are to be read."""
+    return [
+        Unread(entry.title, open_entry, (entry, folder, settings.formats))
+        for entry in settings.recordings
+    ]
+
+
+def open_entry(
     entry: SceneTable | FileTable, folder: Path, formats: Mapping[str, str]
 ) -> Recording:
+    """Read a recording as its table says."""
     about = {"name", "interaction", "sample", "picture", "rotation", "scene", "file"}
     own = entry.model_dump(exclude=about)
     if isinstance(entry, SceneTable):
@@ -131,7 +141,7 @@ def _open_recording(
         recording = read_recording(folder / entry.file, **own)
     if entry.rotation is not None:
         recording = turn_recording(recording, entry.rotation)
-    return replace(recording, name=entry.title)
+    return recording
 
 
 def turn_recording(recording: Recording, rotation: int) -> Recording:

@@ -327,7 +327,7 @@ class FilesTable(FileTable):
     """`[[recordings]]` with `files`: as many entries with `file` as there are files that match a pattern."""
 
     files: kinds.Words
-    file: str = ""
+    file: str = Field(default="", exclude=True)
 
     @model_validator(mode="after")
     def _check_single(self) -> Self:
@@ -344,7 +344,7 @@ class FilesTable(FileTable):
                 f"must be within the study's folder, got {self.files!r}; link it there"
             )
         found = (path for path in folder.glob(self.files) if path.name[0] != "." and path.is_file())
-        own = self.model_dump(exclude={"files", "file"})
+        own = self.model_dump(exclude={"files"})
         names = sorted(path.relative_to(folder).as_posix() for path in found)
         if not names:
             raise ValueError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -54,6 +55,24 @@ def test_same_estimates_tests_and_verdicts_as_fit_primary(make_scenario: Make, c
             assert fit.tests[2, 0] / fit.tests[2, 1] == pytest.approx(
                 gap["standardised_t"], rel=1e-4
             )
+
+
+def test_recordings_of_one_source_get_their_terms(make_scenario: Make) -> None:
+    given = make_scenario(own=(6, 4), recordings=8)
+    items = given.design.items
+    halves = items["recording"].str.removeprefix("scene").astype(int) // 2
+    given = Scenario(replace(given.design, items=items.assign(source=halves)), given.truth)
+    rng = np.random.default_rng(1)
+    stimuli = given.draw(rng)
+    assert stimuli.has_sources
+    ratings, _ = draw.draw_ratings(given, stimuli, rng)
+    fit = engine.Engine(given.design.metrics).fit(stimuli, ratings[0].mean(axis=-1))
+    table = draw.tabulate_ratings(stimuli, ratings[0], given.design.metrics)
+    whole = fit_primary(table, given.design.metrics, explain=False)
+    assert "(1 | source:reducer)" in whole.formula
+    assert fit.tests[:2] == pytest.approx(
+        whole.slopes[["estimate", "se", "df"]].to_numpy(), rel=1e-4
+    )
 
 
 def test_spreads_of_zero_are_singular_fits_not_failures(make_scenario: Make) -> None:

@@ -81,6 +81,18 @@ def test_power_grows_with_people_to_the_ceiling_that_stimuli_set(make_scenario: 
     assert np.isnan(form.find_participants(slope / 3, 0.8))
 
 
+def test_more_hypotheses_are_tested_at_a_lower_level(make_scenario: Make) -> None:
+    one = make_scenario()
+    two = replace(one.design, attributes=("real", "like"))
+    found = [find_power(design, one.truth, studies=0).table for design in (one.design, two)]
+    assert len(found[1]) == 2 * len(found[0]) == 4
+    for table, level in zip(found, (0.05 / 2, 0.05 / 4), strict=True):
+        se, df, power = table.loc[0, ["se", "df", "power"]]
+        limit = student.ppf(1 - level / 2, df)
+        assert power == pytest.approx(nct.sf(limit, df, 25 / se) + nct.cdf(-limit, df, 25 / se))
+    assert "adjusted for 4 tests" in find_power(two, one.truth, studies=0).summary().splitlines()[0]
+
+
 def test_points_of_another_size_change_no_power(make_scenario: Make) -> None:
     """Everything in points times ten; drawn ratings too, where neither ends nor steps of the scale count."""
     free = {"bounded": False, "step": 0.0}
@@ -239,12 +251,12 @@ def test_screening_leaves_out_whom_the_rules_flag(make_scenario: Make) -> None:
 
 
 def test_pilot_data_give_the_spreads(make_scenario: Make) -> None:
-    given = make_scenario(own=(12, 10), participants=40, step=0.0, bounded=False)
+    given = make_scenario(own=(12, 10), participants=40, repeats=4, step=0.0, bounded=False)
     rng = np.random.default_rng(8)
     ratings, _ = draw.draw_ratings(given, given.stimuli, rng)
     table = draw.tabulate_ratings(given.stimuli, ratings[0], given.design.metrics)
     primary = analysis.fit_primary(table, given.design.metrics, explain=False)
-    truth = analysis.Truth.from_fit(primary, rating_sd=12.5, mean=60.0)
+    truth = analysis.Truth.from_fit(primary, repeats=4, rating_sd=12.5, mean=60.0)
     assert truth.slopes["spectral"] == pytest.approx(25, abs=20)
     assert (truth.mean, truth.rating_sd, truth.source) == (
         60.0,

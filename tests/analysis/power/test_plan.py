@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import pickle
 from typing import TYPE_CHECKING
 
 import pytest
@@ -22,8 +24,8 @@ TRY = {"participants": (8, 12, 24, 48), "recordings": (6, 12), "reducers": (6,),
 
 
 def last(design: PowerDesign) -> float:
-    """Minutes of a session: five, and six seconds a trial."""
-    return 5 + design.trials / 10
+    """Minutes of a session: one, and six seconds a trial; many people with few trials take less than few with many."""
+    return 1 + design.trials / 10
 
 
 def test_the_recommended_design_is_the_cheapest_that_is_enough(make_scenario: Make) -> None:
@@ -101,3 +103,14 @@ def test_what_cannot_be_planned_is_refused(make_scenario: Make) -> None:
         analysis.plan_power(case.design, case.truth, hypothesis=("rating", "other"))
     with pytest.raises(ValueError, match="plant one"):
         analysis.plan_power(case.design, analysis.Truth())
+
+
+def test_results_are_kept_by_pickle_and_json(make_scenario: Make) -> None:
+    case = make_scenario(own=(4, 4), participants=5)
+    sizes = {"participants": (5,), "recordings": (4,), "reducers": (4,), "repeats": (1,)}
+    plan = analysis.plan_power(case.design, case.truth, studies=1, **sizes)
+    assert pickle.loads(pickle.dumps(plan)) == plan  # noqa: S301 - what was just written
+    fields = json.loads(json.dumps(plan.to_dict(), allow_nan=False))
+    assert fields["answer"] == plan.answer
+    assert fields["powers"][0]["truth"]["slopes"] == {"spectral": 25.0}
+    assert len(fields["table"]) == len(plan.to_frame())

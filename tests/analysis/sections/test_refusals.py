@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.analysis.report import pairs, robustness
+from feel321.analysis.report import pairs, parts, robustness
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 from feel321.analysis.table.schema import ANSWERED
@@ -43,6 +43,14 @@ def test_a_study_too_large_to_be_varied_is_told_with_its_size(
         "They are left out for 216 participant x stimulus cells; up to 215 are varied."
     )
     assert (section.grids, section.pictures) == ((), ())
+
+
+def test_ratings_too_many_for_one_fit_are_not_varied(
+    tidy: Callable[..., pd.DataFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parts, "MOST_DENSE", 3)
+    (note,) = robustness.compute_robustness(Table(tidy(), METRICS, ()), Choices(draws=2)).notes
+    assert note.endswith("They are left out, for these ratings are too many for one fit.")
 
 
 def test_answers_that_are_neither_right_nor_wrong_are_not_evaluated(

@@ -68,7 +68,7 @@ def test_copies_go_before_sources(monkeypatch: pytest.MonkeyPatch) -> None:
         scene: 0 if scene < 20 else 1 if scene < 30 else 2 + scene % 10 for scene in range(45)
     }
     rows = make_rows(20, 45).assign(source=lambda own: own["recording"].map(sources))
-    monkeypatch.setattr(parts, "_is_large", lambda left, _: left["recording"].nunique() > 12)
+    monkeypatch.setattr(parts, "is_large", lambda left, _: left["recording"].nunique() > 12)
     for seed in range(5):
         left, told = thin(rows, seed)
         assert (left["recording"].nunique(), left["source"].nunique()) == (11, 11)
@@ -76,7 +76,7 @@ def test_copies_go_before_sources(monkeypatch: pytest.MonkeyPatch) -> None:
             "20 of 20 participants and 11 of 45 recordings (11 of 12 sources), drawn at random"
             in told
         )
-    monkeypatch.setattr(parts, "_is_large", lambda left, _: left["recording"].nunique() > 22)
+    monkeypatch.setattr(parts, "is_large", lambda left, _: left["recording"].nunique() > 22)
     per_source = thin(rows)[0].groupby("source")["recording"].nunique()
     assert len(per_source) == 12
     assert per_source[[0, 1]].min() >= per_source.max() - 1

@@ -1,0 +1,127 @@
+"""The answer of a power analysis in words: its first sentence, and a card for each hypothesis."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING, Any
+
+from feel321.analysis.words import format_count, format_name
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from feel321.study.power.record import Planned
+
+SURE, HOPELESS = 0.99, 0.01
+
+
+def describe_plan(result: Planned) -> str:
+    """Say which design is enough, with its power, interval and minutes; or that none is, and why."""
+    row = result.find_row(result.shown, result.plan.hypothesis)
+    if result.plan.recommended is None:
+        return _explain_none(result, row)
+    power = format_power(row["power"])
+    if isfinite(row["simulated"]):
+        ends = f"{row['simulated_low']:.2f} to {row['simulated_high']:.2f}"
+        power = f"{format_power(row['simulated'])} (95 % Monte Carlo interval {ends})"
+    return f"Plan {describe_size(result)}: {describe_slope(row)} is then found with a power of {power}."
+
+
+def _explain_none(result: Planned, row: Mapping[str, Any]) -> str:
+    plan = result.plan
+    if not row["slope"]:
+        return f"There is nothing to find: the slope planted for {name_hypothesis(row)} is zero."
+    best = plan.table.sort_values("ceiling").iloc[-1]
+    units = describe_units(int(best["recordings"]), int(best["reducers"]))
+    if best["ceiling"] < plan.wanted:
+        ceiling = format_power(float(best["ceiling"]))
+        return (
+            f"No number of participants is enough: {describe_slope(row)} is found with a power of {ceiling} at most, "
+            f"with {units}; {_advise(result, row)}."
+        )
+    most, power = int(result.to_frame()["people"].max()), format_power(plan.table["power"].max())
+    return (
+        f"None of these designs is enough: {describe_slope(row)} is found with a power of {power} at most, with up to "
+        f"{format_count(most, 'participant')}; {_advise(result, row)}."
+    )
+
+
+def _advise(result: Planned, row: Mapping[str, Any]) -> str:
+    """Say what would be enough instead: more recordings, or a larger slope."""
+    people = format_count(int(row["participants"]) * result.share, "participant")
+    if isfinite(row["recordings_needed"]):
+        return f"{format_count(int(row['recordings_needed']), 'recording')} would do with {people}"
+    found = row["detectable"] * row["size"]
+    return f"{people} find slopes of {found:.2g} points per {row['per']} and steeper ones"
+
+
+def describe_units(recordings: int, reducers: int) -> str:
+    """Describe how many stimuli a design has.
+
+    Examples
+    --------
+    >>> describe_units(6, 9)
+    '6 recordings × 9 reducers'
+    """
+    return f"{format_count(recordings, 'recording')} × {format_count(reducers, 'reducer')}"
+
+
+def describe_size(result: Planned) -> str:
+    """Describe the design that is shown, and how long a session of it takes."""
+    design = result.shown.design
+    row = result.find_row(result.shown, result.plan.hypothesis)
+    often = {1: "once", 2: "twice"}.get(design.repeats, f"{design.repeats} times")
+    people = format_count(design.participants * result.share, "participant")
+    long = f", sessions of about {row['minutes']:.0f} min" if isfinite(row["minutes"]) else ""
+    return (
+        f"{people}, {describe_units(design.recordings, design.reducers)}, each rated {often}{long}"
+    )
+
+
+def describe_slope(row: Mapping[str, Any]) -> str:
+    """Describe a planted slope."""
+    of, on = format_name(row["metric"]), format_name(row["attribute"])
+    return f"a slope of {row['points']:.2g} points per {row['per']} of {of} on {on}"
+
+
+def name_hypothesis(row: Mapping[str, Any]) -> str:
+    """Name a hypothesis by metric and attribute."""
+    return f"{format_name(row['metric'])} on {format_name(row['attribute'])}"
+
+
+def format_power(power: float) -> str:
+    """Write a power without claiming certainty.
+
+    Examples
+    --------
+    >>> format_power(0.812), format_power(0.998), format_power(0.004)
+    ('0.81', '> 0.99', '< 0.01')
+    """
+    if power > SURE:
+        return f"> {SURE}"
+    return f"{power:.2f}" if power >= HOPELESS else f"< {HOPELESS}"
+
+
+def list_cards(result: Planned) -> list[dict[str, Any]]:
+    """List what is said of each hypothesis in the design that is shown."""
+    hypotheses = result.shown.design.hypotheses
+    rows = [result.find_row(result.shown, one) for one in hypotheses]
+    return [_make_card(row, wanted=result.plan.wanted) for row in rows]
+
+
+def _make_card(row: Mapping[str, Any], *, wanted: float) -> dict[str, Any]:
+    known = isfinite(row["simulated"])
+    power = row["simulated"] if known else row["power"]
+    ends = f"{row['simulated_low']:.2f} to {row['simulated_high']:.2f}" if known else "closed form"
+    per, size = row["per"], row["size"]
+    card: dict[str, Any] = {
+        "name": name_hypothesis(row), "power": format_power(power), "ends": ends, "enough": bool(power >= wanted),
+        "slope": f"{row['points']:.2g} points per {per}",
+        "detectable": f"{row['detectable'] * size:.2g} points per {per}",
+        "width": f"± {row['width'] * size / 2:.2g} points per {per}",
+    }  # fmt: skip
+    card["line"] = (
+        f"{card['name']}: planted {card['slope']}, power {card['power']} ({ends}), smallest slope found "
+        f"{card['detectable']}, interval {card['width']}"
+    )
+    return card

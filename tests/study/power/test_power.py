@@ -1,0 +1,158 @@
+"""The verb `power`: the answer is true, the page holds the numbers of the JSON, bad values get one line."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+import pytest
+
+from feel321.jobs import ALONE
+from feel321.study import cli
+from feel321.study.power import assume, setup, whole, words
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from feel321.study.folder import StudyFolder
+    from feel321.study.power.page import StudyPower
+    from feel321.study.power.setup import PowerTask
+
+METRICS = ("spectral_match_bounded", "temporal_match")
+GRID = ["--participants", "6,12", "--recordings", "4,8", "--reducers", "5", "--repeats", "1"]
+
+
+def run(capsys: pytest.CaptureFixture[str], *words_: object) -> tuple[int, str, str]:
+    code = cli.main(["power", *map(str, words_)])
+    found = capsys.readouterr()
+    return code, found.out, found.err
+
+
+def plan(task: PowerTask, folder: Path, points: float, **more: Any) -> StudyPower:
+    """Plan for one slope of both metrics, in points per +0.1, in closed form unless said otherwise."""
+    effects = assume.Effects(task.effects.points * 0 + points, task.effects.steps, METRICS)
+    planted = replace(task, effects=effects, truth=replace(task.truth, slopes=effects.to_slopes()))
+    sizes = setup.Sizes(**{"participants": (8, 16, 32), "studies": 0, **more})
+    return setup.plan_study(
+        planted, sizes, keep=folder, workers=ALONE, progress=lambda _d, _a: None
+    )
+
+
+def test_verb_writes_page_tables_and_json_that_agree(
+    built: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    code, said, _ = run(capsys, built.path, *GRID, "--studies", 6, "--out", out)
+    content = json.loads((out / "results.json").read_text("utf-8"))
+    page = (out / "index.html").read_text("utf-8")
+    assert (code, said.splitlines()[0]) == (0, content["answer"])
+    assert said.splitlines()[-1] == str(out / "index.html")
+    assert content["answer"].replace("> ", "&gt; ").replace(" %", "\N{NO-BREAK SPACE}%") in page
+    assert content["schema_version"] == 1
+    assert all((out / name).is_file() for name in content["files"])
+    designs = pd.read_csv(out / "tables" / "designs.csv")
+    assert designs["power"].tolist() == pytest.approx([one["power"] for one in content["designs"]])
+    for card in content["cards"]:
+        assert all(str(card[name]).replace(">", "&gt;") in page for name in ("slope", "detectable"))
+    meanings = pd.read_csv(out / "tables" / "dictionary.csv")
+    assert not meanings["meaning"].isna().any()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--participants", "8,x"], "whole numbers"),
+        (["--participants", "0"], "whole numbers"),
+        (["--participants", "2"], "participants must be 3 or more"),
+        (["--effect", "temporal_match"], "METRIC=POINTS"),
+        (["--effect", "temporal_match=much"], "METRIC=POINTS"),
+        (["--effect", "temporal_mach=2"], "did you mean 'temporal_match'"),
+        (["--effect", "temporal_match=2", "--effect", "temporal_match=3"], "twice"),
+        (["--effect", "temporal_match=1e9"], "-100 to 100"),
+        (["--effect", "roughness/temporal_match=2"], "realism"),
+        (["--hypothesis", "temporal_match"], "realism/temporal_match"),
+        (["--pilot", "no.csv"], "no such table"),
+        (["--pilot", "study"], "no ratings yet"),
+        (["--screening", "slow"], "screening must be one of"),
+        (["--power", "1.5"], "0.05"),
+        (["--studies", "-1"], "0"),
+        (["--seed", "-1"], "0"),
+    ],
+)
+def test_bad_values_get_one_line(
+    built: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    options: list[str], said: str,
+) -> None:  # fmt: skip
+    code, out, error = run(capsys, built.path, "--studies", 0, "--out", tmp_path / "out", *options)
+    assert code in {1, 2}
+    assert out == ""
+    assert len(error.splitlines()) == 1
+    assert said in error
+
+
+@pytest.mark.parametrize("seed", [3, 1234])
+def test_strong_slopes_need_few_people(task: PowerTask, tmp_path: Path, seed: int) -> None:
+    found = plan(
+        task, tmp_path, 9.0, studies=4, seed=seed, recordings=(4,), reducers=(5,), repeats=(1,)
+    )
+    best = found.plan.recommended
+    assert best is not None
+    assert found.answer.startswith(f"Plan {best.participants} participants, ")
+    row = found.find_row(found.shown, found.plan.hypothesis)
+    assert f"about {task.find_minutes(best):.0f} min" in found.answer
+    assert row["simulated_low"] < 1 >= row["power"] >= found.plan.wanted
+
+
+def test_weak_slopes_have_no_answer_but_a_reason(task: PowerTask, tmp_path: Path) -> None:
+    found = plan(task, tmp_path, 0.3)
+    assert found.plan.recommended is None
+    assert "participants is enough" in found.answer or "designs is enough" in found.answer
+    assert found.plan.table["power"].max() < found.plan.wanted
+    row = found.find_row(found.shown, found.plan.hypothesis)
+    recordings = row["recordings_needed"]
+    larger = plan(task, tmp_path, row["detectable"] * row["size"] * 1.05)
+    assert larger.plan.table.query("kind == 'given'")["power"].iloc[0] > found.plan.wanted
+    assert math.isnan(recordings) or f"{recordings:.0f} recordings would do" in found.answer
+
+
+def test_no_slope_is_called_nothing(task: PowerTask, tmp_path: Path) -> None:
+    found = plan(task, tmp_path, 0.0)
+    assert found.answer.startswith("There is nothing to find")
+    assert found.plan.recommended is None
+
+
+def test_larger_sessions_take_longer_and_the_own_size_takes_what_check_says(
+    task: PowerTask,
+) -> None:
+    own = task.measure_length(task.design)
+    assert own.trials == 2 * (len(task.design.items) + 4)  # two scales, four hidden references
+    minutes = [task.find_minutes(task.design.change(recordings=number)) for number in (2, 4, 8)]
+    assert minutes[0] < minutes[1] == own.high_min < minutes[2]
+    assert task.find_minutes(task.design.change(repeats=2)) > own.high_min
+
+
+def test_pilot_recovers_the_planted_spreads(
+    task: PowerTask, built: StudyFolder, tmp_path: Path
+) -> None:
+    own = task.paper
+    noisy = own.settings.observer.model_copy(
+        update={"bias_sd": 12.0, "gain_sd": 0.0, "noise_spread": 0.0}
+    )
+    session = own.settings.session.model_copy(update={"repeats": 2})
+    settings = own.settings.model_copy(update={"observer": noisy, "session": session})
+    pilot = whole.PaperStudy.draw(settings, own.folder, own.stimuli, participants=30)
+    pilot.simulate(11).to_csv(tmp_path / "pilot.csv", index=False)
+    found = setup.set_up(built, pilot=tmp_path / "pilot.csv", effects={"temporal_match": 2.0})
+    assert found.truth.person_sd == pytest.approx(12.0, rel=0.35)
+    assert found.truth.rating_sd == pytest.approx(8.0, rel=0.1)
+    assert found.truth.item_sd < 2.0
+    assert "30 people's ratings in pilot.csv" in found.truth.source
+    assert any("not from people" in note for note in found.notes)
+    assert found.truth.find_slope("realism", "temporal_match") == pytest.approx(20.0)
+
+
+def test_powers_are_never_called_certain() -> None:
+    assert [words.format_power(one) for one in (0.0, 0.5, 1.0)] == ["< 0.01", "0.50", "> 0.99"]
