@@ -15,7 +15,7 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import (
     FLAT,
@@ -335,7 +335,7 @@ def _check_spread(x: Values, order: int, *, where: str) -> None:
         )
 
 
-def _fit_mapping(given: _Votes, chosen: Values) -> Polynomial:
+def _fit_mapping(given: _Votes, chosen: NDArray[np.bool_]) -> Polynomial:
     x, mos = given.x[chosen], given.mos[chosen]
     span = float(x.min()), float(x.max())
     if given.order == 0:

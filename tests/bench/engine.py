@@ -1,6 +1,6 @@
 """What the session engine costs per trial besides the disk: `make bench`.
 
-50 simulated participants work through 200 trials each, one after the other, with every record synced to the disk.
+20 simulated participants work through 500 trials each, one after the other, with every record synced to the disk.
 The time inside `os.fsync` is taken off: it is the disk's. What is left, CPU time, is held against the promise.
 """
 
@@ -29,7 +29,7 @@ from feel321.study.session.plan import Design, Stale, make_plan, open_session
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-PARTICIPANTS, RECORDINGS, REPEATS = 50, 10, 2
+PARTICIPANTS, RECORDINGS, REPEATS = 20, 10, 2
 LIMIT_MS = 1.0
 
 

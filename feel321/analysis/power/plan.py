@@ -108,8 +108,9 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     Notes
     -----
     For every combination of recordings, reducers and repeats that is tried, the smallest number of participants that
-    is enough in closed form is added to the table (``kind`` is smallest). The recommended design takes the least time
-    of all participants together, then the fewest of them, and is simulated: where the simulation contradicts the
+    is enough in closed form is added to the table (``kind`` is smallest). The recommended design changes as few of
+    recordings, reducers and repeats as is needed, then takes the least time of all participants together; where numbers
+    of participants are named, it has one of these. It is simulated: where the simulation contradicts the
     closed form (its whole interval lies below the wanted power) the next one is taken.
 
     Examples
@@ -127,7 +128,9 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     aim = _choose_aim(design, truth, hypothesis)
     wanted = dict(zip(SIZES, (participants, recordings, reducers, repeats), strict=True))
     rows = list(_tabulate(_list_designs(design, wanted), truth, aim=aim, minutes=minutes))
-    enough = sorted((row for row in rows if row.power >= design.wanted), key=_rank)
+    allowed = set(participants) or {row.design.participants for row in rows}
+    enough = [r for r in rows if r.power >= design.wanted and r.design.participants in allowed]
+    enough.sort(key=lambda row: _rank(row, design))
     runs: dict[tuple[int, ...], Power] = {}
 
     def run(one: PowerDesign) -> Power:
@@ -164,10 +167,13 @@ def _key(design: PowerDesign) -> tuple[int, ...]:
     return tuple(getattr(design, name) for name in SIZES)
 
 
-def _rank(row: _Row) -> tuple[float, int]:
-    """Rank by the time of all participants together, then by their number."""
+def _rank(row: _Row, given: PowerDesign) -> tuple[int, float, int]:
+    """Rank by the changes to the given stimuli and repeats, then by the time of all participants together."""
+    changes = sum(
+        one != own for one, own in zip(_key(row.design)[1:], _key(given)[1:], strict=True)
+    )
     each = row.design.trials if math.isnan(row.minutes) else row.minutes
-    return each * row.design.participants, row.design.participants
+    return changes, each * row.design.participants, row.design.participants
 
 
 def _is_further(one: PowerDesign, given: PowerDesign) -> bool:

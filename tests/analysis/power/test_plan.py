@@ -30,12 +30,15 @@ def last(design: PowerDesign) -> float:
 
 def test_the_recommended_design_is_the_cheapest_that_is_enough(make_scenario: Make) -> None:
     case = make_scenario(participants=12, slopes={"spectral": 45.0})
-    plan = analysis.plan_power(case.design, case.truth, minutes=last, studies=0, **TRY)
+    stimuli = {name: sizes for name, sizes in TRY.items() if name != "participants"}
+    plan = analysis.plan_power(case.design, case.truth, minutes=last, studies=0, **stimuli)
     table = plan.table
     assert plan.hypothesis == ("rating", "spectral")
     assert table["power"].between(0, 1).all()
     assert (table["enough"] == (table["power"] >= 0.8)).all()
-    cost = (table["minutes"] * table["participants"])[table["enough"]]
+    # The study's own stimuli are enough, so no others are recommended, whatever they would save.
+    own = (table[list(SIZES[1:])] == [getattr(case.design, name) for name in SIZES[1:]]).all(axis=1)
+    cost = (table["minutes"] * table["participants"])[table["enough"] & own]
     chosen = table[table["recommended"]]
     assert len(chosen) == 1
     assert chosen.index[0] == cost.idxmin()
@@ -53,6 +56,24 @@ def test_the_recommended_design_is_the_cheapest_that_is_enough(make_scenario: Ma
     assert first == plan.answer
     assert f"{sizes['participants']} participants, {sizes['recordings']} recordings" in first
     assert f"{chosen['minutes'].iloc[0]:.0f} minutes" in first
+
+
+def test_named_numbers_of_participants_are_the_only_ones_recommended(make_scenario: Make) -> None:
+    case = make_scenario(participants=12, slopes={"spectral": 45.0})
+    free = analysis.plan_power(case.design, case.truth, studies=0, recordings=(6,))
+    plan = analysis.plan_power(
+        case.design, case.truth, studies=0, recordings=(6,), participants=(5, 9, 31)
+    )
+    assert free.recommended.participants not in {5, 9, 31}
+    assert plan.recommended.participants in {9, 31}
+
+
+def test_other_stimuli_are_recommended_where_the_own_are_too_few(make_scenario: Make) -> None:
+    case = make_scenario(slopes={"spectral": 8.0})
+    plan = analysis.plan_power(case.design, case.truth, studies=0, recordings=(6, 60, 120))
+    table = plan.table
+    assert not table["enough"][table["recordings"] == case.design.recordings].any()
+    assert plan.recommended.recordings in {60, 120}
 
 
 def test_every_design_is_listed_once(make_scenario: Make) -> None:
