@@ -11,8 +11,10 @@ import os
 import re
 import tomllib
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from platform import node
+from shlex import quote
 from typing import Any
 from urllib.parse import parse_qsl
 
@@ -76,10 +78,12 @@ def check_table(table: object) -> None:
         raise ValueError(f"must have station from 1 to {of}, got {station}")
 
 
-def find_share(settings: Path) -> tuple[int, int]:
-    """Find which numbers a station gives away, first and step; all of them where slots are not divided."""
-    table = _find_table(_read_tables(settings))
-    return table.get("station", 1), table.get("of", 1)
+def find_share(settings: Path) -> tuple[int, int, int]:
+    """Find which blocks of numbers a station gives away, and of how many: place, step and size, by default all."""
+    tables = _read_tables(settings)
+    table = _find_table(tables)
+    factors = tables.get("between", {}).values()
+    return table.get("station", 1), table.get("of", 1), prod(map(len, factors))
 
 
 def find_server(settings: Path) -> Server | None:
@@ -110,6 +114,11 @@ def _find_table(tables: dict[str, Any]) -> dict[str, Any]:
 def find_station() -> str:
     """Find the name of this station."""
     return os.environ.get(STATION_VARIABLE) or node() or "unnamed"
+
+
+def take_over(station: str) -> str:
+    """Say how another station acts in the place of one; nobody does so by accident."""
+    return f"{STATION_VARIABLE}={quote(station)} feel321 ..."
 
 
 def name_schema(study: str) -> str:

@@ -10,7 +10,7 @@ here until it is collected, and is not missed.
 This module imports SQLAlchemy; import it where it is used, so that the command line answers at once.
 """
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
@@ -42,14 +42,19 @@ from feel321.study.session.plan import PARTICIPANT_ID, PLAN_FILE, TOMBSTONE_FILE
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Where claims come from: whose sessions were begun there, and which numbers are its to give."""
+    """Where claims come from, and which numbers are its to give: the `place`th block of every `of`, from 1."""
 
-    # `first`, `first + of`, `first + 2 of` and so on
+    # A block has one number of each group, so that every station has all groups.
 
     name: str = ""
-    begun: Container[str] = ()
-    first: int = 1
+    place: int = 1
     of: int = 1
+    block: int = 1
+
+    def list_numbers(self) -> Iterator[int]:
+        """List the numbers that are this station's to give, without end."""
+        for turn in count(self.place - 1, self.of):
+            yield from range(turn * self.block + 1, (turn + 1) * self.block + 1)
 
 
 ALONE = Station()
@@ -77,7 +82,7 @@ def claim_slots(
             for entry in known.values()
             if entry.simulated == simulated and entry.state in LIVE
         }
-        free = (number for number in count(station.first, station.of) if number not in taken)
+        free = (number for number in station.list_numbers() if number not in taken)
         numbers = {
             name: _keep_slot(known[name], simulated=simulated, station=station)
             if name in known
@@ -104,8 +109,7 @@ def claim_numbers(
 ) -> dict[str, int]:
     """Give participants of a study their numbers; those who were planned here keep theirs without the ledger, too."""
     planned = [name for name in participants if (study.sessions / name / PLAN_FILE).is_file()]
-    first, of = server.find_share(study.settings)
-    station = Station(database.get_station(ledger), planned, first, of)
+    station = Station(database.get_station(ledger), *server.find_share(study.settings))
     try:
         return claim_slots(ledger, participants, simulated=simulated, now=now, station=station)
     except ConnectionError as error:
@@ -120,7 +124,10 @@ def claim_numbers(
 
 def agree(study: StudyFolder, ledger: sa.Engine, terms: Mapping[str, Any]) -> None:
     """Refuse to plan sessions otherwise than the other stations do; a server out of reach cannot say."""
-    remedy = f"make both folders alike; or, where this one is right: {_write_rebuild(study)}"
+    remedy = (
+        "is it another study of the same name? then give it a name of its own ([study] name). Otherwise make both "
+        f"folders alike; or, where this one is right: {_write_rebuild(study)}"
+    )
     with suppress(ConnectionError):
         stations.agree_on(ledger, terms, remedy=remedy)
 
@@ -140,10 +147,10 @@ def _keep_slot(entry: Entry, *, simulated: bool, station: Station) -> int:
             f"participant {entry.participant}: {known} in the ledger, got a {got} one; use another code"
         )
     check_live(entry)
-    if entry.station not in {"", station.name} and entry.participant not in station.begun:
+    if entry.station not in {"", station.name}:
         raise ValueError(
             f"participant {entry.participant}: the session is at station {entry.station}, this one is {station.name}; "
-            "go on there, or collect it from there first: feel321 collect"
+            f"go on there, or, if it never will and all of it was collected here: {server.take_over(entry.station)}"
         )
     return entry.number
 
@@ -185,8 +192,7 @@ def open_study_ledger(study: StudyFolder, *, now: Clock = utc_now) -> tuple[sa.E
     try:
         database.make_tables(ledger)
         if known := read_ledger(ledger):
-            _catch_up(ledger, study, known)
-            return ledger, ""
+            return ledger, "; ".join(_catch_up(ledger, study, known))
         return ledger, _fill(ledger, study, now=now)
     except ConnectionError as error:
         return ledger, str(error)
@@ -215,15 +221,18 @@ def settle(ledger: sa.Engine, entries: Iterable[Entry]) -> list[Entry]:
     return [replace(entry, station=database.get_station(ledger)) for entry in entries]
 
 
-def _catch_up(ledger: sa.Engine, study: StudyFolder, known: Iterable[Entry]) -> None:
-    """Enter what sessions of this station did while the server was out of reach."""
-    if not (station := database.get_station(ledger)):
-        return
+def _catch_up(ledger: sa.Engine, study: StudyFolder, known: Iterable[Entry]) -> Iterator[str]:
+    """Enter what sessions of this station did while the server was out of reach; yield what cannot be read."""
+    station = database.get_station(ledger)
     for entry in known:
         folder = study.sessions / entry.participant
         own = entry.station == station and entry.state in {"claimed", "running"}
-        if own and list_journals(folder) and not is_held(folder / progress.LOCK_FILE):
-            done = progress.read_progress(folder)
+        if station and own and list_journals(folder) and not is_held(folder / progress.LOCK_FILE):
+            try:
+                done = progress.read_progress(folder)
+            except (OSError, ValueError) as error:
+                yield str(error)  # of one participant, who keeps nobody else from a session
+                continue
             if not (done.problem or any(find_cut(anchor, folder) for anchor in entry.anchors)):
                 enter(ledger, entry.participant, make_entry(done))
 
@@ -254,7 +263,7 @@ def read_others(study: StudyFolder) -> tuple[list[Entry], tuple[str, ...]]:
     """Read who is at other stations, and what there is to say: clocks that are off, or a server out of reach."""
     try:
         ledger = database.open_ledger(find_place(study))
-        away = [entry for entry in read_ledger(ledger) if is_away(entry, study)]
+        away = [entry for entry in read_ledger(ledger) if is_absent(entry, study)]
         return away, tuple(stations.describe_clocks(stations.read_clocks(ledger)))
     except (OSError, ValueError) as error:
         return [], (str(error),)
@@ -387,14 +396,14 @@ def _check_slots(entries: Iterable[Entry]) -> None:
                 )
 
 
-def is_away(entry: Entry, study: StudyFolder) -> bool:
+def is_away(entry: Entry) -> bool:
+    """Check whether a participant is at another station, whatever of it was copied or collected here."""
+    return bool(entry.station) and entry.station != server.find_station()
+
+
+def is_absent(entry: Entry, study: StudyFolder) -> bool:
     """Check whether a participant is at another station, and nothing of it was collected here."""
-    home = entry.station
-    return (
-        bool(home)
-        and home != server.find_station()
-        and not _is_begun(study.sessions / entry.participant)
-    )
+    return is_away(entry) and not _is_begun(study.sessions / entry.participant)
 
 
 def _is_begun(folder: Path) -> bool:
@@ -410,7 +419,7 @@ def _compare(study: StudyFolder) -> tuple[list[str], list[str]]:
     lost: list[str] = []
     wrong: list[str] = []
     for entry in entries.values():
-        if is_away(entry, study):
+        if is_absent(entry, study):
             continue
         lines = list(_find_lost_of(entry, study))
         lost += lines

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.protocols.trial import place_in_groups
 from feel321.study import cli
 from feel321.study import server as servers
 from feel321.study.audit import audit_study
 from feel321.study.collect import collect_sessions
 from feel321.study.ledger import database, slots, stations
+from feel321.study.ledger.notes import take_note
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.server import Server, check_url, find_server, name_schema
 from feel321.study.settings.read import read_settings
@@ -224,6 +226,58 @@ def test_stations_without_a_network_divide_the_numbers(
         [2, 5, 8],
         [3, 6, 9],
     ]
+
+
+def test_one_session_is_at_one_station_whatever_was_copied(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = make_station("one", login.url)
+    simulate_study(one, participants=1, seed=1, now=tell_time)
+    monkeypatch.setenv("FEEL321_STATION", "two")
+    two = make_station("two", login.url)
+    assert collect_sessions(two, [one.path], now=tell_time).refused == []
+    before = slots.read_study_ledger(two)
+    doings: dict[str, Callable[[], object]] = {
+        "the session is": lambda: simulate_study(two, participants=1, seed=1, now=tell_time),
+        "release": lambda: release_participant(two, "sim001", now=tell_time),
+        "take the note": lambda: take_note(two, "sim001", "a word", now=tell_time),
+    }
+    for what, do in doings.items():
+        with pytest.raises(ValueError, match=f"at station one.*{what}|{what} at station one"):
+            do()
+    assert slots.read_study_ledger(two) == before
+    assert audit_study(two) == []
+    monkeypatch.setenv("FEEL321_STATION", "one")  # Said explicitly, it may.
+    take_note(two, "sim001", "a word", now=tell_time)
+
+
+def test_a_damaged_plan_keeps_nobody_else_from_a_session(
+    login: Any, make_station: Callable[..., StudyFolder]
+) -> None:
+    study = make_station("one", login.url)
+    simulate_study(study, participants=1, seed=1, now=tell_time)
+    ledger, notice = slots.open_study_ledger(study)
+    database.rewrite_ledger(ledger, lambda known: [replace(one, state="running") for one in known])
+    plan = study.sessions / "sim001" / "plan.json"
+    plan.write_bytes(plan.read_bytes()[:200])
+    assert claim(study, "p02") == {"p02": 1}
+    assert notice == ""
+    assert str(plan) in slots.open_study_ledger(study)[1]
+
+
+def test_every_station_without_a_network_has_every_group(
+    make_station: Callable[..., StudyFolder],
+) -> None:
+    groups = {"hand": ("left", "right"), "coil": ("a", "b", "c")}
+    table = "".join(f"{name} = {list(levels)}\n" for name, levels in groups.items())
+    for station in (1, 2):
+        more = f"[between]\n{table}[ledger]\nstation = {station}\nof = 2\n"
+        study = make_station(f"s{station}", more=more)
+        numbers = [*claim(study, *(f"p{one}" for one in range(12))).values()]
+        assert numbers[:7] == [n + 6 * (station - 1) for n in (1, 2, 3, 4, 5, 6, 13)]
+        seen = [tuple(place_in_groups(groups, number)[0].values()) for number in numbers]
+        assert {seen.count(one) for one in seen} == {2}
+        assert len(set(seen)) == 6
 
 
 def test_what_is_collected_and_the_server_agree(
