@@ -16,17 +16,16 @@ from pathlib import Path
 from platform import node
 from shlex import quote
 from typing import Any
-from urllib.parse import parse_qsl
+from urllib.parse import unquote
 
 URL_VARIABLE, STATION_VARIABLE = "FEEL321_LEDGER", "FEEL321_STATION"
 """A station's own URL, which wins over `study.toml`; and its name, by default that of the computer."""
 
 UNNAMED = "pilot"
-"""Name of a study that has none of its own."""
+"""Name of a study that has none of its own, as in the template."""
 
 EXAMPLE = "postgresql+psycopg://host/database"
 _KINDS = ("postgresql+psycopg://", "postgresql://")
-_SECRETS = {"password", "sslpassword"}
 _OTHERS = 0o077
 
 
@@ -52,12 +51,11 @@ def check_url(url: str) -> str:
 
 
 def _holds_password(url: str) -> bool:
+    while (plain := unquote(url)) != url:
+        url = plain
     # Up to the last @: a password may hold any sign, also those that end the host of other URLs.
     login, at, _ = url.partition("//")[2].rpartition("@")
-    names = {
-        name.casefold() for name, _ in parse_qsl(url.partition("?")[2], keep_blank_values=True)
-    }
-    return bool(at and ":" in login) or not _SECRETS.isdisjoint(names)
+    return bool(at and ":" in login) or "password" in url.casefold()
 
 
 def check_table(table: object) -> None:
@@ -98,7 +96,12 @@ def find_server(settings: Path) -> Server | None:
         raise ValueError(f"{URL_VARIABLE} {error}") from None
     check_credentials()
     kind, _, rest = url.partition("://")
-    name = tables.get("study", {}).get("name", UNNAMED)
+    name = str(tables.get("study", {}).get("name", "")).strip()
+    if name in {"", UNNAMED}:
+        raise ValueError(
+            f'{settings}: study.name must be the study\'s own on a server that other studies may use, got "{name}"; '
+            'such as name = "wood 2027, lab A"'
+        )
     return Server(f"{kind.partition('+')[0]}+psycopg://{rest}", name_schema(name), find_station())
 
 
@@ -114,6 +117,11 @@ def _find_table(tables: dict[str, Any]) -> dict[str, Any]:
 def find_station() -> str:
     """Find the name of this station."""
     return os.environ.get(STATION_VARIABLE) or node() or "unnamed"
+
+
+def is_station_named() -> bool:
+    """Check whether the name of this station was given on purpose."""
+    return bool(os.environ.get(STATION_VARIABLE))
 
 
 def take_over(station: str) -> str:

@@ -167,6 +167,9 @@ def _check_capitals(participants: Sequence[str]) -> None:
 
 # The ledger of a study, rebuilt from its files.
 
+FOLDER_ID = "ledger.folder"
+"""File in `sessions/` that tells this study folder from any other in a shared ledger."""
+
 WAS_MISSING = "all that it had seen, for it was missing"
 
 
@@ -191,6 +194,7 @@ def open_study_ledger(study: StudyFolder, *, now: Clock = utc_now) -> tuple[sa.E
     ledger = _connect(study)
     try:
         database.make_tables(ledger)
+        _introduce(ledger, study)
         if known := read_ledger(ledger):
             return ledger, "; ".join(_catch_up(ledger, study, known))
         return ledger, _fill(ledger, study, now=now)
@@ -198,19 +202,36 @@ def open_study_ledger(study: StudyFolder, *, now: Clock = utc_now) -> tuple[sa.E
         return ledger, str(error)
 
 
+def _introduce(ledger: sa.Engine, study: StudyFolder) -> None:
+    """Refuse a station's name that another study folder has, but where it was given on purpose."""
+    if not database.is_shared(ledger):
+        return
+    is_own = stations.introduce(ledger, study.sessions / FOLDER_ID)
+    if not (is_own or server.is_station_named()):
+        name = database.get_station(ledger)
+        raise ValueError(
+            f"station {name}: another study folder has this name in the ledger, and this computer has the same; give "
+            f"this one a name of its own: {server.STATION_VARIABLE}. Where it is the same station, moved or restored: "
+            f"{server.take_over(name)}"
+        )
+
+
 def _fill(ledger: sa.Engine, study: StudyFolder, *, now: Clock) -> str:
     """Enter all participants in an empty ledger; returns what to say of it."""
     entries = settle(ledger, _read_disk(study)[0])
-    # On the first day on a server, the file is still there.
+    # On the first day on a server, the file is still there: what it saw is compared, and its claims are kept.
     was_moved = database.is_shared(ledger) and study.ledger.exists()
+    old = database.read_place(study.ledger)[1] if was_moved else []
+    lost = [line for entry in old for line in _find_lost_of(entry, study)]
+    entries = merge_entries(settle(ledger, old), entries, station=database.get_station(ledger))
 
     def change(known: list[Entry]) -> list[Entry]:
         # Another process may have found it missing first, and claimed slots since.
-        if not (known or was_moved):
-            _log_forgotten(study, [WAS_MISSING], now=now)
+        if not known:
+            _log_forgotten(study, lost if was_moved else [WAS_MISSING], now=now)
         return known or entries
 
-    if not entries or rewrite_ledger(ledger, change):
+    if not (entries or lost) or rewrite_ledger(ledger, change):
         return ""
     done = f"{len(entries)} participants were entered from their plans and journals"
     return f"{database.name_ledger(ledger)}: was {'empty' if was_moved else 'missing'}; {done}"
@@ -248,10 +269,10 @@ def read_study_ledger(study: StudyFolder) -> list[Entry]:
     """Read the ledger of a study and write nothing."""
     place = find_place(study)
     if not isinstance(place, Path):
-        if entries := read_ledger(database.open_ledger(place)):
+        if entries := database.read_place(place)[1]:
             return entries
     elif place.exists():
-        return read_ledger(database.open_ledger(place))
+        return database.read_place(place)[1]
     if any(map(_is_begun, study.participants)):
         raise FileNotFoundError(
             f"{name_place(study)}: is missing, so losses cannot be detected; rebuild it: {_write_rebuild(study)}"
@@ -262,9 +283,10 @@ def read_study_ledger(study: StudyFolder) -> list[Entry]:
 def read_others(study: StudyFolder) -> tuple[list[Entry], tuple[str, ...]]:
     """Read who is at other stations, and what there is to say: clocks that are off, or a server out of reach."""
     try:
-        ledger = database.open_ledger(find_place(study))
-        away = [entry for entry in read_ledger(ledger) if is_absent(entry, study)]
-        return away, tuple(stations.describe_clocks(stations.read_clocks(ledger)))
+        ledger, entries = database.read_place(find_place(study))
+        clocks = stations.read_clocks(ledger) if entries else []
+        away = [entry for entry in entries if is_absent(entry, study)]
+        return away, tuple(stations.describe_clocks(clocks))
     except (OSError, ValueError) as error:
         return [], (str(error),)
 
@@ -280,6 +302,7 @@ def rebuild_ledger(study: StudyFolder, *, now: Clock = utc_now) -> list[str]:
     is_file, ledger = isinstance(place, Path), _connect(study)
     was_missing = isinstance(place, Path) and not place.exists()
     database.make_tables(ledger)
+    _introduce(ledger, study)
     was_missing = was_missing if is_file else not read_ledger(ledger)
     lost, wrong = ([], []) if was_missing else _compare(study)
     problems: list[str] = []
