@@ -11,20 +11,21 @@ import os
 import re
 import tomllib
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from platform import node
+from shlex import quote
 from typing import Any
-from urllib.parse import parse_qsl
+from urllib.parse import unquote
 
 URL_VARIABLE, STATION_VARIABLE = "FEEL321_LEDGER", "FEEL321_STATION"
 """A station's own URL, which wins over `study.toml`; and its name, by default that of the computer."""
 
 UNNAMED = "pilot"
-"""Name of a study that has none of its own."""
+"""Name of a study that has none of its own, as in the template."""
 
 EXAMPLE = "postgresql+psycopg://host/database"
 _KINDS = ("postgresql+psycopg://", "postgresql://")
-_SECRETS = {"password", "sslpassword"}
 _OTHERS = 0o077
 
 
@@ -50,12 +51,11 @@ def check_url(url: str) -> str:
 
 
 def _holds_password(url: str) -> bool:
+    while (plain := unquote(url)) != url:
+        url = plain
     # Up to the last @: a password may hold any sign, also those that end the host of other URLs.
     login, at, _ = url.partition("//")[2].rpartition("@")
-    names = {
-        name.casefold() for name, _ in parse_qsl(url.partition("?")[2], keep_blank_values=True)
-    }
-    return bool(at and ":" in login) or not _SECRETS.isdisjoint(names)
+    return bool(at and ":" in login) or "password" in url.casefold()
 
 
 def check_table(table: object) -> None:
@@ -76,10 +76,12 @@ def check_table(table: object) -> None:
         raise ValueError(f"must have station from 1 to {of}, got {station}")
 
 
-def find_share(settings: Path) -> tuple[int, int]:
-    """Find which numbers a station gives away, first and step; all of them where slots are not divided."""
-    table = _find_table(_read_tables(settings))
-    return table.get("station", 1), table.get("of", 1)
+def find_share(settings: Path) -> tuple[int, int, int]:
+    """Find which blocks of numbers a station gives away, and of how many: place, step and size, by default all."""
+    tables = _read_tables(settings)
+    table = _find_table(tables)
+    factors = tables.get("between", {}).values()
+    return table.get("station", 1), table.get("of", 1), prod(map(len, factors))
 
 
 def find_server(settings: Path) -> Server | None:
@@ -94,7 +96,12 @@ def find_server(settings: Path) -> Server | None:
         raise ValueError(f"{URL_VARIABLE} {error}") from None
     check_credentials()
     kind, _, rest = url.partition("://")
-    name = tables.get("study", {}).get("name", UNNAMED)
+    name = str(tables.get("study", {}).get("name", "")).strip()
+    if name in {"", UNNAMED}:
+        raise ValueError(
+            f'{settings}: study.name must be the study\'s own on a server that other studies may use, got "{name}"; '
+            'such as name = "wood 2027, lab A"'
+        )
     return Server(f"{kind.partition('+')[0]}+psycopg://{rest}", name_schema(name), find_station())
 
 
@@ -110,6 +117,16 @@ def _find_table(tables: dict[str, Any]) -> dict[str, Any]:
 def find_station() -> str:
     """Find the name of this station."""
     return os.environ.get(STATION_VARIABLE) or node() or "unnamed"
+
+
+def is_station_named() -> bool:
+    """Check whether the name of this station was given on purpose."""
+    return bool(os.environ.get(STATION_VARIABLE))
+
+
+def take_over(station: str) -> str:
+    """Say how another station acts in the place of one; nobody does so by accident."""
+    return f"{STATION_VARIABLE}={quote(station)} feel321 ..."
 
 
 def name_schema(study: str) -> str:

@@ -86,7 +86,13 @@ sa.Index(
 )
 _OF_FILES = [_PARTICIPANTS, _ANCHORS]
 
-# On a server only, where stations have to agree.
+# On a server only, where stations have to agree. A folder's id tells apart two stations of one name.
+FOLDERS = sa.Table(
+    "folders",
+    _TABLES,
+    sa.Column("station", sa.String, primary_key=True),
+    sa.Column("folder", sa.String, nullable=False),
+)
 _HOMES = _declare("homes", _NAME, _STATION, keys=["participant"])
 STATIONS = sa.Table(
     "stations",
@@ -164,15 +170,31 @@ def _connect_server(server: Server) -> sa.Engine:
 
 def make_tables(ledger: sa.Engine) -> None:
     """Make the tables of a ledger where they are missing; one that may only be read is not written to."""
-    tables = list(_TABLES.tables.values()) if is_shared(ledger) else _OF_FILES
-    schema = _find_schema(ledger)
-    with transact(ledger, writes=False) as connection:
-        known = sa.inspect(connection).get_table_names(schema=schema)
-    if not {table.name for table in tables} <= set(known):
+    if not _has_tables(ledger):
+        tables, schema = _list_tables(ledger), _find_schema(ledger)
         with transact(ledger) as connection:
             if schema and not sa.inspect(connection).has_schema(schema):
                 connection.execute(sa.schema.CreateSchema(schema))
             _TABLES.create_all(connection, tables=tables)
+
+
+def _list_tables(ledger: sa.Engine) -> list[sa.Table]:
+    return list(_TABLES.tables.values()) if is_shared(ledger) else _OF_FILES
+
+
+def _has_tables(ledger: sa.Engine) -> bool:
+    with transact(ledger, writes=False) as connection:
+        known = sa.inspect(connection).get_table_names(schema=_find_schema(ledger))
+    return {table.name for table in _list_tables(ledger)} <= set(known)
+
+
+def read_place(place: Path | Server) -> tuple[sa.Engine, list[Entry]]:
+    """Read the ledger at a place, and write nothing on a server; where there are no tables yet, nobody takes part."""
+    if isinstance(place, Path):
+        ledger = open_ledger(place)
+        return ledger, read_ledger(ledger)
+    ledger = connect_ledger(place)
+    return ledger, read_ledger(ledger) if _has_tables(ledger) else []
 
 
 def open_ledger(place: Path | Server) -> sa.Engine:

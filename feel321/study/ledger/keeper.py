@@ -42,6 +42,10 @@ def note_progress(
         if entry is None:
             raise ValueError(f"participant {participant}: no slot in the ledger; claim one first")
         check_live(entry)
+        if entry.station not in {"", database.get_station(ledger)}:
+            raise ValueError(
+                f"participant {participant}: the session is at station {entry.station}"
+            )
         anchors = {seen.journal: seen for seen in entry.anchors}
         seen = anchors.get(anchor.journal, anchor)
         if anchor.lines < seen.lines or (anchor.lines == seen.lines and anchor != seen):

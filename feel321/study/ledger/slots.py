@@ -10,7 +10,7 @@ here until it is collected, and is not missed.
 This module imports SQLAlchemy; import it where it is used, so that the command line answers at once.
 """
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
@@ -42,14 +42,19 @@ from feel321.study.session.plan import PARTICIPANT_ID, PLAN_FILE, TOMBSTONE_FILE
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """Where claims come from: whose sessions were begun there, and which numbers are its to give."""
+    """Where claims come from, and which numbers are its to give: the `place`th block of every `of`, from 1."""
 
-    # `first`, `first + of`, `first + 2 of` and so on
+    # A block has one number of each group, so that every station has all groups.
 
     name: str = ""
-    begun: Container[str] = ()
-    first: int = 1
+    place: int = 1
     of: int = 1
+    block: int = 1
+
+    def list_numbers(self) -> Iterator[int]:
+        """List the numbers that are this station's to give, without end."""
+        for turn in count(self.place - 1, self.of):
+            yield from range(turn * self.block + 1, (turn + 1) * self.block + 1)
 
 
 ALONE = Station()
@@ -77,7 +82,7 @@ def claim_slots(
             for entry in known.values()
             if entry.simulated == simulated and entry.state in LIVE
         }
-        free = (number for number in count(station.first, station.of) if number not in taken)
+        free = (number for number in station.list_numbers() if number not in taken)
         numbers = {
             name: _keep_slot(known[name], simulated=simulated, station=station)
             if name in known
@@ -104,8 +109,7 @@ def claim_numbers(
 ) -> dict[str, int]:
     """Give participants of a study their numbers; those who were planned here keep theirs without the ledger, too."""
     planned = [name for name in participants if (study.sessions / name / PLAN_FILE).is_file()]
-    first, of = server.find_share(study.settings)
-    station = Station(database.get_station(ledger), planned, first, of)
+    station = Station(database.get_station(ledger), *server.find_share(study.settings))
     try:
         return claim_slots(ledger, participants, simulated=simulated, now=now, station=station)
     except ConnectionError as error:
@@ -120,7 +124,10 @@ def claim_numbers(
 
 def agree(study: StudyFolder, ledger: sa.Engine, terms: Mapping[str, Any]) -> None:
     """Refuse to plan sessions otherwise than the other stations do; a server out of reach cannot say."""
-    remedy = f"make both folders alike; or, where this one is right: {_write_rebuild(study)}"
+    remedy = (
+        "is it another study of the same name? then give it a name of its own ([study] name). Otherwise make both "
+        f"folders alike; or, where this one is right: {_write_rebuild(study)}"
+    )
     with suppress(ConnectionError):
         stations.agree_on(ledger, terms, remedy=remedy)
 
@@ -140,10 +147,10 @@ def _keep_slot(entry: Entry, *, simulated: bool, station: Station) -> int:
             f"participant {entry.participant}: {known} in the ledger, got a {got} one; use another code"
         )
     check_live(entry)
-    if entry.station not in {"", station.name} and entry.participant not in station.begun:
+    if entry.station not in {"", station.name}:
         raise ValueError(
             f"participant {entry.participant}: the session is at station {entry.station}, this one is {station.name}; "
-            "go on there, or collect it from there first: feel321 collect"
+            f"go on there, or, if it never will and all of it was collected here: {server.take_over(entry.station)}"
         )
     return entry.number
 
@@ -159,6 +166,9 @@ def _check_capitals(participants: Sequence[str]) -> None:
 
 
 # The ledger of a study, rebuilt from its files.
+
+FOLDER_ID = "ledger.folder"
+"""File in `sessions/` that tells this study folder from any other in a shared ledger."""
 
 WAS_MISSING = "all that it had seen, for it was missing"
 
@@ -184,27 +194,44 @@ def open_study_ledger(study: StudyFolder, *, now: Clock = utc_now) -> tuple[sa.E
     ledger = _connect(study)
     try:
         database.make_tables(ledger)
+        _introduce(ledger, study)
         if known := read_ledger(ledger):
-            _catch_up(ledger, study, known)
-            return ledger, ""
+            return ledger, "; ".join(_catch_up(ledger, study, known))
         return ledger, _fill(ledger, study, now=now)
     except ConnectionError as error:
         return ledger, str(error)
 
 
+def _introduce(ledger: sa.Engine, study: StudyFolder) -> None:
+    """Refuse a station's name that another study folder has, but where it was given on purpose."""
+    if not database.is_shared(ledger):
+        return
+    is_own = stations.introduce(ledger, study.sessions / FOLDER_ID)
+    if not (is_own or server.is_station_named()):
+        name = database.get_station(ledger)
+        raise ValueError(
+            f"station {name}: another study folder has this name in the ledger, and this computer has the same; give "
+            f"this one a name of its own: {server.STATION_VARIABLE}. Where it is the same station, moved or restored: "
+            f"{server.take_over(name)}"
+        )
+
+
 def _fill(ledger: sa.Engine, study: StudyFolder, *, now: Clock) -> str:
     """Enter all participants in an empty ledger; returns what to say of it."""
     entries = settle(ledger, _read_disk(study)[0])
-    # On the first day on a server, the file is still there.
+    # On the first day on a server, the file is still there: what it saw is compared, and its claims are kept.
     was_moved = database.is_shared(ledger) and study.ledger.exists()
+    old = database.read_place(study.ledger)[1] if was_moved else []
+    lost = [line for entry in old for line in _find_lost_of(entry, study)]
+    entries = merge_entries(settle(ledger, old), entries, station=database.get_station(ledger))
 
     def change(known: list[Entry]) -> list[Entry]:
         # Another process may have found it missing first, and claimed slots since.
-        if not (known or was_moved):
-            _log_forgotten(study, [WAS_MISSING], now=now)
+        if not known:
+            _log_forgotten(study, lost if was_moved else [WAS_MISSING], now=now)
         return known or entries
 
-    if not entries or rewrite_ledger(ledger, change):
+    if not (entries or lost) or rewrite_ledger(ledger, change):
         return ""
     done = f"{len(entries)} participants were entered from their plans and journals"
     return f"{database.name_ledger(ledger)}: was {'empty' if was_moved else 'missing'}; {done}"
@@ -215,15 +242,18 @@ def settle(ledger: sa.Engine, entries: Iterable[Entry]) -> list[Entry]:
     return [replace(entry, station=database.get_station(ledger)) for entry in entries]
 
 
-def _catch_up(ledger: sa.Engine, study: StudyFolder, known: Iterable[Entry]) -> None:
-    """Enter what sessions of this station did while the server was out of reach."""
-    if not (station := database.get_station(ledger)):
-        return
+def _catch_up(ledger: sa.Engine, study: StudyFolder, known: Iterable[Entry]) -> Iterator[str]:
+    """Enter what sessions of this station did while the server was out of reach; yield what cannot be read."""
+    station = database.get_station(ledger)
     for entry in known:
         folder = study.sessions / entry.participant
         own = entry.station == station and entry.state in {"claimed", "running"}
-        if own and list_journals(folder) and not is_held(folder / progress.LOCK_FILE):
-            done = progress.read_progress(folder)
+        if station and own and list_journals(folder) and not is_held(folder / progress.LOCK_FILE):
+            try:
+                done = progress.read_progress(folder)
+            except (OSError, ValueError) as error:
+                yield str(error)  # of one participant, who keeps nobody else from a session
+                continue
             if not (done.problem or any(find_cut(anchor, folder) for anchor in entry.anchors)):
                 enter(ledger, entry.participant, make_entry(done))
 
@@ -239,10 +269,10 @@ def read_study_ledger(study: StudyFolder) -> list[Entry]:
     """Read the ledger of a study and write nothing."""
     place = find_place(study)
     if not isinstance(place, Path):
-        if entries := read_ledger(database.open_ledger(place)):
+        if entries := database.read_place(place)[1]:
             return entries
     elif place.exists():
-        return read_ledger(database.open_ledger(place))
+        return database.read_place(place)[1]
     if any(map(_is_begun, study.participants)):
         raise FileNotFoundError(
             f"{name_place(study)}: is missing, so losses cannot be detected; rebuild it: {_write_rebuild(study)}"
@@ -253,9 +283,10 @@ def read_study_ledger(study: StudyFolder) -> list[Entry]:
 def read_others(study: StudyFolder) -> tuple[list[Entry], tuple[str, ...]]:
     """Read who is at other stations, and what there is to say: clocks that are off, or a server out of reach."""
     try:
-        ledger = database.open_ledger(find_place(study))
-        away = [entry for entry in read_ledger(ledger) if is_away(entry, study)]
-        return away, tuple(stations.describe_clocks(stations.read_clocks(ledger)))
+        ledger, entries = database.read_place(find_place(study))
+        clocks = stations.read_clocks(ledger) if entries else []
+        away = [entry for entry in entries if is_absent(entry, study)]
+        return away, tuple(stations.describe_clocks(clocks))
     except (OSError, ValueError) as error:
         return [], (str(error),)
 
@@ -271,6 +302,7 @@ def rebuild_ledger(study: StudyFolder, *, now: Clock = utc_now) -> list[str]:
     is_file, ledger = isinstance(place, Path), _connect(study)
     was_missing = isinstance(place, Path) and not place.exists()
     database.make_tables(ledger)
+    _introduce(ledger, study)
     was_missing = was_missing if is_file else not read_ledger(ledger)
     lost, wrong = ([], []) if was_missing else _compare(study)
     problems: list[str] = []
@@ -387,14 +419,14 @@ def _check_slots(entries: Iterable[Entry]) -> None:
                 )
 
 
-def is_away(entry: Entry, study: StudyFolder) -> bool:
+def is_away(entry: Entry) -> bool:
+    """Check whether a participant is at another station, whatever of it was copied or collected here."""
+    return bool(entry.station) and entry.station != server.find_station()
+
+
+def is_absent(entry: Entry, study: StudyFolder) -> bool:
     """Check whether a participant is at another station, and nothing of it was collected here."""
-    home = entry.station
-    return (
-        bool(home)
-        and home != server.find_station()
-        and not _is_begun(study.sessions / entry.participant)
-    )
+    return is_away(entry) and not _is_begun(study.sessions / entry.participant)
 
 
 def _is_begun(folder: Path) -> bool:
@@ -410,7 +442,7 @@ def _compare(study: StudyFolder) -> tuple[list[str], list[str]]:
     lost: list[str] = []
     wrong: list[str] = []
     for entry in entries.values():
-        if is_away(entry, study):
+        if is_absent(entry, study):
             continue
         lines = list(_find_lost_of(entry, study))
         lost += lines

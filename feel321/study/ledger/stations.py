@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import secrets
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import sqlalchemy as sa
 
+from feel321.files import write_text
 from feel321.study.ledger import database
 from feel321.study.session.identity import find_differences
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
     from feel321.study.session.journal import Clock
 
@@ -28,6 +31,25 @@ class StationClock:
     station: str
     ahead_s: float
     seen_utc: str
+
+
+def introduce(ledger: sa.Engine, path: Path) -> bool:
+    """Check that a station's name is that of one study folder, by its id in a file; the first that comes has it."""
+    if not path.exists():
+        with database.transact(ledger):  # one process at a time
+            if not path.exists():
+                write_text(path, f"{secrets.token_hex(16)}\n")
+    folder, table = path.read_text(encoding="utf-8").strip(), database.FOLDERS
+    name = database.get_station(ledger)
+    asked = sa.select(table.c.folder).where(table.c.station == name)
+    with database.transact(ledger, writes=False) as connection:
+        known = connection.execute(asked).scalar()
+    if known is None:
+        with database.transact(ledger) as connection:
+            known = connection.execute(asked).scalar()
+            if known is None:
+                connection.execute(sa.insert(table), [{"station": name, "folder": folder}])
+    return known in {None, folder}
 
 
 def tell_time(connection: sa.Connection, *, now: Clock) -> str:

@@ -13,6 +13,7 @@ from sqlalchemy import Engine
 
 from feel321.files import hold_lock, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study import server
 from feel321.study.answers import ANSWERS_FILE, write_answers
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import progress, slots
@@ -98,15 +99,17 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
 
 
 def require_entry(ledger: Engine, participant: str, *, study: StudyFolder, verb: str) -> Entry:
-    """Find a participant in the ledger, whose session is on this station's disk if it was begun."""
+    """Find a participant in the ledger, whose session is this station's."""
     entries = {entry.participant: entry for entry in read_ledger(ledger)}
     if participant not in entries:
         known = ", ".join(entries) or "nobody yet"
         raise ValueError(f"participant must be in the ledger, got {participant!r}; known: {known}")
-    if slots.is_away(entry := entries[participant], study):
+    entry = entries[participant]
+    # Data that were collected or copied here may be removed here; a session goes on, and ends, at its own station.
+    if slots.is_absent(entry, study) if verb == "withdraw" else slots.is_away(entry):
         raise ValueError(
-            f"participant {participant}: is at station {entry.station}; {verb} there, or collect the session first: "
-            "feel321 collect"
+            f"participant {participant}: is at station {entry.station}; {verb} there, or, if that station is lost: "
+            f"{server.take_over(entry.station)}"
         )
     return entry
 

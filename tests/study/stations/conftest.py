@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +91,8 @@ class Postgres:
     def start(self) -> None:
         options = f"-k {self.folder} -c listen_addresses='' -c fsync=off -c shared_buffers=16MB"
         log = self.folder / "server.log"
-        self.run("pg_ctl", "-D", self.folder / "data", "-w", "-l", log, "-o", options, "start")
+        start = ("-w", "-t", 600, "-l", log, "-o", options, "start")
+        self.run("pg_ctl", "-D", self.folder / "data", *start)
 
     def find_processes(self) -> list[int]:
         """The server and what it forked."""
@@ -113,12 +115,27 @@ class Postgres:
         self.signal(signal.SIGCONT)
 
     def kill(self) -> None:
+        """Kill all of it, and wait until it is gone: a new server is refused while one process of the old is left."""
+        found = self.find_processes()
         self.signal(signal.SIGKILL)
+        while any(map(is_alive, found)):
+            time.sleep(0.01)
+        # A process may stay in the table after its end, and its number be taken for a server that runs.
+        for path in (self.folder / "data" / "postmaster.pid", *self.folder.glob(".s.PGSQL*")):
+            path.unlink(missing_ok=True)
 
     def stop(self) -> None:
         self.thaw()
         with suppress(subprocess.CalledProcessError):
             self.run("pg_ctl", "-D", self.folder / "data", "-m", "immediate", "-w", "stop")
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state not in {"Z", "X"}
 
 
 def find_user() -> str:
@@ -148,6 +165,8 @@ def login(server: Postgres, monkeypatch: pytest.MonkeyPatch) -> Postgres:
     monkeypatch.setenv("PGPASSWORD", PASSWORD)
     monkeypatch.setenv("FEEL321_STATION", "one")
     monkeypatch.delenv("FEEL321_LEDGER", raising=False)
+    if not (server.folder / "data" / "postmaster.pid").exists():  # A test killed it.
+        server.start()
     return server
 
 

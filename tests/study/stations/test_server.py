@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import shutil
 import time
 import warnings
 from dataclasses import replace
@@ -14,11 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.protocols.trial import place_in_groups
 from feel321.study import cli
 from feel321.study import server as servers
 from feel321.study.audit import audit_study
 from feel321.study.collect import collect_sessions
 from feel321.study.ledger import database, slots, stations
+from feel321.study.ledger.notes import take_note
 from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.server import Server, check_url, find_server, name_schema
 from feel321.study.settings.read import read_settings
@@ -226,6 +229,122 @@ def test_stations_without_a_network_divide_the_numbers(
     ]
 
 
+def test_one_session_is_at_one_station_whatever_was_copied(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = make_station("one", login.url)
+    simulate_study(one, participants=1, seed=1, now=tell_time)
+    monkeypatch.setenv("FEEL321_STATION", "two")
+    two = make_station("two", login.url)
+    assert collect_sessions(two, [one.path], now=tell_time).refused == []
+    before = slots.read_study_ledger(two)
+    doings: dict[str, Callable[[], object]] = {
+        "the session is": lambda: simulate_study(two, participants=1, seed=1, now=tell_time),
+        "release": lambda: release_participant(two, "sim001", now=tell_time),
+        "take the note": lambda: take_note(two, "sim001", "a word", now=tell_time),
+    }
+    for what, do in doings.items():
+        with pytest.raises(ValueError, match=f"at station one.*{what}|{what} at station one"):
+            do()
+    assert slots.read_study_ledger(two) == before
+    assert audit_study(two) == []
+    monkeypatch.setenv("FEEL321_STATION", "one")  # Said explicitly, it may.
+    take_note(two, "sim001", "a word", now=tell_time)
+
+
+def test_two_computers_of_one_name_are_not_one_station(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("FEEL321_STATION")
+    monkeypatch.setattr(servers, "node", lambda: "pc")
+    one, two = make_station("one", login.url), make_station("two", login.url)
+    assert [claim(one, name)[name] for name in ("p01", "p02")] == [1, 2]
+    for do in (lambda: claim(two, "p01"), lambda: slots.rebuild_ledger(two)):
+        with pytest.raises(ValueError, match="station pc: another study folder has this name"):
+            do()
+    assert [entry.participant for entry in slots.read_study_ledger(two)] == ["p01", "p02"]
+    monkeypatch.setenv("FEEL321_STATION", "pc")
+    assert claim(two, "p01") == {"p01": 1}
+    monkeypatch.setenv("FEEL321_STATION", "pc2")
+    assert claim(two, "p03") == {"p03": 3}
+
+
+@pytest.mark.parametrize("name", ["pilot", "  ", " pilot"])
+def test_a_study_without_a_name_of_its_own_shares_no_server(
+    name: str, login: Any, make_station: Callable[..., StudyFolder]
+) -> None:
+    study = make_station("one", login.url)
+    own = study.settings.read_text().split("\n", 2)
+    for text in (own[2], "\n".join(["[study]", f'name = "{name}"', own[2]])):
+        study.settings.write_text(text)
+        with pytest.raises(ValueError, match=r"study.name must be the study's own on a server"):
+            claim(study, "p01")
+    study.settings.write_text("\n".join([own[0], 'name = " x "', own[2]]))
+    found = find_server(study.settings)
+    assert found is not None
+    assert found.schema == name_schema("x")
+
+
+def test_reading_makes_no_schema(login: Any, make_station: Callable[..., StudyFolder]) -> None:
+    study = make_station("one", login.url)
+    assert slots.read_study_ledger(study) == []
+    assert slots.read_others(study) == ([], ())
+    place = slots.find_place(study)
+    assert isinstance(place, Server)
+    with database.transact(database.connect_ledger(place), writes=False) as connection:
+        known = connection.exec_driver_sql("SELECT nspname FROM pg_namespace").scalars().all()
+    assert place.schema not in known
+
+
+def test_a_move_to_a_server_forgets_nothing_unseen(
+    login: Any, make_station: Callable[..., StudyFolder]
+) -> None:
+    study = make_station("one")
+    simulate_study(study, participants=2, seed=1, now=tell_time)
+    claim(study, "p07", "p08")
+    journal = study.sessions / "sim001" / "session-01.jsonl"
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-3]))
+    shutil.rmtree(study.sessions / "sim002")
+    with study.settings.open("a") as file:
+        file.write(f'[ledger]\nurl = "{login.url}"\n')
+    assert "was empty; 3 participants" in slots.open_study_ledger(study)[1]
+    assert {entry.participant for entry in slots.read_study_ledger(study)} == {
+        "sim001", "p07", "p08",
+    }  # fmt: skip
+    for name, line in zip(("sim001", "sim002"), slots.find_lost(study), strict=True):
+        assert "forgot: sessions/" + name in line
+    assert len(slots.find_lost(study)) == 2
+
+
+def test_a_damaged_plan_keeps_nobody_else_from_a_session(
+    login: Any, make_station: Callable[..., StudyFolder]
+) -> None:
+    study = make_station("one", login.url)
+    simulate_study(study, participants=1, seed=1, now=tell_time)
+    ledger, notice = slots.open_study_ledger(study)
+    database.rewrite_ledger(ledger, lambda known: [replace(one, state="running") for one in known])
+    plan = study.sessions / "sim001" / "plan.json"
+    plan.write_bytes(plan.read_bytes()[:200])
+    assert claim(study, "p02") == {"p02": 1}
+    assert notice == ""
+    assert str(plan) in slots.open_study_ledger(study)[1]
+
+
+def test_every_station_without_a_network_has_every_group(
+    make_station: Callable[..., StudyFolder],
+) -> None:
+    groups = {"hand": ("left", "right"), "coil": ("a", "b", "c")}
+    table = "".join(f"{name} = {list(levels)}\n" for name, levels in groups.items())
+    for station in (1, 2):
+        more = f"[between]\n{table}[ledger]\nstation = {station}\nof = 2\n"
+        study = make_station(f"s{station}", more=more)
+        numbers = [*claim(study, *(f"p{one}" for one in range(12))).values()]
+        assert numbers[:7] == [n + 6 * (station - 1) for n in (1, 2, 3, 4, 5, 6, 13)]
+        seen = [tuple(place_in_groups(groups, number)[0].values()) for number in numbers]
+        assert {seen.count(one) for one in seen} == {2}
+        assert len(set(seen)) == 6
+
+
 def test_what_is_collected_and_the_server_agree(
     login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -271,6 +390,10 @@ def test_what_is_collected_and_the_server_agree(
         "postgresql://lab:s3cret@host/db",
         "postgresql+psycopg://lab:s3#c@r/e?t@host/db",
         "postgresql://lab@host/db?password=s3cret",
+        "postgresql://host/db?dbname=host%3Dh%20password%3Ds3cret",
+        "postgresql://host/db?options=-c%20a=b;password=s3cret",
+        "postgresql://lab%3As3cret@host/db",
+        "postgresql://lab%253As3cret@host/db",
         "postgresql://lab@host/db?sslmode=require&SSLPassword=s3cret",
         "mysql://lab:s3cret@host/db",
     ],
