@@ -435,7 +435,9 @@ class PowerPlan(Result):
         A row per design: ``participants recordings reducers repeats trials`` (of one person), ``minutes`` (of one
         person's sessions, NaN if unknown), ``kind`` (given, one factor, grid), of the hypothesis in closed form
         ``power ceiling detectable width``, by simulation where it was simulated ``simulated simulated_low
-        simulated_high``, ``enough`` (in closed form, at least the wanted power) and ``recommended``.
+        simulated_high``, ``enough`` (in closed form, at least the wanted power, in a session that can be held),
+        ``refuted`` (was simulated, and the whole interval lies below the wanted power or fewer than 90 % of the studies
+        gave a test) and ``recommended``.
     powers : tuple of Power
         The designs that were simulated, the given one first.
     hypothesis : tuple of str

@@ -33,8 +33,14 @@ LEAST = {"participants": 6, "recordings": 4, "reducers": 3}
 FURTHER = 3
 """Designs that are simulated beside the given and the recommended one."""
 
-TRIED = 4
+TRIED = 8
 """Designs that are simulated in search of one whose simulation does not contradict the closed form."""
+
+LEAST_TESTED = 0.9
+"""Share of simulated studies that must give a test, for a simulation to confirm a design."""
+
+LEAST_STEP = 0.1
+"""Probits of closed form power by which a design must exceed one that its simulation refuted."""
 
 
 class Aim(NamedTuple):
@@ -110,8 +116,10 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     For every combination of recordings, reducers and repeats that is tried, the smallest number of participants that
     is enough in closed form is added to the table (``kind`` is smallest). The recommended design changes as few of
     recordings, reducers and repeats as is needed, then takes the least time of all participants together; where numbers
-    of participants are named, it has one of these. It is simulated: where the simulation contradicts the
-    closed form (its whole interval lies below the wanted power) the next one is taken.
+    of participants are named, it has one of these; a design for which `minutes` gives NaN is never recommended. It is
+    simulated: where the simulation refutes it (its whole interval lies below the wanted power, or fewer than 90 % of
+    the studies give a test), the next one whose power in closed form is higher by as much as the simulation lacked
+    (in probits) is simulated, up to 8 of them.
 
     Examples
     --------
@@ -129,8 +137,9 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     wanted = dict(zip(SIZES, (participants, recordings, reducers, repeats), strict=True))
     rows = list(_tabulate(_list_designs(design, wanted), truth, aim=aim, minutes=minutes))
     allowed = set(participants) or {row.design.participants for row in rows}
-    enough = [r for r in rows if r.power >= design.wanted and r.design.participants in allowed]
-    enough.sort(key=lambda row: _rank(row, design))
+    rows = [row._replace(allowed=row.design.participants in allowed) for row in rows]
+    enough = sorted(filter(_Row.is_enough, rows), key=lambda row: _rank(row, design))
+    chosen = next(iter(enough), None)
     runs: dict[tuple[int, ...], Power] = {}
 
     def run(one: PowerDesign) -> Power:
@@ -145,14 +154,14 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     with follow(progress, "power") as move:
         if studies:
             run(design)
-            enough = _confirm(enough, run, aim)
+            chosen = _confirm(enough, run, aim)
             for row in [row for row in rows if _is_further(row.design, design)][:FURTHER]:
                 run(row.design)
-    return _build_plan(rows, runs, chosen=enough[0] if enough else None, aim=aim)
+    return _build_plan(rows, runs, chosen=chosen, aim=aim)
 
 
 class _Row(NamedTuple):
-    """A design in closed form, and what it costs one person."""
+    """A design in closed form, and what it costs one person: minutes, or trials where nobody counts minutes."""
 
     kind: str
     design: PowerDesign
@@ -161,6 +170,13 @@ class _Row(NamedTuple):
     detectable: float
     width: float
     minutes: float
+    cost: float
+    allowed: bool = True
+
+    def is_enough(self) -> bool:
+        """Check for the wanted power in closed form, in a session that can be held with numbers that are allowed."""
+        possible = self.allowed and not math.isnan(self.cost)
+        return possible and self.power >= self.design.wanted
 
 
 def _key(design: PowerDesign) -> tuple[int, ...]:
@@ -172,8 +188,7 @@ def _rank(row: _Row, given: PowerDesign) -> tuple[int, float, int]:
     changes = sum(
         one != own for one, own in zip(_key(row.design)[1:], _key(given)[1:], strict=True)
     )
-    each = row.design.trials if math.isnan(row.minutes) else row.minutes
-    return changes, each * row.design.participants, row.design.participants
+    return changes, row.cost * row.design.participants, row.design.participants
 
 
 def _is_further(one: PowerDesign, given: PowerDesign) -> bool:
@@ -255,19 +270,38 @@ def _make_row(
     minutes: Callable[[PowerDesign], float] | None,
 ) -> _Row:
     design = form.scenario.design
+    each = float(minutes(design)) if minutes else math.nan
     return _Row(
         kind, design, form.find_power(slope), form.find_ceiling(slope), form.find_detectable(design.wanted),
-        form.find_width(), float(minutes(design)) if minutes else math.nan,
+        form.find_width(), each, each if minutes else design.trials,
     )  # fmt: skip
 
 
-def _confirm(enough: list[_Row], run: Callable[[PowerDesign], Power], aim: Aim) -> list[_Row]:
-    """Leave out designs, smallest first, whose simulation lies below what the closed form promises."""
-    for place, row in enumerate(enough[:TRIED]):
-        found = run(row.design).table.iloc[_find_place(row.design, aim)]
-        if not found["simulated_high"] < row.design.wanted:
-            return enough[place:]
-    return []
+def _confirm(enough: list[_Row], run: Callable[[PowerDesign], Power], aim: Aim) -> _Row | None:
+    """Find the smallest design that its simulation does not refute; after each refusal, one with clearly more power."""
+    from scipy.stats import norm
+
+    least = -math.inf
+    for _ in range(TRIED):
+        left = (row for row in enough if norm.ppf(min(row.power, 1 - 1e-12)) >= least)
+        row = next(left, None)
+        if row is None:
+            return None
+        found = run(row.design)
+        if not _is_refuted(found, aim):
+            return row
+        seen = found.table["simulated"].iloc[_find_place(row.design, aim)]
+        share = min(max(np.nan_to_num(seen), 0.5 / found.studies), row.design.wanted)
+        lack = float(norm.ppf(row.design.wanted) - norm.ppf(share))
+        least = float(norm.ppf(min(row.power, 1 - 1e-12))) + max(lack, LEAST_STEP)
+    return None
+
+
+def _is_refuted(power: Power, aim: Aim) -> bool:
+    """Check whether a simulation lies below the wanted power as a whole, or gives hardly any test."""
+    found = power.table.iloc[_find_place(power.design, aim)]
+    enough = found["simulated_high"] >= power.design.wanted
+    return not (enough and found["tests"] >= LEAST_TESTED * power.studies)
 
 
 def _find_place(design: PowerDesign, aim: Aim) -> int:
@@ -282,10 +316,11 @@ def _build_plan(
     given = rows[0].design
     table = pd.DataFrame([_list_row(row, runs.get(_key(row.design)), aim) for row in rows])
     table["recommended"] = [row is chosen for row in rows]
-    answer = _recommend(chosen, table, aim) if chosen else _explain(rows, aim)
+    answer = _recommend(chosen, table, aim) if chosen else _explain(rows, table, aim)
     return PowerPlan(
         table=table, powers=tuple(runs.values()), hypothesis=(aim.attribute, aim.metric), wanted=given.wanted,
-        recommended=chosen.design if chosen else None, answer=answer, notes=tuple(_list_notes(runs, given)),
+        recommended=chosen.design if chosen else None, answer=answer,
+        notes=(*_list_notes(runs, given), *_note_refuted(rows, table)),
     )  # fmt: skip
 
 
@@ -298,7 +333,9 @@ def _list_row(row: _Row, power: Power | None, aim: Aim) -> dict[str, object]:
     closed_form = {name: getattr(row, name) for name in ("power", "ceiling", "detectable", "width")}
     return {
         **sizes, "trials": row.design.trials, "minutes": row.minutes, "kind": row.kind, **closed_form,
-        **{name: found[name] for name in known}, "enough": row.power >= row.design.wanted,
+        **{name: found[name] for name in known},
+        "enough": row.power >= row.design.wanted and not math.isnan(row.cost),
+        "refuted": bool(power and power.studies and _is_refuted(power, aim)),
     }  # fmt: skip
 
 
@@ -318,24 +355,51 @@ def _recommend(row: _Row, table: DataFrame, aim: Aim) -> str:
     )
 
 
-def _explain(rows: list[_Row], aim: Aim) -> str:
+def _explain(rows: list[_Row], table: DataFrame, aim: Aim) -> str:
     """Say why no design is enough."""
-    given, best = rows[0], max(rows, key=lambda row: np.nan_to_num(row.power))
+    given, best = rows[0], max(rows, key=lambda row: (row.allowed, np.nan_to_num(row.power)))
     wanted, slope = given.design.wanted, f"the planted slope of {aim.metric} on {aim.attribute}"
     none = f"None of the {len(rows)} designs finds {slope} with a power of {wanted:.0%}"
     if math.isnan(best.power):
-        return f"{none}: with so few recordings it cannot be estimated."
-    most = f"the best, {find.describe_design(best.design)}, has {best.power:.0%}"
-    if best.power >= wanted:
-        most = "simulations of the smallest ones that are enough in closed form lie below it"
-    ceiling = max(row.ceiling for row in rows if not math.isnan(row.ceiling))
-    why = f"even with participants without end their stimuli allow at most {ceiling:.0%}"
-    if ceiling >= wanted:
-        why = "more participants or recordings than were tried would be enough"
+        return f"{none}: it is not estimable."
+    refuted = int((table["enough"] & table["refuted"]).sum())
+    if refuted:
+        return (
+            f"{none}: the closed form promises more, but the simulations of {refuted} of the smallest designs that it "
+            f"takes for enough lie below {wanted:.0%}, or give too few tests."
+        )
     smallest = (
         f"the given one finds a slope of {given.detectable:.3g} points per unit with that power"
     )
-    return f"{none}: {most}; {why}; {smallest}."
+    most = f"the best, {find.describe_design(best.design)}, has {best.power:.0%}"
+    return f"{none}: {most}; {_explain_ceiling(rows, wanted)}; {smallest}."
+
+
+def _explain_ceiling(rows: list[_Row], wanted: float) -> str:
+    """Say what closed form power is possible with the stimuli that were tried."""
+    ceiling = max(row.ceiling for row in rows if not math.isnan(row.ceiling))
+    if ceiling < wanted:
+        return f"even with participants without end their stimuli allow at most {ceiling:.0%}"
+    if any(row.power >= wanted and math.isnan(row.cost) for row in rows):
+        return "no session can hold those that have more in closed form"
+    return "in closed form, more participants or recordings than were tried reach it"
+
+
+def _note_refuted(rows: list[_Row], table: DataFrame) -> list[str]:
+    """Name the designs whose simulation contradicts the closed form."""
+    return [
+        f"Simulation contradicts the closed form of {find.describe_design(row.design)}: a power of "
+        f"{row.power:.0%} in closed form, {_describe_simulated(found)}."
+        for row, (_, found) in zip(rows, table.iterrows(), strict=True)
+        if row.power >= row.design.wanted and found["refuted"]
+    ]
+
+
+def _describe_simulated(found: Mapping[str, float]) -> str:
+    if math.isnan(found["simulated"]):
+        return "no test in any simulated study"
+    low, high = 100 * found["simulated_low"], 100 * found["simulated_high"]
+    return f"{found['simulated']:.0%} in the simulated studies that gave a test ({low:.0f} to {high:.0f} %)"
 
 
 def _list_notes(runs: Mapping[tuple[int, ...], Power], given: PowerDesign) -> list[str]:

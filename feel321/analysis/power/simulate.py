@@ -18,6 +18,7 @@ import numpy as np
 from feel321 import jobs
 from feel321.analysis.mixed import optimum
 from feel321.analysis.power import draw, engine
+from feel321.analysis.power.design import HIGH, LOW
 from feel321.analysis.screening.screen import screen_raters
 from feel321.files import write_text
 
@@ -98,14 +99,14 @@ def _fit(fits: engine.Engine, stimuli: draw.Stimuli, ratings: Samples) -> engine
 
 
 def _screen(design: PowerDesign, stimuli: draw.Stimuli, ratings: Samples) -> Samples:
-    """Leave out whom the rules flag; ratings: (n_attributes, people, n_items, repeats)."""
+    """Leave out whom the rules flag, which see the scale's ends; ratings: (n_attributes, people, n_items, repeats)."""
     if not design.screening:
         return ratings
     import pandas as pd
 
     tables = [
         draw.tabulate_ratings(stimuli, part, design.metrics).assign(scale=name)
-        for name, part in zip(design.attributes, ratings, strict=True)
+        for name, part in zip(design.attributes, ratings.clip(LOW, HIGH), strict=True)
     ]
     found = screen_raters(pd.concat(tables, ignore_index=True), design.screening)
     flagged = {who for hits in found.hits.values() for who in hits}

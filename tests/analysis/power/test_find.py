@@ -243,6 +243,9 @@ def test_screening_leaves_out_whom_the_rules_flag(make_scenario: Make) -> None:
     # A straight liner has no slope: with them the mean slope is smaller.
     means = [one.tests[:, 0, 0, 0, 0].mean() for one in found]
     assert means[1] > means[0] * 1.1
+    # Ratings of a scale without ends are screened at its ends.
+    open_ended = make_scenario(**careless | {"mean": 90.0}, bounded=False, screening=("outliers",))
+    find_power(open_ended.design, open_ended.truth, studies=1)
     alone = make_scenario(straight_liners=1.0, screening=("straight_lining",))
     none = find_power(alone.design, alone.truth, studies=1)
     assert none.table["tests"].tolist() == [0, 0]

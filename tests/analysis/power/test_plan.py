@@ -101,7 +101,7 @@ def test_where_stimuli_set_the_ceiling_the_answer_says_so(make_scenario: Make) -
     few = analysis.plan_power(
         within.design, within.truth, studies=0, **narrow | {"recordings": (2,)}
     )
-    assert "cannot be estimated" in few.answer
+    assert "not estimable" in few.answer
 
 
 def test_a_simulation_that_contradicts_the_closed_form_is_believed(make_scenario: Make) -> None:
@@ -115,7 +115,47 @@ def test_a_simulation_that_contradicts_the_closed_form_is_believed(make_scenario
     assert len(refuted)
     assert not refuted["recommended"].any()
     assert plan.recommended is None
-    assert "simulations of the smallest ones" in plan.answer
+    assert "the simulations of" in plan.answer
+    assert "would" not in plan.answer
+    assert plan.table["refuted"].tolist() == (plan.table["simulated_high"] < 0.8).tolist()
+    assert any("Simulation contradicts the closed form" in note for note in plan.notes)
+
+
+def test_after_a_refusal_clearly_larger_designs_are_simulated(make_scenario: Make) -> None:
+    """Neighbours of a refuted design would be refuted too; far more people are enough in spite of the clickers."""
+    case = make_scenario(participants=8, slopes={"spectral": 60.0}, random_clickers=0.4)
+    sizes = {"recordings": (12,), "reducers": (6,), "repeats": (1,)}
+    people = (*range(8, 15), 60)
+    plan = analysis.plan_power(case.design, case.truth, studies=20, participants=people, **sizes)
+    table = plan.table
+    assert (table["enough"] & table["refuted"]).any()
+    assert plan.recommended is not None
+    assert table[table["recommended"]].iloc[0]["simulated_high"] >= 0.8
+
+
+def test_a_simulation_without_tests_confirms_nothing(make_scenario: Make) -> None:
+    case = make_scenario(
+        slopes={"spectral": 90.0}, straight_liners=1.0, screening=("straight_lining",)
+    )
+    sizes = {"participants": (10,), "recordings": (6,), "reducers": (6,), "repeats": (1,)}
+    plan = analysis.plan_power(case.design, case.truth, studies=1, **sizes)
+    assert plan.table["enough"].any()
+    assert plan.recommended is None
+    assert any("no test in any simulated study" in note for note in plan.notes)
+
+
+def test_a_design_that_no_session_can_hold_is_not_enough(make_scenario: Make) -> None:
+    case = make_scenario(participants=12, slopes={"spectral": 45.0})
+    most = case.design.trials
+
+    def hold(design: PowerDesign) -> float:
+        return last(design) if design.trials <= most else float("nan")
+
+    table = analysis.plan_power(case.design, case.truth, minutes=hold, studies=0, **TRY).table
+    never = table["minutes"].isna()
+    assert (table["power"][never] >= 0.8).any()
+    assert not table["enough"][never].any()
+    assert table["enough"].any()
 
 
 def test_what_cannot_be_planned_is_refused(make_scenario: Make) -> None:
