@@ -5,10 +5,12 @@ from __future__ import annotations
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.words import format_count, format_name
+from feel321.analysis.words import ABSENT, format_count, format_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from pandas import DataFrame
 
     from feel321.study.power.record import Planned
 
@@ -31,17 +33,45 @@ def _explain_none(result: Planned, row: Mapping[str, Any]) -> str:
     plan = result.plan
     if not row["slope"]:
         return f"There is nothing to find: the slope planted for {name_hypothesis(row)} is zero."
-    best = plan.table.sort_values("ceiling").iloc[-1]
-    units = describe_units(int(best["recordings"]), int(best["reducers"]))
+    known = plan.table.dropna(subset=["power", "ceiling"])
+    if known.empty:
+        return (
+            f"A slope of {name_hypothesis(row)} is not estimable in any of these designs: plan more recordings or "
+            "reducers, or fewer metrics."
+        )
+    best = known.sort_values("ceiling").iloc[-1]
     if best["ceiling"] < plan.wanted:
+        units = describe_units(int(best["recordings"]), int(best["reducers"]))
         ceiling = format_power(float(best["ceiling"]))
         return (
             f"No number of participants is enough: {describe_slope(row)} is found with a power of {ceiling} at most, "
             f"with {units}; {_advise(result, row)}."
         )
-    most, power = int(result.to_frame()["people"].max()), format_power(plan.table["power"].max())
+    return _explain_tried(result, row, known)
+
+
+def _explain_tried(result: Planned, row: Mapping[str, Any], known: DataFrame) -> str:
+    """Say why none of the designs that were tried is enough, although one could be."""
+    slope, wanted = describe_slope(row), result.plan.wanted
+    enough = known[known["power"] >= wanted]
+    if len(below := enough[enough["simulated_high"] < wanted]):
+        power = format_power(float(below["simulated"].max()))
+        return (
+            f"None of these designs is enough: {slope} is found with a power of {power} at most in simulations of "
+            f"{format_count(len(below), 'design')} that would be enough in closed form, which knows neither people who "
+            "lapse nor the ends of the scale."
+        )
+    tried = known[known["kind"] != "smallest"]
+    most, power = (
+        int(tried["participants"].max()) * result.share,
+        format_power(tried["power"].max()),
+    )
+    if tried["power"].max() >= wanted:
+        return (
+            f"None of these designs is enough: no session can be made of those that find {slope}."
+        )
     return (
-        f"None of these designs is enough: {describe_slope(row)} is found with a power of {power} at most, with up to "
+        f"None of these designs is enough: {slope} is found with a power of {power} at most, with up to "
         f"{format_count(most, 'participant')}; {_advise(result, row)}."
     )
 
@@ -52,6 +82,8 @@ def _advise(result: Planned, row: Mapping[str, Any]) -> str:
     if isfinite(row["recordings_needed"]):
         return f"{format_count(int(row['recordings_needed']), 'recording')} would do with {people}"
     found = row["detectable"] * row["size"]
+    if not isfinite(found):
+        return "plan more recordings or reducers"
     return f"{people} find slopes of {found:.2g} points per {row['per']} and steeper ones"
 
 
@@ -94,9 +126,11 @@ def format_power(power: float) -> str:
 
     Examples
     --------
-    >>> format_power(0.812), format_power(0.998), format_power(0.004)
-    ('0.81', '> 0.99', '< 0.01')
+    >>> format_power(0.812), format_power(0.998), format_power(0.004), format_power(float("nan"))
+    ('0.81', '> 0.99', '< 0.01', 'not estimable')
     """
+    if not isfinite(power):
+        return "not estimable"
     if power > SURE:
         return f"> {SURE}"
     return f"{power:.2f}" if power >= HOPELESS else f"< {HOPELESS}"
@@ -117,11 +151,15 @@ def _make_card(row: Mapping[str, Any], *, wanted: float) -> dict[str, Any]:
     card: dict[str, Any] = {
         "name": name_hypothesis(row), "power": format_power(power), "ends": ends, "enough": bool(power >= wanted),
         "slope": f"{row['points']:.2g} points per {per}",
-        "detectable": f"{row['detectable'] * size:.2g} points per {per}",
-        "width": f"± {row['width'] * size / 2:.2g} points per {per}",
+        "detectable": _write_points(row["detectable"] * size, per),
+        "width": _write_points(row["width"] * size / 2, per, "± "),
     }  # fmt: skip
     card["line"] = (
         f"{card['name']}: planted {card['slope']}, power {card['power']} ({ends}), smallest slope found "
         f"{card['detectable']}, interval {card['width']}"
     )
     return card
+
+
+def _write_points(points: float, per: str, sign: str = "") -> str:
+    return f"{sign}{points:.2g} points per {per}" if isfinite(points) else ABSENT

@@ -118,6 +118,33 @@ def test_weak_slopes_have_no_answer_but_a_reason(task: PowerTask, tmp_path: Path
     assert math.isnan(recordings) or f"{recordings:.0f} recordings would do" in found.answer
 
 
+def test_closed_form_that_simulation_disproves_is_not_advised(
+    task: PowerTask, tmp_path: Path
+) -> None:
+    found = plan(task, tmp_path, 3.0)
+    low = {"simulated": 0.4, "simulated_high": 0.5, "recommended": False}
+    disproved = replace(
+        found.plan, recommended=None, table=found.plan.table.assign(**low, power=0.995)
+    )
+    said = words.describe_plan(replace(found, plan=disproved))
+    assert "a power of 0.40 at most in simulations of" in said
+    assert "would do" not in said
+
+
+def test_what_no_design_can_estimate_is_called_so(task: PowerTask, tmp_path: Path) -> None:
+    found = plan(task, tmp_path, 2.0)
+    lost = dict.fromkeys(("power", "ceiling", "detectable", "width"), math.nan)
+    powers = [replace(one, table=one.table.assign(**lost)) for one in found.plan.powers]
+    table = found.plan.table.assign(**lost)
+    unknown = replace(found.plan, recommended=None, table=table, powers=tuple(powers))
+    said = replace(found, plan=unknown).summary()
+    assert "not estimable in any of these designs" in said
+    assert "nan" not in said
+    some = table.assign(power=[0.3, *table["power"][1:]], ceiling=[0.9, *table["ceiling"][1:]])
+    partly = replace(found, plan=replace(unknown, table=some)).answer
+    assert "with a power of 0.30 at most" in partly
+
+
 def test_no_slope_is_called_nothing(task: PowerTask, tmp_path: Path) -> None:
     found = plan(task, tmp_path, 0.0)
     assert found.answer.startswith("There is nothing to find")
