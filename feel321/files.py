@@ -5,6 +5,7 @@ import hashlib
 import io
 import os
 import sys
+import uuid
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -100,6 +101,16 @@ def write_bytes(path: Path, content: bytes) -> None:
     with _naming(path):
         if not (path.is_file() and path.read_bytes() == content):
             _replace(path, lambda file: file.write(content))
+
+
+def replace_bytes(path: Path, content: bytes) -> None:
+    """Write a file in one step, whoever else writes it; after a power cut it may be damaged."""
+    unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
+    try:
+        unfinished.write_bytes(content)
+        unfinished.replace(path)
+    finally:
+        unfinished.unlink(missing_ok=True)
 
 
 @contextmanager

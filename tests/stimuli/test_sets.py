@@ -27,11 +27,12 @@ from feel321.stimuli.sets.manifest import (
     COLUMN_UNITS,
     Stimulus,
     check_stimuli,
+    describe_row,
     read_stimuli,
     write_manifest,
 )
 from feel321.stimuli.sets.recipe import GAINS, Recipe
-from feel321.stimuli.sets.render import find_headroom_cost, list_drafts
+from feel321.stimuli.sets.render import find_headroom_cost, list_drafts, render_recording
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import read_wav, write_wav
@@ -599,6 +600,44 @@ def test_what_a_killed_build_was_writing_is_cleared_away(
         path.write_bytes(b"half")
     build_stimuli(scenes[:1], tmp_path, recipe=recipe)
     assert not any(path.exists() for path in unfinished)
+
+
+def test_what_a_process_of_a_killed_build_writes_late_is_not_published(
+    scenes: list[Recording], tmp_path: Path
+) -> None:
+    """It replaces a finished file by one of another gain, after that was written or before a build goes on."""
+    recipe = Recipe(reducers=("sax321", "dft321"), anchors=False, reference="none")
+    older = build_stimuli(scenes[:1], tmp_path / "older", recipe=recipe, gain=0.5)
+    name = older.stimuli[0].file
+    whole = build_stimuli(scenes[:1], tmp_path / "whole", recipe=recipe)
+    finished = tmp_path / "set" / PARTS / "finished"
+
+    def write_late(done: int, total: int) -> None:
+        if done == total:
+            (finished / name).write_bytes((older.folder / name).read_bytes())
+
+    assert len(build_stimuli(scenes[:1], tmp_path / "set", recipe=recipe, progress=write_late)) == 2
+    assert contents(tmp_path / "set") == contents(whole.folder)
+    finished.mkdir(parents=True)
+    (finished / name).write_bytes((older.folder / name).read_bytes())
+    (tmp_path / "set" / "manifest.json").unlink()
+    for row in whole:
+        note = {"key": list_drafts(scenes[0], recipe)[0].key, "row": describe_row(row)}
+        (finished.parent / f"{row.stimulus_id}.row").write_text(json.dumps(note))
+    build_stimuli(scenes[:1], tmp_path / "set", recipe=recipe)
+    assert contents(tmp_path / "set") == contents(whole.folder)
+
+
+def test_parts_are_whole_whoever_writes_them(scenes: list[Recording], tmp_path: Path) -> None:
+    """A file that another process holds open keeps its content: the new one takes its name, not its place."""
+    recipe = Recipe(reducers=("sax321",), anchors=False, reference="none")
+    drafts = list_drafts(scenes[0], recipe)
+    path = tmp_path / f"{drafts[0].key}.wav"
+    path.write_bytes(b"older")
+    with path.open("rb") as file:
+        render_recording(scenes[0], drafts, recipe=recipe, parts=tmp_path)
+        assert (file.read(), path.stat().st_size > 1000) == (b"older", True)
+    assert sorted(one.suffix for one in tmp_path.iterdir()) == [".json", ".wav"]
 
 
 def test_a_damaged_manifest_costs_only_a_new_build(scenes: list[Recording], tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from feel321.analysis import browser, read_table
 from feel321.doors import announcing
 from feel321.stimuli.sets import details
 from feel321.stimuli.wav import write_wav
+from feel321.study import cli
 from feel321.study.folder import StudyFolder
 from feel321.study.session.plan import compare_plans, create_plan, make_plan, require_plan
 from feel321.study.settings.read import make_design, open_recordings, read_settings
@@ -275,6 +276,23 @@ def test_a_long_table_is_written_as_parquet_with_the_same_values_and_types(
     with pytest.warns(UserWarning, match=r"^ratings\.csv: \d+ rows, as CSV only; pip install"):
         files.write_twin(ratings, count, text=text_columns)
     assert not given.exists()  # it was of an earlier table
+
+
+@pytest.mark.filterwarnings("default::UserWarning")
+def test_a_missing_extra_is_warned_of_once_and_long_lists_of_faults_are_cut(
+    corpus: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(files, "LONG_TABLE", 1)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert cli.main(["build", str(corpus.path)]) == 0
+    said = capsys.readouterr().err
+    assert said.count("feel321: warning: manifest.csv: 24 rows, as CSV only; pip install") == 1
+    for number in range(60):
+        (corpus.path / "corpus" / f"empty{number}.wav").touch()
+    assert cli.main(["build", str(corpus.path)]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert sum("recording 'empty" in line for line in lines) == 50
+    assert lines[-1] == "feel321: and 10 more like these; feel321 check --json lists all of a study"
 
 
 def test_the_page_of_a_large_set_shows_a_part_and_says_so(

@@ -21,7 +21,7 @@ import numpy as np
 
 from feel321 import __version__
 from feel321.doors import announce, as_path, describe, follow
-from feel321.files import hold_lock
+from feel321.files import hold_lock, replace_bytes
 from feel321.jobs import Job, Workers, as_workers, run_jobs
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
@@ -35,6 +35,9 @@ from feel321.types import PathLike, Progress
 
 PARTS = ".parts"
 FINISHED = "finished"
+
+ROUNDS = 5
+"""In which files are written again that another process replaced, before a build gives up."""
 
 THREADS = 2
 """Of a process: transforms release the interpreter, and each file waits for the disk. A lab's own code gets one."""
@@ -222,11 +225,18 @@ def build_set(
         crew = _Crew(recipe, folder, read_history(folder), as_workers(workers), move)
         facts, measured = _survey(recordings, crew)
         orders = _place({one.name: one.drafts for one in facts}, measured, recipe)
-        jobs = (
-            (_write_recording, (one, orders[one.name], crew.history.select(one.name)))
-            for one in recordings
-        )
-        stimuli = [row for rows in crew.run(jobs, len(recordings), before=1) for row in rows]
+        given = {one.name: one for one in recordings}
+
+        def order(name: str) -> tuple[Recording | Unread, list[Foreseen], History]:
+            return given[name], orders[name], crew.history.select(name)
+
+        jobs = ((_write_recording, order(name)) for name in given)
+        stimuli = [row for rows in crew.run(jobs, len(given), before=1) for row in rows]
+
+        def write_again(name: str) -> None:
+            _write_recording(*order(name), recipe=recipe, parts=_make_parts_folder(folder))
+
+        _move(stimuli, crew, write_again)
         return facts, _publish(stimuli, crew, _list_details(facts, orders, recipe))
 
 
@@ -322,20 +332,41 @@ def place_surveyed(surveyed: Iterable[Survey], recipe: Recipe) -> list[Foreseen]
     return [one for orders in _place(wanted, measured, recipe).values() for one in orders]
 
 
+def _move(rows: Sequence[Stimulus], crew: _Crew, write_again: Callable[[str], None]) -> None:
+    """Move finished files into the set, without a manifest meanwhile.
+
+    Who was left over from a killed build may have replaced some since they were written: what was moved is looked at,
+    for nobody else writes there.
+    """
+    folder, finished = crew.folder, crew.folder / PARTS / FINISHED
+    for _ in range(ROUNDS):
+        there = {path.name for path in finished.iterdir()}
+        moved = [row for row in rows if row.file in there]
+        if moved:
+            (folder / "manifest.csv").unlink(missing_ok=True)
+        for row in moved:
+            (finished / row.file).replace(folder / row.file)
+        changed = {row.recording for row in moved if not _holds(folder / row.file, row.sha256)}
+        if not changed:
+            return
+        for name in sorted(changed):
+            write_again(name)
+    raise BlockingIOError(
+        f"{folder}: a process of an earlier build still writes here; end it and build again"
+    )
+
+
 def _publish(rows: Sequence[Stimulus], crew: _Crew, described: tuple[Any, Any]) -> StimulusSet:
-    """Move finished files into the set and remove what is no longer wanted, without a manifest meanwhile."""
-    folder, files = crew.folder, {row.file for row in rows}
-    finished = sorted(files & {path.name for path in (folder / PARTS / FINISHED).iterdir()})
-    stale = {row.file for row in crew.history.rows.values()} - files
-    if finished or stale:
+    """Remove what is no longer wanted, without a manifest meanwhile, and write that of the new set."""
+    folder = crew.folder
+    stale = {row.file for row in crew.history.rows.values()} - {row.file for row in rows}
+    if stale:
         (folder / "manifest.csv").unlink(missing_ok=True)
-    for name in finished:
-        (folder / PARTS / FINISHED / name).replace(folder / name)
     for name in stale:
         (folder / name).unlink(missing_ok=True)
     head, tables = described
     published = write_manifest(folder, rows, head=head, tables=tables)
-    shutil.rmtree(folder / PARTS)
+    shutil.rmtree(folder / PARTS, ignore_errors=True)
     return published
 
 
@@ -386,9 +417,13 @@ def _write_recording(
         recording = read_given(given)
         render.render_recording(recording, changed, recipe=recipe, parts=parts, whole=True)
         for one in changed:
+            if not render.part_path(
+                parts, one.key
+            ).exists():  # used by a recording that is the same
+                render.render_recording(recording, [one], recipe=recipe, parts=parts, whole=True)
             row = known[one.stimulus_id] = _write(one, recording, recipe=recipe, parts=parts)
             note = {"key": one.key, "row": describe_row(row)}
-            _note_path(parts, one).write_text(json.dumps(note), encoding="utf-8")
+            replace_bytes(_note_path(parts, one), json.dumps(note).encode())
     for one in orders:
         render.part_path(parts, one.key).unlink(missing_ok=True)
     return [row for row in known.values() if row is not None]
@@ -411,9 +446,12 @@ def _find_written(order: Foreseen, parts: Path, history: History) -> Stimulus | 
         row = Stimulus(**_fold_row(note["row"], list(order.measured.metrics)))
     except details.MISREAD:
         return None
-    is_same = note["key"] == order.key and row.gain == order.gain
-    places = (parts / FINISHED / name, folder / name)  # it may have been moved already
-    return row if is_same and any(_holds(one, row.sha256) for one in places) else None
+    if note["key"] != order.key or row.gain != order.gain:
+        return None
+    if _holds(parts / FINISHED / name, row.sha256):
+        return row
+    (parts / FINISHED / name).unlink(missing_ok=True)  # older; the right one may have been moved
+    return row if _holds(folder / name, row.sha256) else None
 
 
 def _holds(path: Path, sha256: str) -> bool:

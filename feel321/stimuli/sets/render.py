@@ -19,6 +19,7 @@ import numpy as np
 from feel321 import __version__
 from feel321.doors import announce, check_name
 from feel321.extensions import Method
+from feel321.files import replace_bytes
 from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import condition, fade, resample
 from feel321.stimuli.guard import OwnMetric, OwnReducer
@@ -187,10 +188,10 @@ def render_recording(
     new = {c.key: c for c in drafts if c.key not in measured}
     for draft, samples, note in _render(recording, [*new.values()], recipe):
         path, content = part_path(parts, draft.key), encode_wav(samples, recipe.rate_hz)
-        path.write_bytes(content)
-        # What a kill left unfinished, or a power cut lost, does not count, so it may be written as it comes.
         text = json.dumps({"sha256": hashlib.sha256(content).hexdigest(), **asdict(note)})
-        path.with_suffix(".json").write_text(text, encoding="utf-8")
+        # What a power cut lost does not count. But who was left over from a killed build may write the same file.
+        replace_bytes(path, content)
+        replace_bytes(path.with_suffix(".json"), text.encode())
         measured[draft.key] = note
     return measured
 
