@@ -51,7 +51,8 @@ class Collected:
 class Holding:
     """What one study folder holds of a participant, verified.
 
-    journals: the whole lines of each; files: digests of the files that journals name, or that torn lines were moved to.
+    journals: the whole lines of each; files: digests of the files that journals name, or that torn lines were moved to;
+    gone: names of files that journals name and that are not there.
     """
 
     folder: Path
@@ -63,13 +64,23 @@ class Holding:
     stimuli_sha256: str = ""
     journals: Mapping[str, bytes] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
+    gone: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A file that is to be copied: where it is, its digest, and of a journal, which may grow, how much of it."""
+
+    path: Path
+    sha256: str
+    size: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
     """What all folders together hold of a participant.
 
-    take: name of each file that is to be copied -> where it is, and its digest; none of journals, which may grow.
+    take: name of each file that is to be copied -> what of it.
     withdrew: the folder whose tombstone says that the data here are to go.
     """
 
@@ -77,7 +88,7 @@ class Gathered:
     simulated: bool
     state: str
     is_here: bool
-    take: Mapping[str, tuple[Path, str]]
+    take: Mapping[str, Piece]
     withdrew: Path | None = None
 
 
@@ -135,18 +146,22 @@ def read_holding(folder: Path) -> Holding:
         if tombstone.state != progress.REMOVED:
             raise ValueError(f"{folder}: a withdrawal was interrupted; finish it there first")
         return Holding(folder, tombstone, tombstone.number, tombstone.simulated)
-    plan, found, chains = require_own_plan(folder), {}, []
+    plan, found, chains = require_own_plan(folder), {}, list[journals.Chain]()
+    gone: set[str] = set()
     files = {path.name: _digest(path) for path in sorted(folder.glob("session-*.torn*"))}
     for path in journals.list_journals(folder):
         found[path.name] = read_lines(path)
         chains.append(journals.read_chain(found[path.name], str(path)))
         for _, file, sha256 in list_files(chains[-1].records, folder):
+            name = file.relative_to(folder).as_posix()
             if file.is_file():
-                files[file.relative_to(folder).as_posix()] = _check_digest(file, sha256)
+                files[name] = _check_digest(file, sha256)
+            else:
+                gone.add(name)
     state = progress.find_state(chains[-1].records) if chains else "claimed"
     text = (folder / PLAN_FILE).read_bytes()
     facts = (plan.number, plan.simulated, state, text, plan.stimuli_sha256)
-    return Holding(folder, None, *facts, found, files)
+    return Holding(folder, None, *facts, found, files, frozenset(gone))
 
 
 def read_lines(path: Path) -> bytes:
@@ -206,16 +221,29 @@ def _gather(
             raise ValueError(f"{_name(first, one)}: have different plans; keep the right one")
         if one.stimuli_sha256 != stimuli_sha256:
             raise ValueError(f"{one.folder}: was planned with another stimulus set")
-    take: dict[str, tuple[Path, str]] = {}
+    take: dict[str, Piece] = {}
     if own is None:
-        take[PLAN_FILE] = first.folder / PLAN_FILE, hashlib.sha256(first.plan).hexdigest()
+        take[PLAN_FILE] = _cut_piece(first.folder / PLAN_FILE, first.plan)
     take |= _choose_files(held, own)
+    notes += _find_gone(held)
     newest = first
     for name in sorted({name for one in held for name in one.journals}, key=_sort_sessions):
         newest = _find_longest(name, [one for one in held if name in one.journals])
         if newest is not own and (own is None or own.journals.get(name) != newest.journals[name]):
-            take[name] = newest.folder / name, ""
+            take[name] = _cut_piece(newest.folder / name, newest.journals[name])
     return Gathered(first.number, first.simulated, newest.state, own is not None, take)
+
+
+def _cut_piece(path: Path, content: bytes) -> Piece:
+    return Piece(path, hashlib.sha256(content).hexdigest(), len(content))
+
+
+def _find_gone(held: Sequence[Holding]) -> Iterator[str]:
+    """Find files that journals name and no folder holds; all else of the participant is still worth collecting."""
+    there = {name for one in held for name in one.files}
+    for one in held:
+        for name in sorted(one.gone - there):
+            yield f"{one.folder / name}: is gone, though a journal names it; restore it from a copy"
 
 
 def _name(*held: Holding) -> str:
@@ -239,17 +267,19 @@ def _gather_withdrawn(held: Sequence[Holding], own: Holding | None, notes: list[
     facts = first.number, first.simulated, "withdrawn", own is not None
     if own is None:
         path = first.folder / TOMBSTONE_FILE
-        return Gathered(*facts, {TOMBSTONE_FILE: (path, _digest(path))})
+        return Gathered(*facts, {TOMBSTONE_FILE: Piece(path, _digest(path))})
     return Gathered(*facts, {}, None if own.tombstone else first.folder)
 
 
-def _choose_files(held: Sequence[Holding], own: Holding | None) -> dict[str, tuple[Path, str]]:
-    chosen: dict[str, tuple[Path, str]] = {}
+def _choose_files(held: Sequence[Holding], own: Holding | None) -> dict[str, Piece]:
+    chosen: dict[str, Piece] = {}
     for one in held:
         for name, sha256 in one.files.items():
-            path, other = chosen.setdefault(name, (one.folder / name, sha256))
-            if other != sha256:
-                raise ValueError(f"{path} and {one.folder / name}: differ; keep the right one")
+            other = chosen.setdefault(name, Piece(one.folder / name, sha256))
+            if other.sha256 != sha256:
+                raise ValueError(
+                    f"{other.path} and {one.folder / name}: differ; keep the right one"
+                )
     return {name: chosen[name] for name in sorted(chosen) if own is None or name not in own.files}
 
 
@@ -298,11 +328,12 @@ def _copy_participant(folder: Path, one: Gathered, collected: Collected) -> None
     if not one.take:
         return
     try:
+        _refuse_link(folder)
         with withdrawal.hold_folder(folder):
             for unfinished in folder.rglob(".*.part"):  # what a kill left
                 unfinished.unlink()
-            for name, (source, sha256) in one.take.items():
-                content = _read_verified(source, sha256, before=folder / name)
+            for name, piece in one.take.items():
+                content = _read_verified(piece, before=folder / name)
                 _write_verified(folder / name, content)
                 collected.files, collected.size = collected.files + 1, collected.size + len(content)
     except (OSError, ValueError) as error:
@@ -311,17 +342,18 @@ def _copy_participant(folder: Path, one: Gathered, collected: Collected) -> None
         collected.participants.append(folder.name)
 
 
-def _read_verified(source: Path, sha256: str, *, before: Path) -> bytes:
-    """Read a file as it was surveyed; a journal may have grown, and must go on from what is here."""
-    if sha256:
-        content = source.read_bytes()
-        if hashlib.sha256(content).hexdigest() != sha256:
-            raise ValueError(f"{source}: changed while it was collected; run again")
-        return content
-    content = read_lines(source)
-    journals.read_chain(content, str(source))
-    if before.exists() and not content.startswith(read_lines(before)):
-        raise ValueError(f"{source}: does not go on from {before}; run again")
+def _refuse_link(folder: Path) -> None:
+    if folder.is_symlink():
+        raise ValueError(f"{folder}: is a link, so data would go elsewhere; put a folder there")
+
+
+def _read_verified(piece: Piece, *, before: Path) -> bytes:
+    """Read a file as it was surveyed: what a journal has gained since may name files that were not copied."""
+    content = piece.path.read_bytes()[: piece.size]
+    if hashlib.sha256(content).hexdigest() != piece.sha256:
+        raise ValueError(f"{piece.path}: changed while it was collected; run again")
+    if piece.size and before.exists() and not content.startswith(read_lines(before)):
+        raise ValueError(f"{piece.path}: does not go on from {before}; run again")
     return content
 
 
@@ -343,10 +375,15 @@ def _enter_all(
     own = {}
     for participant in participants:
         folder = study.sessions / participant
+        if not any((folder / name).exists() for name in (PLAN_FILE, TOMBSTONE_FILE)):
+            continue  # the copy failed, which was said
         entry = known.get(participant)
         cuts = [journals.find_cut(anchor, folder) for anchor in entry.anchors] if entry else []
         if (folder / TOMBSTONE_FILE).exists() or not any(cuts):
-            own[participant] = slots.read_entry(folder)
+            try:
+                own[participant] = slots.read_entry(folder)
+            except (OSError, ValueError) as error:
+                collected.refused.append(f"participant {participant}: {error}")
         else:
             collected.notes.append(f"{next(filter(None, cuts))}; collect it from where it was seen")
     if all(known.get(name) == entry for name, entry in own.items()):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -18,6 +19,7 @@ import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import cli
+from feel321.study import collect as collecting
 from feel321.study.audit import audit_study
 from feel321.study.collect import Collected, collect_sessions
 from feel321.study.folder import StudyFolder
@@ -153,6 +155,64 @@ def test_a_longer_journal_takes_the_place_of_one_that_it_continues(stations: Any
     assert collect(main, one).files == 0
     assert read_files(main) == whole
     assert audit_study(main) == []
+
+
+def test_a_journal_that_grows_meanwhile_comes_after_the_files_that_it_names(
+    stations: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, _, main = stations
+    whole, gather = read_files(one), collecting._gather_all
+    path = cut(one, "sim001", 4)
+    motion, aside = path.parent / "motion", one.path / "aside"
+    motion.rename(aside)
+
+    def grow(*arguments: Any, **options: Any) -> Any:
+        found = gather(*arguments, **options)
+        path.write_bytes(whole["sim001/session-01.jsonl"])
+        aside.rename(motion)
+        return found
+
+    with monkeypatch.context() as patch:
+        patch.setattr(collecting, "_gather_all", grow)
+        assert collect(main, one).refused == []
+    assert read_files(main)["sim001/session-01.jsonl"].count(b"\n") == 4
+    assert not (main.sessions / "sim001" / "motion").exists()
+    assert audit_study(main) == []
+    assert collect(main, one).notes == []
+    assert read_files(main) == whole
+    motion.rename(aside)
+    assert collect(main, one).notes == []  # All is here.
+    shutil.rmtree(main.sessions / "sim001" / "motion")
+    told = collect(main, one).notes
+    assert len(told) == 2 * 4
+    assert "is gone, though a journal names it; restore it from a copy" in told[0]
+
+
+def test_a_copy_that_fails_keeps_nobody_else_out_of_the_ledger(
+    stations: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two, main = stations
+    read = collecting._read_verified
+
+    def fail(piece: collecting.Piece, *, before: Path) -> bytes:
+        if "sim001" in str(piece.path):
+            raise OSError(errno.EIO, "Input/output error", str(piece.path))
+        return read(piece, before=before)
+
+    monkeypatch.setattr(collecting, "_read_verified", fail)
+    (main.sessions).mkdir()
+    (main.path / "elsewhere").mkdir()
+    (main.sessions / "sim003").symlink_to(main.path / "elsewhere")
+    found = collect(main, one, two)
+    failed, link = found.refused
+    assert failed.startswith("participant sim001: [Errno 5]")
+    assert "sim003: is a link" in link
+    assert not list((main.path / "elsewhere").iterdir())
+    known = [entry.participant for entry in slots.read_study_ledger(main)]
+    assert known == found.participants == ["sim002", "sim004"]
+    assert not audit_study(main)
+    monkeypatch.undo()
+    assert collect(main, one).participants == ["sim001"]
 
 
 def fork(study: StudyFolder, participant: str, lines: int) -> None:
