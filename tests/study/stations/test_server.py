@@ -316,6 +316,23 @@ def test_a_move_to_a_server_forgets_nothing_unseen(
     assert len(slots.find_lost(study)) == 2
 
 
+def test_a_lost_stations_numbers_are_freed_in_its_name(
+    login: Any, make_station: Callable[..., StudyFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two = make_station("one", login.url), make_station("two", login.url)
+    simulate_study(one, participants=1, seed=1, now=tell_time)
+    claim(one, "p01")
+    monkeypatch.setenv("FEEL321_STATION", "two")
+    claim(two, "p02")
+    monkeypatch.setenv("FEEL321_STATION", "one")
+    assert "sim001: is gone without a tombstone" in slots.rebuild_ledger(two)[0]
+    assert release_participant(two, "p01", now=tell_time) == 1
+    assert [entry.participant for entry in slots.read_study_ledger(two)] == ["p02"]
+    assert "forgot: sessions/sim001" in slots.list_forgotten(two)[0]
+    monkeypatch.setenv("FEEL321_STATION", "two")
+    assert claim(two, "p03") == {"p03": 1}
+
+
 def test_a_damaged_plan_keeps_nobody_else_from_a_session(
     login: Any, make_station: Callable[..., StudyFolder]
 ) -> None:
