@@ -363,8 +363,9 @@ class Power(Result):
         What was planted.
     table : DataFrame
         A row per hypothesis: ``attribute metric slope`` (planted, per unit of the metric); in closed form ``se df
-        width`` (of the 95 % interval, per unit), ``power`` (Holm's first step), ``ceiling`` (the same with participants
-        without end), ``detectable`` (smallest slope found with the wanted power, per unit) and ``detectable_points``
+        width`` (of the 95 % interval, per unit), ``power`` (Holm's first step; NaN where the planted spreads leave
+        fewer than 2 degrees of freedom), ``ceiling`` (the same with participants without end), ``detectable`` (smallest
+        slope found with the wanted power, per unit; NaN where none is) and ``detectable_points``
         (the same in points per standard deviation of the metric within recordings), ``participants_needed`` and
         ``recordings_needed`` (NaN where no number is enough); by simulation, NaN without, ``kept`` (what the ends of
         the scale and lapses leave of the slope, per unit), ``simulated`` (power, Holm's method), ``simulated_low``,

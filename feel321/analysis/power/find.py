@@ -107,7 +107,7 @@ def find_power(  # noqa: PLR0913 - a design and a truth; how many studies, who d
         design=design, truth=truth, table=table, differences=differences, studies=studies,
         counts=simulate.tabulate_counts(found.counts if found else {}),
         family=shares.find_family(), seed=seed, answer=describe_power(table, design),
-        notes=_list_notes(design, truth, found),
+        notes=(*_list_notes(design, truth, found), *note_untested(scenario)),
     )  # fmt: skip
 
 
@@ -250,7 +250,7 @@ def describe_power(table: DataFrame, design: PowerDesign) -> str:
     what = f"{row['metric']} on {row['attribute']}"
     study = describe_design(design)
     if math.isnan(row["power"]):
-        return f"A slope of {what} cannot be estimated with {study}."
+        return f"A slope of {what} is not estimable with {study}."
     shown = f"{row['power']:.0%}"
     if not math.isnan(row["simulated"]):
         low, high = (f"{100 * row[name]:.0f}" for name in ("simulated_low", "simulated_high"))
@@ -293,7 +293,23 @@ def _list_notes(
         left, rules = found.people[:, 0].mean(), ", ".join(design.screening)
         people = f"{left:.1f} of {design.participants} participants"
         notes.append(f"Screening ({rules}) leaves {people} on average.")
+    if found and found.damaged:
+        notes.append(
+            f"Kept results that could not be read were computed anew: {', '.join(found.damaged)}."
+        )
     return (*notes, *(_note_counts(found) if found else ()))
+
+
+def note_untested(scenario: draw.Scenario) -> list[str]:
+    """Name planted slopes that cannot be tested in the study, and why."""
+    design, sets = scenario.design, closed.draw_sets(scenario)
+    forms = [closed.ClosedForm(scenario, sets, one, LEVEL) for one in np.eye(len(design.metrics))]
+    lacks = dict(zip(design.metrics, (form.find_lack() for form in forms), strict=True))
+    return [
+        f"The planted slope of {metric} on {attribute} cannot be tested: {lacks[metric]}."
+        for attribute, metric in design.hypotheses
+        if lacks[metric] and scenario.truth.find_slope(attribute, metric)
+    ]
 
 
 def _note_counts(found: simulate.Studies) -> list[str]:

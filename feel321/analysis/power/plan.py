@@ -16,7 +16,7 @@ from feel321.jobs import ALONE, Workers
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
     from feel321.types import PathLike, Progress
 
@@ -157,7 +157,8 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
             chosen = _confirm(enough, run, aim)
             for row in [row for row in rows if _is_further(row.design, design)][:FURTHER]:
                 run(row.design)
-    return _build_plan(rows, runs, chosen=chosen, aim=aim)
+    untested = find.note_untested(draw.Scenario(design, truth))
+    return _build_plan(rows, runs, chosen=chosen, aim=aim, notes=untested)
 
 
 class _Row(NamedTuple):
@@ -171,6 +172,7 @@ class _Row(NamedTuple):
     width: float
     minutes: float
     cost: float
+    lack: str
     allowed: bool = True
 
     def is_enough(self) -> bool:
@@ -273,7 +275,7 @@ def _make_row(
     each = float(minutes(design)) if minutes else math.nan
     return _Row(
         kind, design, form.find_power(slope), form.find_ceiling(slope), form.find_detectable(design.wanted),
-        form.find_width(), each, each if minutes else design.trials,
+        form.find_width(), each, each if minutes else design.trials, form.find_lack(),
     )  # fmt: skip
 
 
@@ -309,7 +311,12 @@ def _find_place(design: PowerDesign, aim: Aim) -> int:
 
 
 def _build_plan(
-    rows: list[_Row], runs: Mapping[tuple[int, ...], Power], *, chosen: _Row | None, aim: Aim
+    rows: list[_Row],
+    runs: Mapping[tuple[int, ...], Power],
+    *,
+    chosen: _Row | None,
+    aim: Aim,
+    notes: list[str],
 ) -> PowerPlan:
     import pandas as pd
 
@@ -320,7 +327,7 @@ def _build_plan(
     return PowerPlan(
         table=table, powers=tuple(runs.values()), hypothesis=(aim.attribute, aim.metric), wanted=given.wanted,
         recommended=chosen.design if chosen else None, answer=answer,
-        notes=(*_list_notes(runs, given), *_note_refuted(rows, table)),
+        notes=tuple(dict.fromkeys([*notes, *_list_notes(runs, given), *_note_refuted(rows, table)])),
     )  # fmt: skip
 
 
@@ -361,23 +368,27 @@ def _explain(rows: list[_Row], table: DataFrame, aim: Aim) -> str:
     wanted, slope = given.design.wanted, f"the planted slope of {aim.metric} on {aim.attribute}"
     none = f"None of the {len(rows)} designs finds {slope} with a power of {wanted:.0%}"
     if math.isnan(best.power):
-        return f"{none}: it is not estimable."
+        return f"{none}: it is not estimable with the given one, because {given.lack}."
     refuted = int((table["enough"] & table["refuted"]).sum())
     if refuted:
         return (
             f"{none}: the closed form promises more, but the simulations of {refuted} of the smallest designs that it "
             f"takes for enough lie below {wanted:.0%}, or give too few tests."
         )
-    smallest = (
-        f"the given one finds a slope of {given.detectable:.3g} points per unit with that power"
-    )
+    smallest = "the given one finds no slope with that power"
+    if given.lack:
+        smallest = f"the given one cannot test it: {given.lack}"
+    elif math.isfinite(given.detectable):
+        smallest = (
+            f"the given one finds a slope of {given.detectable:.3g} points per unit with that power"
+        )
     most = f"the best, {find.describe_design(best.design)}, has {best.power:.0%}"
     return f"{none}: {most}; {_explain_ceiling(rows, wanted)}; {smallest}."
 
 
 def _explain_ceiling(rows: list[_Row], wanted: float) -> str:
     """Say what closed form power is possible with the stimuli that were tried."""
-    ceiling = max(row.ceiling for row in rows if not math.isnan(row.ceiling))
+    ceiling = np.nanmax([(row.ceiling, row.power) for row in rows])
     if ceiling < wanted:
         return f"even with participants without end their stimuli allow at most {ceiling:.0%}"
     if any(row.power >= wanted and math.isnan(row.cost) for row in rows):
@@ -395,7 +406,7 @@ def _note_refuted(rows: list[_Row], table: DataFrame) -> list[str]:
     ]
 
 
-def _describe_simulated(found: Mapping[str, float]) -> str:
+def _describe_simulated(found: Series) -> str:
     if math.isnan(found["simulated"]):
         return "no test in any simulated study"
     low, high = 100 * found["simulated_low"], 100 * found["simulated_high"]

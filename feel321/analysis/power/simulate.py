@@ -37,6 +37,9 @@ CHUNK = 50
 ARMS = ("planted", "null")
 """Every study is simulated with the planted slopes and without any."""
 
+PARTS = {"kept", "people", "tests", "outcomes"}
+"""What is known of every simulated study."""
+
 FEWEST_PEOPLE = 3
 """Fewer than this left by screening carry no model."""
 
@@ -46,13 +49,15 @@ class Studies(NamedTuple):
 
     tests: (studies, arms, attributes, n_tests, 3), estimate, standard error and degrees of freedom of every slope and
     every difference; kept: (studies, attributes, n_tests), their true values; people: (studies, arms), who is left by
-    screening; counts: arm, outcome and reason -> number of models.
+    screening; counts: arm, outcome and reason -> number of models; damaged: files of kept results that could not be
+    read, and were computed anew.
     """
 
     tests: Samples
     kept: Samples
     people: NDArray[np.intp]
     counts: Counter[tuple[str, str, str]]
+    damaged: tuple[str, ...] = ()
 
 
 def simulate_chunk(design: PowerDesign, truth: Truth, seed: int, *, start: int, stop: int) -> str:
@@ -126,19 +131,35 @@ def simulate_studies(  # noqa: PLR0913 - what, how many, who does it, where it i
     """Simulate studies, or take those that an earlier call kept."""
     spans = [(start, min(start + CHUNK, studies)) for start in range(0, studies, CHUNK)]
     files = {} if keep is None else _name_files(spans, _describe(design, truth, seed), keep)
-    texts = {span: file.read_text("utf-8") for span, file in files.items() if file.is_file()}
-    left = [span for span in spans if span not in texts]
-    progress(len(texts), len(spans))
+    there = {span: file for span, file in files.items() if file.is_file()}
+    done = {span: _read_chunk(file, span[1] - span[0]) for span, file in there.items()}
+    damaged = tuple(there[span].name for span, chunk in done.items() if chunk is None)
+    chunks = {span: chunk for span, chunk in done.items() if chunk is not None}
+    left = [span for span in spans if span not in chunks]
+    progress(len(chunks), len(spans))
     todo: list[jobs.Job] = [
         (simulate_chunk, (design, truth, seed), {"start": start, "stop": stop})
         for start, stop in left
     ]
     for place, text in jobs.run_jobs(todo, workers=workers):
-        texts[left[place]] = text
+        chunks[left[place]] = json.loads(text)
         if files:
             write_text(files[left[place]], text)
-        progress(len(texts), len(spans))
-    return _gather([one for span in spans for one in json.loads(texts[span])])
+        progress(len(chunks), len(spans))
+    found = _gather([one for span in spans for one in chunks[span]])
+    return found._replace(damaged=damaged)
+
+
+def _read_chunk(file: Path, count: int) -> list[dict[str, Any]] | None:
+    """Read the studies of a kept chunk; None where the file does not hold all of them."""
+    try:
+        found = json.loads(file.read_text("utf-8"))
+    except ValueError:
+        return None
+    whole = isinstance(found, list) and len(found) == count
+    return (
+        found if whole and all(isinstance(one, dict) and {*one} >= PARTS for one in found) else None
+    )
 
 
 def _name_files(

@@ -81,6 +81,54 @@ def test_power_grows_with_people_to_the_ceiling_that_stimuli_set(make_scenario: 
     assert np.isnan(form.find_participants(slope / 3, 0.8))
 
 
+def test_the_recordings_that_are_said_to_be_enough_are_enough(make_scenario: Make) -> None:
+    """More recordings tell what few reducers share from what they do not: more are needed than the own split says."""
+    given = make_scenario(own=(4, 3), slopes={"spectral": 30.0}, participants=16)
+    row = find_power(given.design, given.truth, studies=0).table.loc[0]
+    number = int(row["recordings_needed"])
+    large = given.design.change(recordings=number)
+    assert find_power(large, given.truth, studies=0).table.loc[0, "power"] >= 0.8
+    form = closed.ClosedForm(given, [given.stimuli], np.array([1.0, 0.0]), given.design.level)
+    assert number > form.imagine_recordings(30.0, 0.8, least=4)
+
+
+def test_what_the_report_refuses_has_no_power(make_scenario: Make) -> None:
+    """Two reducers in three recordings leave fewer than two degrees of freedom; one reducer leaves nothing."""
+    few = make_scenario(own=(3, 2), slopes={"spectral": 500.0})
+    power = find_power(few.design, few.truth, studies=0)
+    assert power.table[["power", "ceiling", "detectable"]].isna().all(axis=None)
+    assert "cannot be tested: fewer than 2 degrees of freedom" in " ".join(power.notes)
+    one = make_scenario(own=(5, 1))
+    alone = find_power(one.design, one.truth, studies=0)
+    assert alone.table["power"].isna().all()
+    assert alone.differences["power"].isna().all()
+    assert "does not vary within recordings" in " ".join(alone.notes)
+
+
+def test_sets_without_a_test_count_as_no_power(make_scenario: Make) -> None:
+    given = make_scenario()
+    twin = replace(given.stimuli, metrics=given.stimuli.metrics[:, [0, 0]])
+    power = [
+        closed.ClosedForm(given, sets, np.array([1.0, 0.0]), 0.05)
+        for sets in ([given.stimuli], [given.stimuli, twin])
+    ]
+    assert power[1].find_power(40.0) == pytest.approx(power[0].find_power(40.0) / 2)
+    assert np.isnan(power[1].find_detectable(0.8))
+
+
+def test_a_damaged_result_is_computed_anew(make_scenario: Make, tmp_path: Path) -> None:
+    given = make_scenario(own=(3, 3), participants=4)
+    first = find_power(given.design, given.truth, studies=2, keep=tmp_path)
+    (file,) = tmp_path.iterdir()
+    whole = file.read_text()
+    for text in ("", whole[:-9], "[]", "[1, 2]"):
+        file.write_text(text)
+        again = find_power(given.design, given.truth, studies=2, keep=tmp_path)
+        assert again.table.equals(first.table)
+        assert file.name in " ".join(again.notes)
+        assert file.read_text() == whole
+
+
 def test_more_hypotheses_are_tested_at_a_lower_level(make_scenario: Make) -> None:
     one = make_scenario()
     two = replace(one.design, attributes=("real", "like"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
@@ -102,6 +103,25 @@ def test_where_stimuli_set_the_ceiling_the_answer_says_so(make_scenario: Make) -
         within.design, within.truth, studies=0, **narrow | {"recordings": (2,)}
     )
     assert "not estimable" in few.answer
+    assert "number 2, where 3 are needed" in few.answer
+
+
+def test_a_metric_that_stands_there_twice_is_not_blamed_on_recordings(make_scenario: Make) -> None:
+    case = make_scenario()
+    items = case.design.items.assign(temporal=lambda table: 2 * table["spectral"] + 1)
+    design = replace(case.design, items=items)
+    plan = analysis.plan_power(design, case.truth, studies=0, **TRY)
+    assert "cannot be told apart from the others" in plan.answer
+    assert "spectral on rating cannot be tested" in " ".join(plan.notes)
+
+
+def test_the_aim_is_what_can_be_tested_and_the_rest_is_named(make_scenario: Make) -> None:
+    case = make_scenario(slopes={"spectral": 40.0, "temporal": 40.0})
+    level = case.design.items["recording"].factorize()[0] * 1.0
+    design = replace(case.design, items=case.design.items.assign(temporal=level))
+    plan = analysis.plan_power(design, case.truth, studies=0, **TRY)
+    assert plan.hypothesis == ("rating", "spectral")
+    assert "slope of temporal on rating cannot be tested: the metric does not vary" in plan.notes[0]
 
 
 def test_a_simulation_that_contradicts_the_closed_form_is_believed(make_scenario: Make) -> None:
@@ -126,7 +146,7 @@ def test_after_a_refusal_clearly_larger_designs_are_simulated(make_scenario: Mak
     case = make_scenario(participants=8, slopes={"spectral": 60.0}, random_clickers=0.4)
     sizes = {"recordings": (12,), "reducers": (6,), "repeats": (1,)}
     people = (*range(8, 15), 60)
-    plan = analysis.plan_power(case.design, case.truth, studies=20, participants=people, **sizes)
+    plan = analysis.plan_power(case.design, case.truth, studies=10, participants=people, **sizes)
     table = plan.table
     assert (table["enough"] & table["refuted"]).any()
     assert plan.recommended is not None
