@@ -86,7 +86,10 @@ def test_kept_studies_are_those_of_these_metrics(paper: whole.PaperStudy, tmp_pa
     assert ran[0].tolist() != ran[1].tolist()
 
 
-def test_studies_without_a_model_are_told(task: PowerTask, tmp_path: Path) -> None:
+def test_studies_without_a_model_are_told(
+    task: PowerTask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(setup, "SAMPLE", 6)
     own = task.paper.settings
     idle = own.model_copy(
         update={"observer": own.observer.model_copy(update={"straight_liners": 1.0})}
