@@ -223,10 +223,10 @@ class Plannable(Contents):
     def power(  # noqa: PLR0913 - every choice that changes the answer has a name of its own
         self,
         *,
-        participants: Sequence[int] = (),
-        recordings: Sequence[int] = (),
-        reducers: Sequence[int] = (),
-        repeats: Sequence[int] = (),
+        participants: int | Sequence[int] = (),
+        recordings: int | Sequence[int] = (),
+        reducers: int | Sequence[int] = (),
+        repeats: int | Sequence[int] = (),
         effects: Mapping[str, float] | None = None,
         hypothesis: str | None = None,
         pilot: str | None = None,
@@ -243,13 +243,14 @@ class Plannable(Contents):
 
         Parameters
         ----------
-        participants, recordings, reducers, repeats : sequence of int
+        participants, recordings, reducers, repeats : int or sequence of int
             Numbers that are compared; around the study's own if left out.
         effects : Mapping of str to float, optional
-            Metric, or attribute/metric -> slope to plan for, in points per +0.1 of it; as the study's simulated
-            observers feel if left out.
+            Metric, or attribute/metric (which goes first) -> slope to plan for, in points per step of the metric: +0.1
+            of a match, a power of ten of metrics in dB or without bounds (the result names it). As the study's
+            simulated observers feel if left out; 0 for metrics that they do not feel.
         hypothesis : str, optional
-            Attribute/metric that the recommended design is for; the one with the least power if left out.
+            Attribute/metric that the recommended design is for; the one of `effects` with the least power if left out.
         pilot : str, optional
             Table of ratings to take standard deviations from, "study" for the study's own, "observers" for those of its
             simulated observers; the usual ones of `analysis.Truth` if left out.

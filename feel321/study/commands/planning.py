@@ -78,12 +78,13 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
 @_numbers_option("repeats", "Ratings of each stimulus by one person.", "1 to 4")
 @click.option(
     "--effect", "effects", multiple=True, callback=_read_effects, metavar="METRIC=POINTS",
-    help="Slope to plan for, in points per +0.1 of the metric; repeatable; ATTRIBUTE/METRIC=POINTS for one scale.  "
+    help="Slope to plan for, in points per step of the metric: +0.1 of a match, a power of ten (such as +1 dB) of "
+    "others; repeatable; ATTRIBUTE/METRIC=POINTS for one scale.  "
     "[default: as the simulated observers of study.toml feel]",
 )  # fmt: skip
 @click.option(
     "--hypothesis", metavar="ATTRIBUTE/METRIC",
-    help="The slope that the recommended design is for.  [default: the one with the least power]",
+    help="The slope that the recommended design is for.  [default: that of --effect with the least power]",
 )  # fmt: skip
 @click.option(
     "--pilot", metavar="FILE",
@@ -98,7 +99,7 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
     help="Leave out the participants whom this screening rule flags; repeatable.  [default: nobody, as analyze does]",
 )  # fmt: skip
 @click.option(
-    "--power", "wanted", type=click.FloatRange(0.05, 0.995), default=0.8, show_default=True,
+    "--power", "wanted", type=click.FloatRange(0.05, 0.995, min_open=True), default=0.8, show_default=True,
     help="Power that is asked for.",
 )  # fmt: skip
 @click.option(

@@ -33,6 +33,10 @@ class Effects:
     steps: Mapping[str, Step]
     given: tuple[str, ...] = ()
 
+    def is_given(self, attribute: str, metric: str) -> bool:
+        """Check whether a user said the slope of a hypothesis."""
+        return not {metric, f"{attribute}/{metric}"}.isdisjoint(self.given)
+
     def to_slopes(self) -> dict[str, float]:
         """Return the slopes of a Truth: points per unit of the metric, by attribute/metric."""
         return {

@@ -27,6 +27,9 @@ CAPTION = (
 )
 OTHERS = "Power with other numbers of reducers and of repeated ratings, all else as in the study. Line: closed form."
 
+MUCH = 0.9
+"""Share of a planted slope: where less is left of it, a note says so."""
+
 
 class StudyPower(Planned, results.PageResult):
     """The power of a study, planned from its own settings and stimuli.
@@ -99,6 +102,7 @@ class StudyPower(Planned, results.PageResult):
             self.answer,
             *(card["line"] for card in words.list_cards(self)),
             *self.notes,
+            *_note_ends(self),
         ])
 
     def _make_page(self, tables_: Mapping[str, DataFrame]) -> results.PageParts:
@@ -136,7 +140,16 @@ def _describe_power(one: Power) -> dict[str, Any]:
 def list_notes(result: Planned) -> list[str]:
     """List all that was assumed or is unusual, once each."""
     own = (note for one in result.plan.powers for note in one.notes)
-    return list(dict.fromkeys([*result.notes, *result.plan.notes, *own]))
+    return list(dict.fromkeys([*result.notes, *_note_ends(result), *result.plan.notes, *own]))
+
+
+def _note_ends(result: Planned) -> Iterator[str]:
+    """Say which slopes the ends of the scale make much flatter."""
+    for one in result.shown.design.hypotheses:
+        row = result.find_row(result.shown, one)
+        if abs(row["kept"]) < MUCH * abs(row["slope"]):
+            left = f"{row['kept'] * row['size']:.2g} of {row['points']:.2g} points per {row['per']}"
+            yield f"The ends of the scale, and people who lapse, leave {left} of {words.name_hypothesis(row)}."
 
 
 def _list_pictures(result: Planned) -> Iterator[Picture]:

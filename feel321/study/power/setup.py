@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,12 +21,13 @@ from feel321.protocols import trial
 from feel321.stimuli.sets import build, manifest
 from feel321.study import minutes, ratings, sessions
 from feel321.study.metrics import measure_declared
+from feel321.study.observer import casting
 from feel321.study.observer.participant import SPECTRAL
 from feel321.study.power import assume, lengths, page, whole
 from feel321.study.settings import read, schema
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Mapping
 
     from feel321.analysis.power.design import Power, PowerDesign, PowerPlan, Truth
     from feel321.analysis.report.parts import RatingsPart
@@ -160,7 +162,7 @@ def _open_stimuli(study: StudyFolder, settings: Settings) -> StimulusSet:
     crop_s = settings.stimuli.conditioning.crop_s
     lengths = {one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in recordings}
     rows = tuple(_foresee(one, lengths[one.recording], recipe.rate_hz) for one in foreseen)
-    return manifest.StimulusSet(study.stimuli, rows, "0" * 64)
+    return manifest.StimulusSet(study.stimuli, rows, whole.UNBUILT)
 
 
 def _foresee(one: build.Foreseen, duration_s: float, rate_hz: float) -> manifest.Stimulus:
@@ -210,19 +212,45 @@ def _note_levels(rated: Sequence[RatingsPart]) -> list[str]:
 def _plant(
     paper: whole.PaperStudy, effects: Mapping[str, float]
 ) -> tuple[list[RatingsPart], assume.Effects]:
-    """Plant the slopes that are asked for, and those of the observers elsewhere."""
-    rated, points, steps = split_expected(paper)
-    for name, value in effects.items():
-        attribute, _, metric = name.rpartition("/")
+    """Plant the slopes that are asked for, those of one scale last, and those of the observers elsewhere."""
+    rated, felt, steps = split_expected(_leave_percepts(paper))
+    points = felt * np.nan
+    for name in sorted(effects, key=lambda one: "/" in one):
+        attribute, one_only, metric = name.rpartition("/")
         check_name(metric, steps, "effect, metric")
-        if attribute:
+        if one_only:
             check_name(attribute, list(points.index), "effect, attribute")
-        if not abs(value) <= MOST_POINTS:
-            raise ValueError(
-                f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value:g}"
-            )
-        points.loc[attribute or points.index, metric] = value
+        points.loc[attribute or points.index, metric] = _check_points(name, effects[name])
+    if points.isna().any(axis=None):
+        points = points.fillna(_find_felt(paper, points, steps))
     return rated, assume.Effects(points, steps, tuple(effects))
+
+
+def _check_points(name: str, value: float) -> float:
+    if not isinstance(value, int | float | np.integer) or not abs(value) <= MOST_POINTS:
+        raise ValueError(
+            f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value!r}"
+        )
+    return float(value)
+
+
+def _leave_percepts(paper: whole.PaperStudy) -> whole.PaperStudy:
+    """Let observers feel only what is known before the set is built."""
+    plain = paper.settings.observer.model_copy(update=dict.fromkeys(whole.PERCEIVED, 0.0))
+    return replace(paper, settings=paper.settings.model_copy(update={"observer": plain}))
+
+
+def _find_felt(paper: whole.PaperStudy, points: DataFrame, steps: Mapping[str, Step]) -> DataFrame:
+    """Find the slopes that observers feel, before the ends of the scale; 0 for metrics that they do not feel.
+
+    Those of observers who feel more than the two matches are regressed on the ratings expected of them.
+    """
+    model = casting.make_model(paper.settings)
+    if model.uses_percepts:
+        return split_expected(paper)[1]
+    felt = {model.spectral_metric: model.spectral, "temporal_match": model.temporal}
+    found = {name: felt.get(name, 0.0) * step.size for name, step in steps.items()}
+    return DataFrame(found, index=points.index)
 
 
 def _find_truth(
@@ -299,6 +327,9 @@ def _split_pilot(
 KEPT = ".studies"
 """Folder, in that of the results, of simulated studies: an interrupted call is continued from there."""
 
+FEWEST = 3
+"""Raters of each attribute, without whom there is no model."""
+
 FACTORS = ("participants", "recordings", "reducers", "repeats")
 
 
@@ -309,24 +340,47 @@ class Sizes:
     hypothesis: attribute/metric; whole: number of whole studies.
     """
 
-    participants: Sequence[int] = ()
-    recordings: Sequence[int] = ()
-    reducers: Sequence[int] = ()
-    repeats: Sequence[int] = ()
+    participants: int | Sequence[int] = ()
+    recordings: int | Sequence[int] = ()
+    reducers: int | Sequence[int] = ()
+    repeats: int | Sequence[int] = ()
     hypothesis: str = ""
     studies: int = 1000
     whole: int = 0
     seed: int = 0
 
+    def __post_init__(self) -> None:
+        """Refuse what is no number of anything."""
+        for name in FACTORS:
+            _as_numbers(getattr(self, name), name)
+        for name in ("studies", "whole"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
+
     def list_factors(self, share: int) -> dict[str, tuple[int, ...]]:
         """List the numbers of each factor; participants become those who rate each attribute."""
-        if odd := [number for number in self.participants if number % share]:
+        numbers = {name: _as_numbers(getattr(self, name), name) for name in FACTORS}
+        people = numbers["participants"]
+        if odd := [number for number in people if number % share]:
             raise ValueError(
                 f"participants must be multiples of {share}, the groups of [between] that rate different things; got "
                 f"{odd[0]}"
             )
-        numbers = {name: tuple(getattr(self, name)) for name in FACTORS}
-        return numbers | {"participants": tuple(one // share for one in self.participants)}
+        if few := [number for number in people if number < FEWEST * share]:
+            raise ValueError(f"participants must be {FEWEST * share} or more, got {few[0]}")
+        return numbers | {"participants": tuple(one // share for one in people)}
+
+
+NO_MODEL = "None of {studies} whole studies has a model: {screened} participants screened out, {failed} models fail."
+
+
+def _as_numbers(numbers: int | Sequence[int], what: str) -> tuple[int, ...]:
+    """List numbers, or the only one."""
+    listed = tuple(numbers) if isinstance(numbers, Iterable) else (numbers,)
+    for one in listed:
+        if not isinstance(one, int | np.integer) or one < 1:
+            raise ValueError(f"{what} must be whole numbers of 1 or more, got {one!r}")
+    return tuple(int(one) for one in listed)
 
 
 def plan_study(
@@ -340,7 +394,7 @@ def plan_study(
     known: dict[str, Any] = {**factors, **how}
     plan = planning.plan_power(
         task.design.change(participants=near), task.truth, **known,
-        hypothesis=_find_hypothesis(task, sizes.hypothesis), minutes=task.find_minutes, studies=sizes.studies,
+        hypothesis=_find_hypothesis(task, sizes.hypothesis, near), minutes=task.find_minutes, studies=sizes.studies,
         progress=progress,
     )  # fmt: skip
     if not plan.powers:
@@ -349,9 +403,9 @@ def plan_study(
     found = page.StudyPower(plan, name, effects, task.share, DataFrame(), tuple(_list_notes(task)))
     if not sizes.whole:
         return found
-    return replace(
-        found, whole=check_whole(task, found.shown.design, sizes, how=how, progress=progress)
-    )
+    beside = check_whole(task, found.shown.design, sizes, how=how, progress=progress)
+    lost = [] if beside["tests"].any() else [NO_MODEL.format(**beside.iloc[0])]
+    return replace(found, whole=beside, notes=(*found.notes, *lost))
 
 
 def _find_closed(task: PowerTask, plan: PowerPlan, participants: int) -> tuple[Power, ...]:
@@ -362,12 +416,22 @@ def _find_closed(task: PowerTask, plan: PowerPlan, participants: int) -> tuple[P
     )
 
 
-def _find_hypothesis(task: PowerTask, name: str) -> tuple[str, str] | None:
-    """Find the hypothesis of a name; None, for the one with the least power, where any slope is planted."""
+def _find_hypothesis(task: PowerTask, name: str, participants: int) -> tuple[str, str] | None:
+    """Find the hypothesis of a name, or the one with the least power among those whose slope was given.
+
+    None, for the one with the least power of all, where no slope was given.
+    """
     known = {"/".join(one): one for one in task.design.hypotheses}
     if name:
         return known[check_name(name, known, "hypothesis")]
-    return None if any(task.truth.slopes.values()) else task.design.hypotheses[0]
+    if not any(task.truth.slopes.values()):
+        return task.design.hypotheses[0]
+    table = find.find_power(
+        task.design.change(participants=participants), task.truth, studies=0
+    ).table
+    given = np.array([task.effects.is_given(*one) for one in task.design.hypotheses])
+    asked = table[given & (table["slope"] != 0)].sort_values("power", kind="stable")
+    return None if asked.empty else (asked["attribute"].iloc[0], asked["metric"].iloc[0])
 
 
 def tabulate_effects(task: PowerTask) -> DataFrame:
@@ -376,7 +440,7 @@ def tabulate_effects(task: PowerTask) -> DataFrame:
     for (attribute, metric), slope in zip(
         task.design.hypotheses, effects.to_slopes().values(), strict=True
     ):
-        step, said = effects.steps[metric], {metric, f"{attribute}/{metric}"} & set(effects.given)
+        step, said = effects.steps[metric], effects.is_given(attribute, metric)
         rows.append({
             "attribute": attribute, "metric": metric, "points": slope * step.size, "per": step.per, "size": step.size,
             "source": "given" if said else "simulated observers",
@@ -390,11 +454,16 @@ def _list_notes(task: PowerTask) -> list[str]:
         notes.append(
             f"Each attribute is rated by one in {task.share} participants, as [between] says."
         )
-    if len(task.effects.given) < len(task.effects.steps):
+    if not all(task.effects.is_given(*one) for one in task.design.hypotheses):
         notes.append(
             "Slopes without --effect are those that the simulated observers of study.toml feel: give the smallest "
             "slope that would matter to you."
         )
+        if casting.make_model(task.paper.settings).uses_percepts:
+            notes.append(
+                "They are taken from mean ratings, after the ends of the scale, and the simulation has these ends "
+                "once more: power is a little too low."
+            )
     pace = task.pace.participants
     who = f"{pace} participants so far" if pace else "simulated participants"
     return [*notes, f"Minutes are those of one session, at the pace of {who}."]

@@ -38,7 +38,12 @@ FITS = (
 )
 ERRORS = (
     "How often the analysis is wrong: share of studies without any slope in which p is below 0.05 (nominal 0.05), and "
-    "share of 95 % intervals that hold the planted slope (nominal 0.95), with 95 % Monte Carlo intervals."
+    "share of 95 % intervals that hold the slope that the ends of the scale leave (nominal 0.95), with 95 % Monte "
+    "Carlo intervals."
+)
+PLANTED = (
+    "Planted slopes, within recordings. Left by the scale: what its ends, and people who lapse, leave of them in the "
+    "simulation."
 )
 WHOLE = (
     "Whole studies (plans, session engine, simulated observers, decoding, screening, primary model, Holm's method) "
@@ -52,7 +57,7 @@ def tabulate(result: Planned, frames: Mapping[str, DataFrame]) -> dict[str, Page
     size, per = (result.find_row(result.shown, result.plan.hypothesis)[n] for n in ("size", "per"))
     made = {
         "designs": (DESIGNS.format(name_hypothesis(hypothesis)), _list_designs(result.to_frame(), size, per)),
-        "planted": ("Planted slopes, within recordings.", _list_planted(result.effects)),
+        "planted": (PLANTED, _list_planted(result)),
         "spreads": (f"Standard deviations assumed, from {result.shown.truth.source}.", _list_spreads(result)),
         "errors": (ERRORS, _list_errors(result)),
         "fits": (FITS, _list_fits(frames["fits"]) if "fits" in frames else []),
@@ -86,13 +91,14 @@ def _list_designs(frame: DataFrame, size: float, per: str) -> list[dict[str, str
     ]  # fmt: skip
 
 
-def _list_planted(effects: DataFrame) -> list[dict[str, str]]:
+def _list_planted(result: Planned) -> list[dict[str, str]]:
+    rows = (result.find_row(result.shown, one) for one in result.shown.design.hypotheses)
     return [
         {
             "Hypothesis": name_hypothesis(row), "Slope": f"{row['points']:.3g} points per {row['per']}",
-            "From": row["source"],
+            "Left by the scale": _write(row["kept"] * row["size"], ".3g"), "From": row["source"],
         }
-        for row in _list(effects)
+        for row in rows
     ]  # fmt: skip
 
 

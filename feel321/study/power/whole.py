@@ -10,12 +10,13 @@ import hashlib
 import json
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from feel321 import __version__
+import feel321
 from feel321.analysis.power import find
 from feel321.analysis.power.design import LEVEL
 from feel321.analysis.primary import model as primary
@@ -34,7 +35,6 @@ from feel321.study.settings import read
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
 
     from feel321.analysis.report.parts import RatingsPart
     from feel321.analysis.table.metrics import Step
@@ -47,6 +47,12 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 WHO, ITEM, RATING = "participant", "item", "rating"
+UNBUILT = "0" * 64
+"""Digest of a stimulus set that is not built."""
+
+PERCEIVED = ("threshold_spectral", "envelope", "level", "direction", "vector_magnitude")
+"""What observers feel that no table of stimuli tells."""
+
 FITTED = ("estimate", "se", "df", "p", "low", "high", "estimable")
 
 
@@ -131,6 +137,11 @@ class PaperStudy:
 
     @cached_property
     def _casting(self) -> casting.Casting:
+        if self.stimuli.sha256 == UNBUILT and casting.make_model(self.settings).uses_percepts:
+            raise ValueError(
+                f"build the set first: simulated observers with {', '.join(PERCEIVED)} in [observer] feel the built "
+                "stimuli, and there are none yet"
+            )
         return casting.cast_observers(self.settings, self.stimuli, seed=0)
 
     def simulate(self, seed: int, *, expected: bool = False) -> pd.DataFrame:
@@ -266,16 +277,25 @@ def run_wholes(
 
 
 def _digest(paper: PaperStudy, seed: int) -> str:
-    """Digest what decides the results of whole studies."""
+    """Digest what decides the results of whole studies: settings, texts, plans, stimuli with their metrics, code."""
+    further = paper.further
     known = (
         paper.settings.model_dump_json(),
+        repr(read.read_study_texts(paper.settings, paper.folder)),
         paper.stimuli.sha256,
-        len(paper.plans),
-        paper.screening,
-        seed,
-        __version__,
+        paper.stimuli.to_frame().to_csv(index=False),
+        "" if further is None else further.metrics.to_csv(),
+        *(one.sha256 for one in paper.plans),
+        repr((paper.screening, seed)),
+        _read_code(),
     )
-    return hashlib.sha256(repr(known).encode()).hexdigest()[:16]
+    return hashlib.sha256("\n".join(known).encode()).hexdigest()[:16]
+
+
+def _read_code() -> str:
+    """Digest the code; another version's results are not taken for this one's."""
+    files = sorted(Path(feel321.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"\n".join(path.read_bytes() for path in files)).hexdigest()
 
 
 def _run_chunk(paper: PaperStudy, seed: int, studies: range) -> list[dict[str, Any]]:
@@ -290,7 +310,10 @@ def _run_chunk(paper: PaperStudy, seed: int, studies: range) -> list[dict[str, A
 
 
 def _gather(found: list[dict[str, Any]]) -> Wholes:
-    slopes = pd.DataFrame([row for one in found for row in one["rows"]])
+    rows = [row for one in found for row in one["rows"]]
+    slopes = pd.DataFrame(
+        rows or {name: [] for name in ("part", "metric", "singular", "p_holm", *FITTED)}
+    )
     failed = tuple(reason for one in found for reason in one["failed"])
     return Wholes(slopes, len(found), sum(one["screened"] for one in found), failed)
 

@@ -12,6 +12,7 @@ import pytest
 
 from feel321.jobs import ALONE
 from feel321.study import cli
+from feel321.study.folder import create_study
 from feel321.study.power import assume, setup, whole, words
 
 if TYPE_CHECKING:
@@ -72,12 +73,14 @@ def test_verb_writes_page_tables_and_json_that_agree(
         (["--effect", "temporal_mach=2"], "did you mean 'temporal_match'"),
         (["--effect", "temporal_match=2", "--effect", "temporal_match=3"], "twice"),
         (["--effect", "temporal_match=1e9"], "-100 to 100"),
+        (["--effect", "/temporal_match=1"], "realism"),
         (["--effect", "roughness/temporal_match=2"], "realism"),
         (["--hypothesis", "temporal_match"], "realism/temporal_match"),
         (["--pilot", "no.csv"], "no such table"),
         (["--pilot", "study"], "no ratings yet"),
         (["--screening", "slow"], "screening must be one of"),
         (["--power", "1.5"], "0.05"),
+        (["--power", "0.05"], "0.05<x"),
         (["--studies", "-1"], "0"),
         (["--seed", "-1"], "0"),
     ],
@@ -143,6 +146,54 @@ def test_what_no_design_can_estimate_is_called_so(task: PowerTask, tmp_path: Pat
     some = table.assign(power=[0.3, *table["power"][1:]], ceiling=[0.9, *table["ceiling"][1:]])
     partly = replace(found, plan=replace(unknown, table=some)).answer
     assert "with a power of 0.30 at most" in partly
+
+
+def test_answer_is_for_the_given_slopes_and_one_scale_goes_first(
+    built: StudyFolder, tmp_path: Path
+) -> None:
+    asked = {"realism/temporal_match": 9.0, "temporal_match": 8.0}
+    task = setup.set_up(built, effects=asked)
+    assert task.effects.points["temporal_match"].to_dict() == {"realism": 9.0, "similarity": 8.0}
+    assert task.effects.points[METRICS[0]].tolist() == pytest.approx([4.5, 4.5])
+    sizes = setup.Sizes(participants=12, studies=0)
+    found = setup.plan_study(
+        task, sizes, keep=tmp_path, workers=ALONE, progress=lambda _d, _a: None
+    )
+    assert found.plan.hypothesis == ("similarity", "temporal_match")
+    assert any("Slopes without --effect" in note for note in found.notes)
+
+
+def test_steep_slopes_are_flatter_after_the_ends_of_the_scale(
+    task: PowerTask, tmp_path: Path
+) -> None:
+    found = plan(
+        task, tmp_path, 20.0, participants=8, recordings=4, reducers=5, repeats=1, studies=2
+    )
+    assert "The ends of the scale" in found.summary()
+    assert not any("The ends of the scale" in note for note in found.notes)
+    found.write(tmp_path / "page")
+    assert "Left by the scale" in (tmp_path / "page" / "index.html").read_text("utf-8")
+
+
+def test_observers_who_feel_built_stimuli_need_them_or_given_slopes(
+    built: StudyFolder, tmp_path: Path
+) -> None:
+    study = create_study(tmp_path / "study")
+    study.settings.write_text(
+        built.settings.read_text("utf-8") + "[observer]\nlevel = 1.0\n", "utf-8"
+    )
+    with pytest.raises(ValueError, match="build the set first"):
+        setup.set_up(study)
+    given = setup.set_up(study, effects=dict.fromkeys(METRICS, 2.0))
+    assert set(given.effects.points.to_numpy().ravel()) == {2.0}
+
+
+@pytest.mark.parametrize("odd", [{"whole": -1}, {"participants": 12.5}, {"recordings": [0]}])
+def test_odd_numbers_are_refused(odd: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(odd))} must be"):
+        setup.Sizes(**odd)
+    with pytest.raises(ValueError, match="6 or more, got 4"):
+        setup.Sizes(participants=4).list_factors(2)
 
 
 def test_no_slope_is_called_nothing(task: PowerTask, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ import pytest
 
 from feel321.jobs import Workers
 from feel321.study.folder import StudyFolder
-from feel321.study.power import whole
+from feel321.study.power import setup, whole
 from feel321.study.ratings import read_judgements
 from feel321.study.simulation import regress_planted, simulate_study
 
@@ -45,14 +46,15 @@ def test_ratings_on_paper_are_those_from_the_disk(
 
 def test_expected_ratings_have_the_slopes_that_the_observers_plant(task: PowerTask) -> None:
     planted = regress_planted(task.paper.settings, task.paper.stimuli).slopes
-    assert task.effects.points.loc["realism"].to_dict() == pytest.approx(planted)
+    regressed = setup.split_expected(task.paper)[1]
+    assert regressed.loc["realism"].to_dict() == pytest.approx(planted)
 
 
 def test_whole_studies_recover_the_planted_slopes(paper: whole.PaperStudy, task: PowerTask) -> None:
     fits = [paper.analyze(seed) for seed in range(4)]
     found = pd.concat([one.slopes for one in fits]).groupby(["part", "metric"])["estimate"]
     error = found.std() / np.sqrt(len(fits))
-    wanted = np.array(list(task.effects.to_slopes().values()))  # in the order of parts and metrics
+    wanted = np.ravel(setup.split_expected(task.paper)[1]) * 10  # in the order of parts and metrics
     assert (np.abs(found.mean() - wanted) < 6 * error + 3).all()
     assert all((one.slopes["p_holm"] >= one.slopes["p"]).all() for one in fits)
 
@@ -71,3 +73,30 @@ def test_workers_and_interruptions_change_nothing(paper: whole.PaperStudy, tmp_p
     )  # fmt: skip
     assert [file.read_bytes() for file in files] == former
     assert counted == [(2, 2)]  # one chunk only was run again
+
+
+def test_kept_studies_are_those_of_these_metrics(paper: whole.PaperStudy, tmp_path: Path) -> None:
+    more = [replace(one, temporal_match=one.temporal_match / 2) for one in paper.stimuli]
+    other = replace(paper, stimuli=replace(paper.stimuli, stimuli=tuple(more)))
+    ran = [
+        whole.run_wholes(one, 1, seed=3, workers=Workers(1), keep=tmp_path).slopes["estimate"]
+        for one in (paper, other)
+    ]
+    assert len(list(tmp_path.iterdir())) == 2
+    assert ran[0].tolist() != ran[1].tolist()
+
+
+def test_studies_without_a_model_are_told(
+    task: PowerTask, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(setup, "SAMPLE", 6)
+    own = task.paper.settings
+    idle = own.model_copy(
+        update={"observer": own.observer.model_copy(update={"straight_liners": 1.0})}
+    )
+    paper = replace(task.paper, settings=idle, screening=("straight_lining",))
+    sizes = setup.Sizes(6, task.design.recordings, task.design.reducers, 1, studies=0, whole=1)
+    found = setup.plan_study(
+        replace(task, paper=paper), sizes, keep=tmp_path, workers=Workers(1), progress=lambda _d, _a: None
+    )  # fmt: skip
+    assert "None of 1 whole studies has a model" in found.notes[-1]
