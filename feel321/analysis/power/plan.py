@@ -39,8 +39,8 @@ TRIED = 8
 LEAST_TESTED = 0.9
 """Share of simulated studies that must give a test, for a simulation to confirm a design."""
 
-LEAST_STEP = 0.1
-"""Probits of closed form power by which a design must exceed one that its simulation refuted."""
+STEPS = 0.5, 0.95
+"""Least and largest share of a refuted design's detectable slope that the next one must detect."""
 
 
 class Aim(NamedTuple):
@@ -118,8 +118,8 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     recordings, reducers and repeats as is needed, then takes the least time of all participants together; where numbers
     of participants are named, it has one of these; a design for which `minutes` gives NaN is never recommended. It is
     simulated: where the simulation refutes it (its whole interval lies below the wanted power, or fewer than 90 % of
-    the studies give a test), the next one whose power in closed form is higher by as much as the simulation lacked
-    (in probits) is simulated, up to 8 of them.
+    the studies give a test), the next one is simulated that detects a slope smaller by as much as the simulation
+    lacked, or where there is none the one that detects the smallest; up to 8 of them.
 
     Examples
     --------
@@ -281,22 +281,29 @@ def _make_row(
 
 def _confirm(enough: list[_Row], run: Callable[[PowerDesign], Power], aim: Aim) -> _Row | None:
     """Find the smallest design that its simulation does not refute; after each refusal, one with clearly more power."""
-    from scipy.stats import norm
-
-    least = -math.inf
-    for _ in range(TRIED):
-        left = (row for row in enough if norm.ppf(min(row.power, 1 - 1e-12)) >= least)
-        row = next(left, None)
-        if row is None:
-            return None
+    left, most = enough, math.inf
+    for _ in range(TRIED if enough else 0):
+        strongest = min(left, key=lambda row: row.detectable)
+        row = next((row for row in left if row.detectable <= most), strongest)
         found = run(row.design)
         if not _is_refuted(found, aim):
             return row
-        seen = found.table["simulated"].iloc[_find_place(row.design, aim)]
-        share = min(max(np.nan_to_num(seen), 0.5 / found.studies), row.design.wanted)
-        lack = float(norm.ppf(row.design.wanted) - norm.ppf(share))
-        least = float(norm.ppf(min(row.power, 1 - 1e-12))) + max(lack, LEAST_STEP)
+        left = [one for one in left if one.detectable < row.detectable]
+        most = row.detectable * _find_step(found, aim)
+        if not left:
+            break
     return None
+
+
+def _find_step(found: Power, aim: Aim) -> float:
+    """Find the share of a refuted design's detectable slope that the next one must detect, from its simulation."""
+    from scipy.stats import norm
+
+    seen = found.table["simulated"].iloc[_find_place(found.design, aim)]
+    share = min(max(np.nan_to_num(seen), 0.5 / found.studies), found.design.wanted)
+    limit = norm.isf(found.design.level / 2)
+    shifts = [float(limit + norm.ppf(one)) for one in (share, found.design.wanted)]
+    return min(max(shifts[0] / shifts[1], STEPS[0]), STEPS[1])
 
 
 def _is_refuted(power: Power, aim: Aim) -> bool:
@@ -372,7 +379,7 @@ def _explain(rows: list[_Row], table: DataFrame, aim: Aim) -> str:
     refuted = int((table["enough"] & table["refuted"]).sum())
     if refuted:
         return (
-            f"{none}: the closed form promises more, but the simulations of {refuted} of the smallest designs that it "
+            f"{none}: the closed form promises more, but the simulations of {refuted} designs that it "
             f"takes for enough lie below {wanted:.0%}, or give too few tests."
         )
     smallest = "the given one finds no slope with that power"
