@@ -281,7 +281,7 @@ class _Link:
                 break
             except (OSError, TimeoutError) as error:
                 if time.monotonic() > until:
-                    raise OSError(self._miss("does not answer")) from error
+                    raise OSError(self._miss("has not answered")) from error
                 time.sleep(LOOK_S)
         self._meet(until)
 

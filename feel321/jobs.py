@@ -24,7 +24,7 @@ Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Who does the jobs.
+    """Where jobs run: in processes of this machine, or on a Dask cluster.
 
     Parameters
     ----------

@@ -131,7 +131,7 @@ def _check_alike(study: StudyFolder, other: StudyFolder) -> None:
         terms.append(make_terms(make_design(settings, one.path), settings, one.path))
     if differences := find_differences(*terms):
         raise ValueError(
-            f"{other.settings}: is another study than {study.settings} ({'; '.join(differences)}); "
+            f"{other.settings}: differs from {study.settings} ({'; '.join(differences)}); "
             "collect only what was run with the same settings"
         )
 
@@ -220,7 +220,7 @@ def _gather(
         if one.plan != first.plan:
             raise ValueError(f"{_name(first, one)}: have different plans; keep the right one")
         if one.stimuli_sha256 != stimuli_sha256:
-            raise ValueError(f"{one.folder}: was planned with another stimulus set")
+            raise ValueError(f"{one.folder}: was planned with another stimulus set; keep it apart")
     take: dict[str, Piece] = {}
     if own is None:
         take[PLAN_FILE] = _cut_piece(first.folder / PLAN_FILE, first.plan)
@@ -259,10 +259,10 @@ def _gather_withdrawn(held: Sequence[Holding], own: Holding | None, notes: list[
     first = min(stones, key=lambda one: (one is not own, str(one.tombstone and one.tombstone.utc)))
     for one in held:
         if (one.number, one.simulated) != (first.number, first.simulated):
-            raise ValueError(f"{_name(first, one)}: one withdrew, the other has another number")
+            raise ValueError(f"{_name(first, one)}: have different numbers; keep the right one")
         if one is not own and not one.tombstone:
             notes.append(
-                f"{one.folder}: withdrew, see {first.folder}; remove the data there too: feel321 withdraw"
+                f"{one.folder}: participant withdrew, see {first.folder}; remove the data there too: feel321 withdraw"
             )
     facts = first.number, first.simulated, "withdrawn", own is not None
     if own is None:
@@ -353,7 +353,7 @@ def _read_verified(piece: Piece, *, before: Path) -> bytes:
     if hashlib.sha256(content).hexdigest() != piece.sha256:
         raise ValueError(f"{piece.path}: changed while it was collected; run again")
     if piece.size and before.exists() and not content.startswith(read_lines(before)):
-        raise ValueError(f"{piece.path}: does not go on from {before}; run again")
+        raise ValueError(f"{piece.path}: does not continue {before}; run again")
     return content
 
 
@@ -364,7 +364,7 @@ def _write_verified(path: Path, content: bytes) -> None:
         sync_folder(path.parent.parent)
     write_bytes(path, content)
     if (written := path.read_bytes()) != content:
-        raise OSError(f"{path}: holds {len(written)} bytes other than were written; check the disk")
+        raise OSError(f"{path}: reads back as {len(written)} different bytes; check the disk")
 
 
 def _enter_all(

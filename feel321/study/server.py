@@ -46,7 +46,7 @@ def check_url(url: str) -> str:
             "client reads PGPASSWORD, or ~/.pgpass with mode 0600"
         )
     if not url.startswith(_KINDS) or re.search(r"\s", url):
-        raise ValueError(f"must be like {EXAMPLE}, got something else; SQLite is used without one")
+        raise ValueError(f"must look like {EXAMPLE}, got something else; omit it to use SQLite")
     return url
 
 
@@ -71,7 +71,7 @@ def check_table(table: object) -> None:
         check_url(table["url"])
     station, of = table.get("station", 1), table.get("of", 1)
     if ("station" in table) != ("of" in table):
-        raise ValueError("must say both station and of, got one of them")
+        raise ValueError("must have both station and of, got only one; add the other")
     if not 1 <= station <= of:
         raise ValueError(f"must have station from 1 to {of}, got {station}")
 

@@ -119,7 +119,7 @@ def test_a_scheduler_that_stays_away_is_one_line_and_what_is_finished_is_kept(
         cluster.scheduler.kill()
         cluster.scheduler.wait()
 
-    with pytest.raises(OSError, match=r"does not answer for 3 s.*what is finished is kept"):
+    with pytest.raises(OSError, match=r"has not answered for 3 s.*what is finished is kept"):
         build(tmp_path, cluster, then=vanish)
     parts = {path.name: path.stat().st_mtime_ns for path in (tmp_path / ".parts").glob("*.wav")}
     assert parts

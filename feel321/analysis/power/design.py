@@ -100,7 +100,7 @@ class PowerDesign:
         for name in ("metrics", "attributes", "screening"):
             object.__setattr__(self, name, as_names(getattr(self, name), name))
         if not self.metrics or not self.attributes:
-            raise ValueError("metrics and attributes must name one or more each")
+            raise ValueError("metrics and attributes must each name at least one, got none")
         for name in self.screening:
             check_name(name, SCREENED, "screening")
         object.__setattr__(self, "items", _check_items(self.items, self.metrics))
@@ -179,8 +179,8 @@ class Truth:
 
     Ratings are ``mean + slope x (metric - its mean over the stimulus set)``, plus what people, recordings, stimuli and
     reducers differ by, rounded to `step` and kept within 0 to 100. All attributes of a study have the same truth unless
-    `slopes` names them, and are independent of each other, although the same people rate them: what Holm's method makes
-    of tests that go together is slightly different (it stays within its level).
+    `slopes` names them, and are independent of each other, although the same people rate them: for
+    correlated tests Holm's method behaves slightly differently (it keeps its level).
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class Truth:
     bounded : bool
         Whether ratings end at 0 and 100.
     lapse_rate : float
-        Share of ratings that rest on nothing felt, anywhere on the scale.
+        Share of ratings unrelated to the stimulus, anywhere on the scale.
     straight_liners, random_clickers, scale_reversers : float
         Shares of people who leave the slider at one place, set it anywhere, or use the scale upside down.
     source : str

@@ -44,12 +44,12 @@ def find_power(  # noqa: PLR0913 - a design and a truth; how many studies, who d
     studies : int
         Simulated studies; 0 for the closed form alone.
     seed : int
-        Of all randomness; the same seed gives the same numbers for any number of workers.
+        Random seed; the same seed gives the same numbers for any number of workers.
     workers : int or Workers
-        Who simulates.
+        Number of processes, or what else simulates.
     keep : path, optional
-        A folder for what is done, chunk by chunk: a call that was interrupted goes on there, and one that was not
-        computes nothing again.
+        A folder that keeps results, chunk by chunk: an interrupted call resumes from there, and a completed one is
+        not recomputed.
     progress : bool or callable
         Whether to show a progress bar; or called with the numbers of chunks done and to do.
 
@@ -282,11 +282,11 @@ def _list_notes(
     if not design.is_own:
         notes.append(
             "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are "
-            "more than the set has, some stand in the study twice, with the same metrics."
+            "more than the set has, some are used more than once, with the same metrics."
         )
     if SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique:
         notes.append(
-            "Several recordings come from one source; what they share besides the metrics is not planted, so that real "
+            "Several recordings come from one source; what else they share is not simulated, so actual "
             "power is lower."
         )
     if found and design.screening:
@@ -325,5 +325,5 @@ def _note_counts(found: simulate.Studies) -> list[str]:
             reasons |= {reason: None} if reason else {}
     said = f"Of {total} simulated models, {sums[engine.SINGULAR]} have a spread estimated as zero, which is normal"
     if lost := sums[engine.NOT_ESTIMABLE] + sums[engine.FAILED]:
-        return [f"{said}; {lost} gave no test and count in no share ({'; '.join(reasons)})."]
+        return [f"{said}; {lost} gave no test and are excluded ({'; '.join(reasons)})."]
     return [f"{said}; all gave a test."]

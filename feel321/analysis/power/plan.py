@@ -93,9 +93,9 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     studies : int
         Simulated studies of the given design, of the recommended one and of three more; 0 for the closed form alone.
     seed : int
-        Of all randomness.
+        Random seed.
     workers : int or Workers
-        Who simulates.
+        Number of processes, or what else simulates.
     keep : path, optional
         A folder for what is done, as for `find_power`.
     progress : bool or callable
@@ -397,7 +397,7 @@ def _explain_ceiling(rows: list[_Row], wanted: float) -> str:
     """Say what closed form power is possible with the stimuli that were tried."""
     ceiling = np.nanmax([(row.ceiling, row.power) for row in rows])
     if ceiling < wanted:
-        return f"even with participants without end their stimuli allow at most {ceiling:.0%}"
+        return f"even with infinitely many participants their stimuli allow at most {ceiling:.0%}"
     if any(row.power >= wanted and math.isnan(row.cost) for row in rows):
         return "no session can hold those that have more in closed form"
     return "in closed form, more participants or recordings than were tried reach it"

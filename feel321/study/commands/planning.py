@@ -80,7 +80,7 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
     "--effect", "effects", multiple=True, callback=_read_effects, metavar="METRIC=POINTS",
     help="Slope to plan for, in points per step of the metric: +0.1 of a match, a power of ten (such as +1 dB) of "
     "others; repeatable; ATTRIBUTE/METRIC=POINTS for one scale.  "
-    "[default: as the simulated observers of study.toml feel]",
+    "[default: the slopes of the simulated observers in study.toml]",
 )  # fmt: skip
 @click.option(
     "--hypothesis", metavar="ATTRIBUTE/METRIC",
@@ -89,7 +89,7 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
 @click.option(
     "--pilot", metavar="FILE",
     help="Ratings to take standard deviations from; 'study': the study's own, 'observers': its simulated observers.  "
-    "[default: usual ones]",
+    "[default: published ones]",
 )  # fmt: skip
 @click.option(
     "--manifest", type=shared.FILE, help="The stimuli of the pilot.  [default: the study's]"
@@ -100,7 +100,7 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
 )  # fmt: skip
 @click.option(
     "--power", "wanted", type=click.FloatRange(0.05, 0.995, min_open=True), default=0.8, show_default=True,
-    help="Power that is asked for.",
+    help="Target power.",
 )  # fmt: skip
 @click.option(
     "--studies", type=click.IntRange(0, MOST_STUDIES), default=1000, show_default=True,
@@ -108,7 +108,7 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
 )  # fmt: skip
 @click.option(
     "--full", "whole", type=click.IntRange(0, MOST_STUDIES), default=0, metavar="N",
-    help="Also N whole studies, through sessions and the report's own analysis: seconds each.",
+    help="Also simulate N complete studies, from sessions to the report's analysis; seconds each.",
 )  # fmt: skip
 @shared.workers_option
 @shared.seed_option(" of all simulations")

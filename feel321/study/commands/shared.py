@@ -85,20 +85,20 @@ def workers_option(verb: Verb) -> Verb:
         type=click.IntRange(min=1),
         default=1,
         show_default=True,
-        help="Number of processes; each takes a second or two to start, which a few short recordings do not repay.",
+        help="Number of processes; each takes a second or two to start, too long for a few short recordings.",
     )
     @click.option(
         "--dask",
         metavar="ADDRESS",
         default="",
-        help="Instead of processes here, a Dask cluster's scheduler: tcp://HOST:PORT, which encrypts nothing and lets "
-        "all who reach it run programs, or tls://HOST:PORT.",
+        help="Use a Dask cluster: address of its scheduler, tcp://HOST:PORT (not encrypted; anyone who can reach it "
+        "can run programs) or tls://HOST:PORT.",
     )
     @click.option(
         "--share",
         metavar="URL",
         default="",
-        help="With --dask: folder (fsspec) through which files travel.  [default: all machines see the same files]",
+        help="With --dask: URL (fsspec) of a folder for exchanging files.  [default: all machines see the same files]",
     )
     @wraps(verb)
     def employ_then_do(*, processes: int, dask: str, share: str, **own: object) -> None:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @click.argument("sources", metavar="FROM...", nargs=-1, required=True, type=shared.FILE)
 @click.option(
     "--into", "folder", metavar="STUDY", type=shared.FILE, default=Path(), show_default="current folder",
-    help="The study that gets them.",
+    help="The study to collect into.",
 )  # fmt: skip
 @shared.json_option
 @click.pass_context
@@ -30,8 +30,8 @@ def collect(
     """Collect the sessions of other stations into one study.
 
     FROM are study folders, mounted or copied; they are only read. Plans, journals and what was delivered or explored
-    are verified before and after the copy; a longer journal takes the place of one that it continues. What contradicts
-    what is here is refused and named, and nothing is overwritten. Interrupted, the same call continues; a second one
+    are verified before and after the copy; a longer journal takes the place of one that it continues. Sessions that
+    conflict with the study are refused by name; nothing is overwritten. If interrupted, run it again; a second run
     copies nothing. A participant who withdrew at one station is withdrawn here.
     """
     from feel321.study.collect import collect_sessions

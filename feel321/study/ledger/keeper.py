@@ -119,7 +119,7 @@ class Keeper:
         self._take(self._write(self._make_note(self.place)))
         if self.notice and database.is_shared(self.ledger):
             self.notice = (
-                f"{self.journal.path}: the ledger does not know all of it yet ({self.notice}); it follows when a "
+                f"{self.journal.path}: the ledger lags behind ({self.notice}); it catches up when a "
                 "session is next begun at this station"
             )
 

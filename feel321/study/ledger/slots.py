@@ -115,7 +115,7 @@ def claim_numbers(
     except ConnectionError as error:
         if missing := [name for name in participants if name not in planned]:
             raise ConnectionError(
-                f"{error}. Until then, only participants who were planned on this station can go on, got "
+                f"{error}. Until then, only participants planned at this station can continue, got "
                 f"{', '.join(missing)}"
             ) from None
         plans = [require_own_plan(study.sessions / name) for name in planned]

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 CAPTION = (
     "Power against participants, a curve for each number of recordings ({own} in the study: bold). Lines: closed form, "
     "at the first step of Holm's method. Circles: simulated studies with Holm's method, 95 % Monte Carlo intervals. "
-    "Dashed: to what participants without end would reach. Thin line: the power asked for."
+    "Dashed: limit for infinitely many participants. Thin line: target power."
 )
 OTHERS = "Power with other numbers of reducers and of repeated ratings, all else as in the study. Line: closed form."
 

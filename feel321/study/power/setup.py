@@ -112,8 +112,8 @@ def set_up(
     settings = read.read_settings(study.settings)
     if settings.session.recordings_per_participant:
         raise ValueError(
-            f"{study.settings.name}: session.recordings_per_participant deals people different recordings, and power "
-            "plans studies in which all rate the same; plan without it"
+            f"{study.settings.name}: session.recordings_per_participant gives people different recordings, but power "
+            "plans studies in which all rate the same ones; leave it out"
         )
     stimuli = _open_stimuli(study, settings)
     further = measure_declared(study, settings) if study.manifest.exists() else None
@@ -456,7 +456,7 @@ def _list_notes(task: PowerTask) -> list[str]:
         )
     if not all(task.effects.is_given(*one) for one in task.design.hypotheses):
         notes.append(
-            "Slopes without --effect are those that the simulated observers of study.toml feel: give the smallest "
+            "Slopes without --effect are those of the simulated observers in study.toml: better give the smallest "
             "slope that would matter to you."
         )
         if casting.make_model(task.paper.settings).uses_percepts:

@@ -30,11 +30,11 @@ SPREADS = {
 
 DESIGNS = (
     "All designs, for {}. Power: closed form. Simulated: with its 95 % Monte Carlo interval. At most: with "
-    "participants without end. Found: smallest slope found with the power asked for. Minutes: of one session."
+    "infinitely many participants. Found: smallest slope found with the target power. Minutes: of one session."
 )
 FITS = (
-    "What became of the simulated models. Singular fits (a spread estimated as zero) count in every share; what failed "
-    "or was not estimable is in none, and is never taken for a slope that was not found."
+    "What became of the simulated models. Singular fits (a spread estimated as zero) count in every share; those "
+    "that failed or were not estimable are in none, and are never counted as non-significant."
 )
 ERRORS = (
     "How often the analysis is wrong: share of studies without any slope in which p is below 0.05 (nominal 0.05), and "

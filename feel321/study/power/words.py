@@ -26,7 +26,7 @@ def describe_plan(result: Planned) -> str:
     if isfinite(row["simulated"]):
         ends = f"{row['simulated_low']:.2f} to {row['simulated_high']:.2f}"
         power = f"{format_power(row['simulated'])} (95 % Monte Carlo interval {ends})"
-    return f"Plan {describe_size(result)}: {describe_slope(row)} is then found with a power of {power}."
+    return f"Plan {describe_size(result)}: the power to find {describe_slope(row)} is then {power}."
 
 
 def _explain_none(result: Planned, row: Mapping[str, Any]) -> str:
@@ -44,7 +44,7 @@ def _explain_none(result: Planned, row: Mapping[str, Any]) -> str:
         units = describe_units(int(best["recordings"]), int(best["reducers"]))
         ceiling = format_power(float(best["ceiling"]))
         return (
-            f"No number of participants is enough: {describe_slope(row)} is found with a power of {ceiling} at most, "
+            f"No number of participants is enough: the power to find {describe_slope(row)} is at most {ceiling} "
             f"with {units}; {_advise(result, row)}."
         )
     return _explain_tried(result, row, known)
@@ -80,11 +80,11 @@ def _advise(result: Planned, row: Mapping[str, Any]) -> str:
     """Say what would be enough instead: more recordings, or a larger slope."""
     people = format_count(int(row["participants"]) * result.share, "participant")
     if isfinite(row["recordings_needed"]):
-        return f"{format_count(int(row['recordings_needed']), 'recording')} would do with {people}"
+        return f"{format_count(int(row['recordings_needed']), 'recording')} would be enough with {people}"
     found = row["detectable"] * row["size"]
     if not isfinite(found):
         return "plan more recordings or reducers"
-    return f"{people} find slopes of {found:.2g} points per {row['per']} and steeper ones"
+    return f"{people} can find slopes of {found:.2g} points per {row['per']} or more"
 
 
 def describe_units(recordings: int, reducers: int) -> str:

@@ -333,7 +333,7 @@ class FilesTable(FileTable):
     def _check_single(self) -> Self:
         if single := [name for name in ("file", "name", "picture") if getattr(self, name)]:
             raise ValueError(
-                f"must not have {single[0]} beside files, it is of one file; leave it out"
+                f"must not have {single[0]} beside files: it applies to a single file; leave it out"
             )
         return self
 

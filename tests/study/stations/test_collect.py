@@ -296,7 +296,7 @@ def test_nothing_that_is_here_is_overwritten(stations: Any) -> None:
 def test_another_study_is_refused_with_what_differs(stations: Any) -> None:
     one, _, main = stations
     one.settings.write_text(one.settings.read_text().replace("repeats = 2", "repeats = 3"))
-    with pytest.raises(ValueError, match=r"s1/study.toml: is another study .*\(repeats 2 -> 3\)"):
+    with pytest.raises(ValueError, match=r"s1/study.toml: differs from .*\(repeats 2 -> 3\)"):
         collect(main, one)
     with pytest.raises(ValueError, match="is the study itself"):
         collect(main, main)
@@ -310,7 +310,7 @@ def test_a_tombstone_wins_wherever_it_is(stations: Any) -> None:
     found = collect(main, one, two)
     told = "\n".join(found.notes)
     assert "participant sim001: withdrew in" in told
-    assert "s2/sessions/sim003: withdrew, see" in told
+    assert "s2/sessions/sim003: participant withdrew, see" in told
     assert [name for name in read_files(main) if "sim001" in name or "sim003" in name] == [
         "sim001/withdrawn.json", "sim003/withdrawn.json",
     ]  # fmt: skip

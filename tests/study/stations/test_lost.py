@@ -56,9 +56,7 @@ def test_a_session_outlives_its_server(
         killed_at = journal.read_bytes().count(b"\n")
         _, printed = process.communicate()
     assert (process.returncode, printed.count("out of reach")) == (0, 1)
-    assert printed.startswith(
-        f"feel321: warning: {journal}: the ledger does not know all of it yet (postgresql"
-    )
+    assert printed.startswith(f"feel321: warning: {journal}: the ledger lags behind (postgresql")
     records = read_journal(journal).records
     assert records[-1].event == "finished"
     assert frozen_at < killed_at < len(records)

@@ -168,7 +168,7 @@ def test_without_the_server_nobody_new_begins(
     simulate_study(study, participants=1, seed=1, now=tell_time, warn=warnings.append)
     assert "out of reach" in " ".join(warnings)
     with pytest.raises(
-        ConnectionError, match=r"planned on this station can go on, got sim002"
+        ConnectionError, match=r"planned at this station can continue, got sim002"
     ) as refusal:
         simulate_study(study, participants=2, seed=1, now=tell_time)
     assert "\n" not in str(refusal.value)
