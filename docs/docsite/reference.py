@@ -70,7 +70,8 @@ def _describe(module: ModuleType, name: str) -> str:
     thing = getattr(module, name)
     if inspect.isclass(thing):
         # A record is described in the face of the functions that return it, where it is in both.
-        double = module.__name__ == "feel321.results" and thing in vars(analysis).values()
+        shown = [getattr(analysis, other) for other in analysis.__all__]
+        double = module.__name__ == "feel321.results" and thing in shown
         return f".. autoclass:: {name}\n   :members:\n" + "   :no-index:\n" * double
     if inspect.isfunction(thing):
         return f".. autofunction:: {name}\n"
