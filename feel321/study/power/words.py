@@ -45,7 +45,7 @@ def _explain_none(result: Planned, row: Mapping[str, Any]) -> str:
         ceiling = format_power(float(best["ceiling"]))
         return (
             f"No number of participants is enough: the power to find {describe_slope(row)} is at most {ceiling} "
-            f"with {units}; {_advise(result, row)}."
+            f"in closed form with {units}; {_advise(result, row)}."
         )
     return _explain_tried(result, row, known)
 
@@ -71,8 +71,8 @@ def _explain_tried(result: Planned, row: Mapping[str, Any], known: DataFrame) ->
             f"None of these designs is enough: no session can be made of those that find {slope}."
         )
     return (
-        f"None of these designs is enough: {slope} is found with a power of {power} at most, with up to "
-        f"{format_count(most, 'participant')}; {_advise(result, row)}."
+        f"None of these designs is enough: {slope} is found with a power of {power} at most in closed form, "
+        f"with up to {format_count(most, 'participant')}; {_advise(result, row)}."
     )
 
 
