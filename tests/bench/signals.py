@@ -248,7 +248,7 @@ def high_water_kib():
 
 reduce = lambda a: (stimuli.reduce_many if a.ndim > 2 else stimuli.reduce)(a, sys.argv[1], rate_hz=10_000)
 shape = tuple(map(int, sys.argv[2:]))
-reduce(np.ones((*shape[:-2], 3, 100))[:2])
+reduce(np.ones((*shape[:-1], 100)))
 acceleration = np.random.default_rng(0).standard_normal(shape)
 before = high_water_kib()
 reduce(acceleration)
