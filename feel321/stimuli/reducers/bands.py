@@ -145,4 +145,5 @@ class FilterBank:
                 np.ones(1), np.array([1.0, -memory]), powers, zi=self._energies[place]
             )
             reduced += kept * match_energy(energies[..., 0, :], energies[..., 1, :])
+            del band, kept, powers, energies  # or they would lie beside those of the next band
         return reduced
