@@ -144,6 +144,7 @@ class FilterBank:
             energies, self._energies[place] = lfilter(
                 np.ones(1), np.array([1.0, -memory]), powers, zi=self._energies[place]
             )
+            del band, powers
             reduced += kept * match_energy(energies[..., 0, :], energies[..., 1, :])
-            del band, kept, powers, energies  # or they would lie beside those of the next band
+            del kept, energies  # or they would lie beside those of the next band
         return reduced
