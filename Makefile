@@ -88,5 +88,5 @@ clean: ## remove everything that can be made again
 .venv/.tests: pyproject.toml constraints.txt .ci/packages.txt | .venv/bin/python
 	sed 's/#.*//' .ci/packages.txt | xargs .ci/apt-install
 	@echo "Installing into .venv, PsychoPy included: one to three minutes and 2 GB, once"
-	$(PIP) -e '.[dev,docs,rig,ide,monitor,cluster,server,parquet]'
+	$(PIP) -e '.[dev,docs,rig,ide,monitor,cluster,server,parquet,lsl,bayes,fuzz,supply]'
 	touch $@ .venv/.runs
