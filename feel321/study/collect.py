@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from feel321.doors import announce
 from feel321.files import hold_lock, sync_folder, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.audit import list_files
+from feel321.study.auditing.journals import list_files
 from feel321.study.folder import require_study
 from feel321.study.ledger import database, progress, slots, withdrawal
 from feel321.study.session import journal as journals

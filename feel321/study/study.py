@@ -450,7 +450,9 @@ class Study(Plannable):
         Audit
             Every change, and the seal.
         """
-        from feel321.study.audit import audit_study, list_remarks, make_seal
+        from feel321.study.auditing.entries import list_remarks
+        from feel321.study.auditing.seal import make_seal
+        from feel321.study.auditing.study import audit_study
         from feel321.study.findings import Audit
 
         with follow(self.progress, "audit") as step:

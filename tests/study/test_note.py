@@ -13,7 +13,9 @@ import pytest
 from feel321.files import hold_lock
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import lab
-from feel321.study.audit import audit_steps, audit_study, make_seal
+from feel321.study.auditing.seal import make_seal
+from feel321.study.auditing.steps import audit_steps
+from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.lab import Visit, run_participant
 from feel321.study.ledger.notes import take_note

@@ -20,7 +20,7 @@ import pytest
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import cli
 from feel321.study import collect as collecting
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.collect import Collected, collect_sessions
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import slots

@@ -18,7 +18,7 @@ import pytest
 from feel321.protocols.trial import place_in_groups
 from feel321.study import cli
 from feel321.study import server as servers
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.collect import collect_sessions
 from feel321.study.ledger import database, slots, stations
 from feel321.study.ledger.notes import take_note

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.audit import audit_study, make_seal
+from feel321.study.auditing.seal import make_seal
+from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.database import open_ledger, rewrite_ledger
