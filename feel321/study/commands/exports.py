@@ -64,12 +64,14 @@ def export(  # noqa: PLR0913 - one per option
     """
     if (r_folder is None) == (bids_folder is None):
         raise click.UsageError("export needs one format; give --bids DIR or --r DIR")
-    if bids_folder is not None:
+    if r_folder is None or bids_folder is not None:
         if ratings is not None or metrics:
             raise click.UsageError(
-                "--bids takes a study: its journals hold what a dataset needs; leave out --ratings, --manifest and --metric"
+                "--bids takes a whole study; leave out --ratings, --manifest and --metric"
             )
-        _export_bids(folder, bids_folder, keep_ids=keep_ids, simulated=simulated, report=report)
+        _export_bids(
+            folder, bids_folder or folder, keep_ids=keep_ids, simulated=simulated, report=report
+        )
         return
     if keep_ids or simulated or report:
         raise click.UsageError(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.study.export import credit
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from feel321.study.actuator.certificate import Certificate
     from feel321.study.export.writing import Content
@@ -53,10 +53,22 @@ def make_crate(
     sealed = {"@id": "#seal", "@type": "PropertyValue", "name": "seal of the study", "value": seal}
     root = describe_root(settings, hasPart=listed, creator=people, mentions=actions)
     root["identifier"] = [*([root["identifier"]] if "identifier" in root else []), _point(sealed)]
-    return {
-        "@context": CONTEXT,
-        "@graph": [about, root, sealed, *people, *programs, *rigs, *actions, *listed],
-    }
+    entities = [about, root, sealed, *people, *programs, *rigs, *actions, *listed]
+    return {"@context": CONTEXT, "@graph": [flat for one in entities for flat in flatten(one)]}
+
+
+def flatten(entity: Entity) -> Iterator[Entity]:
+    """List an entity and those within it, which stand beside it in a crate and are pointed to."""
+    own: Entity = {}
+    for name, value in entity.items():
+        several = value if isinstance(value, list) else [value]
+        inner = [one for one in several if isinstance(one, dict) and "@type" in one]
+        for number, one in enumerate(inner, start=1):
+            one.setdefault("@id", f"#{entity['@id'].lstrip('#')}-{name}{number}")
+            yield from flatten(one)
+        pointed = [_point(one) if one in inner else one for one in several]
+        own[name] = pointed if isinstance(value, list) else pointed[0]
+    yield own
 
 
 def _point(entity: Entity) -> Entity:

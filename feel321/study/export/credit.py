@@ -1,4 +1,4 @@
-"""Who made a dataset and how it may be used: `dataset_description.json`, `CITATION.cff`, README, CHANGES and LICENSE."""
+"""Who made a dataset and how it may be used: `dataset_description.json`, `CITATION.cff`, README, LICENSE."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from feel321 import __version__
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from feel321.study.export.tables import Sheet
     from feel321.study.settings.publication import AuthorTable, PublicationTable
     from feel321.study.settings.schema import Settings
 
@@ -23,7 +22,9 @@ def find_title(settings: Settings) -> str:
     return settings.publication.title or settings.study.name
 
 
-def describe_dataset(settings: Settings, sheets: Sequence[Sheet], *, seal: str) -> dict[str, Any]:
+def describe_dataset(
+    settings: Settings, variables: Sequence[dict[str, Any]], *, seal: str
+) -> dict[str, Any]:
     """Make `dataset_description.json`: what BIDS wants, and what Psych-DS wants in the words of schema.org."""
     own = settings.publication
     bids = {
@@ -52,7 +53,7 @@ def describe_dataset(settings: Settings, sheets: Sequence[Sheet], *, seal: str) 
         "datePublished": own.released,
         "keywords": own.keywords,
         "identifier": own.doi and f"https://doi.org/{own.doi}",
-        "variableMeasured": list_variables(sheets),
+        "variableMeasured": variables,
     }
     return {name: value for name, value in {**bids, **linked}.items() if value}
 
@@ -68,22 +69,6 @@ def describe_author(author: AuthorTable) -> dict[str, Any]:
         "affiliation": author.affiliation and {"@type": "Organization", "name": author.affiliation},
     }
     return {name: value for name, value in entry.items() if value}
-
-
-def list_variables(sheets: Sequence[Sheet]) -> list[dict[str, Any]]:
-    """List the columns of all data files as schema.org describes variables."""
-    found: dict[str, dict[str, Any]] = {}
-    for sheet in sheets:
-        for name in sheet.columns:
-            known = sheet.meanings.get(name, {})
-            entry = {
-                "@type": "PropertyValue",
-                "name": name,
-                "description": known.get("Description"),
-            }
-            units = {"unitText": known["Units"]} if "Units" in known else {}
-            found.setdefault(name, {**entry, **units})
-    return list(found.values())
 
 
 def spdx(licence: str) -> str:
@@ -148,8 +133,8 @@ def write_readme(settings: Settings, *, people: int, simulated: int, missing: Se
         "- ro-crate-metadata.json, CITATION.cff: authors, licence, software, apparatus (RO-Crate)", "",
         "Read it with feel321.analysis.read_bids(folder), or analyse it with: feel321 analyze --bids folder", "",
         "De-identification: participants are numbered in random order; times are relative to the start of a session;",
-        "ages are in bands; left out are personal answers, texts that participants typed, notes of experimenters, days,",
-        "names of machines and people, and everything of those who withdrew.",
+        "ages are in bands; left out are personal answers, texts that participants typed, notes of experimenters, days",
+        "of the year, names of machines and people, and everything of those who withdrew.",
         *unsaid,
     ]  # fmt: skip
     return "\n".join(lines) + "\n"

@@ -13,6 +13,8 @@ from feel321.study.actuator import certificate as certificates
 from feel321.study.export import credit, people, tables, writing
 from feel321.study.export.crate import make_crate
 from feel321.study.ledger.progress import note_estimates
+from feel321.study.persons import outputs
+from feel321.study.session.journal import utc_now
 from feel321.study.settings import read
 
 if TYPE_CHECKING:
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.sheets import Further
     from feel321.study.export.people import Person
-    from feel321.study.export.tables import Sheet
+    from feel321.study.export.tables import DataSheet
     from feel321.study.export.writing import Content
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
@@ -59,13 +61,12 @@ class _Gathered:
 def export_bids(study: StudyFolder, folder: Path, choices: ExportChoices) -> list[str]:
     """Write the dataset, and list what `[publication]` does not say."""
     writing.check_target(folder)
-    if folder.resolve() == study.path.resolve() or folder.resolve() in study.path.resolve().parents:
-        raise ValueError(
-            f"{folder}: must not be the study's folder or one around it; choose another"
-        )
     gathered = _gather(study, choices)
     files = dict(_list_files(gathered, choices))
     writing.write_folder(folder, files)
+    outputs.record_output(
+        study, "export", folder, files=[folder / name for name in files], now=utc_now
+    )
     return gathered.settings.publication.list_missing()
 
 
@@ -92,7 +93,7 @@ def _gather(study: StudyFolder, choices: ExportChoices) -> _Gathered:
 def _list_files(gathered: _Gathered, choices: ExportChoices) -> Iterator[tuple[str, Content]]:
     """List every file of the dataset with its content; the crate comes last, for it lists them."""
     from feel321.analysis.report.write import list_versions
-    from feel321.study.audit import make_seal
+    from feel321.study.auditing.seal import make_seal
 
     seal, settings = make_seal(gathered.study), gathered.settings
     files = {
@@ -129,12 +130,14 @@ def _list_tables(gathered: _Gathered, *, seal: str) -> Iterator[tuple[str, Conte
     sheets |= dict(_merge(judged))
     for name, sheet in sheets.items():
         yield f"data/{name}_data.csv", sheet.to_csv()
-    about = credit.describe_dataset(gathered.settings, list(sheets.values()), seal=seal)
+    about = credit.describe_dataset(
+        gathered.settings, tables.list_variables(list(sheets.values())), seal=seal
+    )
     yield "dataset_description.json", tables.write_json(about)
 
 
 def _write_sheet(
-    name: str, sheet: Sheet, more: Mapping[str, Any] | None = None
+    name: str, sheet: DataSheet, more: Mapping[str, Any] | None = None
 ) -> Iterator[tuple[str, Content]]:
     yield f"{name}.tsv", sheet.to_tsv()
     yield f"{name}.json", tables.write_json({**(more or {}), **sheet.to_sidecar()})
@@ -146,7 +149,7 @@ def label_task(protocol: str) -> str:
 
 
 def _write_judgements(
-    judged: Mapping[tuple[str, int, str], Sheet], gathered: _Gathered
+    judged: Mapping[tuple[str, int, str], DataSheet], gathered: _Gathered
 ) -> Iterator[tuple[str, Content]]:
     """Write a table per participant, session and task, and a sidecar per task."""
     several = any(session > 1 for _, session, _ in judged)
@@ -163,7 +166,7 @@ def _write_judgements(
         yield f"task-{task}_beh.json", tables.write_json({**about, **sheet.to_sidecar()})
 
 
-def _merge(judged: Mapping[tuple[str, int, str], Sheet]) -> Iterator[tuple[str, Sheet]]:
+def _merge(judged: Mapping[tuple[str, int, str], DataSheet]) -> Iterator[tuple[str, DataSheet]]:
     """Merge the judgements of everybody by task."""
     for protocol in dict.fromkeys(protocol for *_, protocol in judged):
         own = {key: sheet for key, sheet in judged.items() if key[2] == protocol}
@@ -176,11 +179,11 @@ def _merge(judged: Mapping[tuple[str, int, str], Sheet]) -> Iterator[tuple[str, 
         meanings = {**tables.describe("ratings.csv", ["participant_id"]), **first.meanings}
         yield (
             f"task-{label_task(protocol)}",
-            tables.Sheet(("participant_id", *first.columns), rows, meanings),
+            tables.DataSheet(("participant_id", *first.columns), rows, meanings),
         )
 
 
-def _make_stimuli(gathered: _Gathered) -> Sheet:
+def _make_stimuli(gathered: _Gathered) -> DataSheet:
     """Make the table of stimuli: the manifest, with what its recordings are of and which are one and the same."""
     with gathered.study.manifest.open(encoding="utf-8", newline="") as file:
         reader = csv.DictReader(file)
@@ -192,7 +195,7 @@ def _make_stimuli(gathered: _Gathered) -> Sheet:
     further |= (
         {} if labels is None else {str(name): dict(labels[name].fillna("")) for name in labels}
     )
-    return tables.make_stimuli(header, rows, further, gathered.table.info)
+    return tables.make_stimuli(header, rows, further=further, info=gathered.table.info)
 
 
 def _list_words(gathered: _Gathered) -> Iterator[tuple[str, Content]]:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.files import write_text
 from feel321.protocols.questions import find_question
-from feel321.study.answers import read_answers
 from feel321.study.ledger import progress as progresses
+from feel321.study.persons.answers import read_answers
 from feel321.study.ratings import read_judgements
 from feel321.study.session.plan import require_own_plan
 
@@ -126,7 +126,7 @@ def band_age(years: float) -> str:
 
 
 def rename(values: Iterable[str], stem: str) -> dict[str, str]:
-    """Number names that could tell where and when something was made; `uncalibrated` and nothing stay."""
+    """Give numbers to names that tell where and when something was made; `uncalibrated` and nothing stay."""
     kept = {"", "uncalibrated"}
     found = [value for value in dict.fromkeys(values) if value not in kept]
     return {value: value for value in kept} | {

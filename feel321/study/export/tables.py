@@ -43,7 +43,7 @@ LAST = ("training_passed", "rig", "calibration")
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class DataSheet:
     """A table: its columns, its rows as texts, and what each column means.
 
     meanings: column -> what a BIDS sidecar says of it.
@@ -118,7 +118,7 @@ def describe(
 
 def make_judgements(
     people: Sequence[Person], info: Mapping[str, MetricInfo]
-) -> dict[tuple[str, int, str], Sheet]:
+) -> dict[tuple[str, int, str], DataSheet]:
     """Make a sheet of judgements for every participant, session and task."""
     columns = RATING_COLUMNS[1:]
     meanings = describe("ratings.csv", columns, info)
@@ -127,10 +127,10 @@ def make_judgements(
         for row in person.rows:
             key = (person.label, int(row["session"]), str(row["protocol"]))
             parts[key].append({name: write_cell(row[name]) for name in columns})
-    return {key: Sheet(columns, tuple(rows), meanings) for key, rows in parts.items()}
+    return {key: DataSheet(columns, tuple(rows), meanings) for key, rows in parts.items()}
 
 
-def make_roster(people: Sequence[Person], renamed: Mapping[str, Mapping[str, str]]) -> Sheet:
+def make_roster(people: Sequence[Person], renamed: Mapping[str, Mapping[str, str]]) -> DataSheet:
     """Make the sheet of participants; without days, design numbers and names of rigs."""
     factors = list(dict.fromkeys(name for one in people for name in one.progress.groups))
     measured = list(dict.fromkeys(name for one in people for name in one.progress.thresholds))
@@ -144,11 +144,11 @@ def make_roster(people: Sequence[Person], renamed: Mapping[str, Mapping[str, str
         rows.append({name: write_cell(own.get(name)) for name in columns})
     meanings = describe("participants.csv", columns)
     group = {"Description": "group of the participant, a factor in which participants differ"}
-    return Sheet(columns, tuple(rows), {**meanings, **dict.fromkeys(factors, group)})
+    return DataSheet(columns, tuple(rows), {**meanings, **dict.fromkeys(factors, group)})
 
 
-def make_answers(people: Sequence[Person], questions: Sequence[Question]) -> Sheet | None:
-    """Make the sheet of answers that may be passed on, a column per question and occasion; None where there are none."""
+def make_answers(people: Sequence[Person], questions: Sequence[Question]) -> DataSheet | None:
+    """Make the sheet of answers that may be passed on, a column per question and occasion, if there are any."""
     known = {question.name: question for question in questions}
     found = sorted({name for one in people for name in one.answers}, key=_order(known))
     if not found:
@@ -165,7 +165,7 @@ def make_answers(people: Sequence[Person], questions: Sequence[Question]) -> She
         elif question and question.kind == "choice":
             meanings[name]["Levels"] = {text: text for text in question.options}
     rows = tuple({"participant_id": one.name, **one.answers} for one in people)
-    return Sheet(("participant_id", *found), rows, meanings)
+    return DataSheet(("participant_id", *found), rows, meanings)
 
 
 def _order(known: Mapping[str, Question]) -> Any:  # noqa: ANN401 - a key for sorting
@@ -182,13 +182,29 @@ def _order(known: Mapping[str, Question]) -> Any:  # noqa: ANN401 - a key for so
 
 
 def make_stimuli(
-    header: Sequence[str], rows: Iterable[Mapping[str, str]], further: Mapping[str, Mapping[str, str]],
+    header: Sequence[str], rows: Iterable[Mapping[str, str]], *, further: Mapping[str, Mapping[str, str]],
     info: Mapping[str, MetricInfo],
-) -> Sheet:  # fmt: skip
+) -> DataSheet:  # fmt: skip
     """Make the sheet of stimuli, as the manifest has them; further: column -> value by recording."""
     added = [name for name in further if name not in header]
     columns = (*header, *added)
     full = tuple(
         {**row, **{name: further[name].get(row["recording"], "") for name in added}} for row in rows
     )
-    return Sheet(columns, full, describe("stimuli/manifest.csv", columns, info))
+    return DataSheet(columns, full, describe("stimuli/manifest.csv", columns, info))
+
+
+def list_variables(sheets: Sequence[DataSheet]) -> list[dict[str, Any]]:
+    """List the columns of all data files as schema.org describes variables."""
+    found: dict[str, dict[str, Any]] = {}
+    for sheet in sheets:
+        for name in sheet.columns:
+            known = sheet.meanings.get(name, {})
+            entry = {
+                "@type": "PropertyValue",
+                "name": name,
+                "description": known.get("Description"),
+            }
+            units = {"unitText": known["Units"]} if "Units" in known else {}
+            found.setdefault(name, {**entry, **units})
+    return list(found.values())
