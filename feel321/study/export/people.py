@@ -85,8 +85,7 @@ def name_people(study: StudyFolder, names: Sequence[str], *, keep_ids: bool) -> 
         return {name: name for name in names}
     path = study.path / KEY_FILE
     if not path.exists():
-        write_text(path, f"{secrets.token_hex(32)}\n")
-        path.chmod(0o600)
+        write_text(path, f"{secrets.token_hex(32)}\n", private=True)
     key = bytes.fromhex(path.read_text(encoding="utf-8").strip())
     drawn = sorted(names, key=lambda name: hmac.new(key, name.encode(), hashlib.sha256).hexdigest())
     width = max(2, len(str(len(drawn))))

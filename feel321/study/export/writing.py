@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.files import sync_folder
+from feel321.files import make_folder, sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -46,7 +46,7 @@ def check_target(folder: Path) -> None:
 def write_folder(folder: Path, files: Mapping[str, Content]) -> None:
     """Write all files beside their place and then move them there together; an earlier export gives way."""
     check_target(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(folder.parent)
     new, old = (folder.with_name(f".{folder.name}.{os.getpid()}.{end}") for end in ("part", "old"))
     shutil.rmtree(new, ignore_errors=True)
     try:
