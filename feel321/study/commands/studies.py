@@ -408,6 +408,7 @@ Example: feel321 analyze my-study
          feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
          feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match --metric temporal_match
          feel321 analyze my-study --rivals
+         feel321 analyze --bids dataset --out report
 """
 
 
@@ -415,6 +416,13 @@ Example: feel321 analyze my-study
 @shared.folder_argument
 @shared.ratings_option
 @shared.manifest_option
+@click.option(
+    "--bids",
+    "dataset",
+    metavar="DIR",
+    type=shared.FILE,
+    help="A dataset that export --bids wrote, instead of a study; with --out.",
+)
 @click.option(
     "--out", type=shared.FILE, help="Folder of the report.  [default: report/ in the study]"
 )
@@ -430,6 +438,7 @@ def analyze(  # noqa: PLR0913 - one per option
     *,
     ratings: Path | None,
     manifest: Path | None,
+    dataset: Path | None,
     out: Path | None,
     metrics: tuple[str, ...],
     rivals: bool,
@@ -446,6 +455,17 @@ def analyze(  # noqa: PLR0913 - one per option
         raise click.UsageError(
             "--manifest needs --ratings; give both, or --ratings alone in a study"
         )
+    if dataset is not None:
+        if out is None or ratings is not None or metrics or rivals:
+            raise click.UsageError(
+                "--bids takes a dataset and --out DIR, and no other choice; its own are exported with it"
+            )
+        from feel321.study.export.readback import analyze_dataset
+
+        with shared.show_progress("analyze") as progress:
+            analyze_dataset(dataset, out, progress=progress)
+        shared.print_results(out, as_json=as_json)
+        return
     study = StudyFolder(folder)
     if ratings is not None and manifest is None and not study.settings.is_file():
         raise click.UsageError(

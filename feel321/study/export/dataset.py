@@ -6,7 +6,9 @@ import csv
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from feel321.analysis.bids import CHOICES
 from feel321.files import digest_file
+from feel321.names import METRIC_INFO
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import analyze
 from feel321.study.actuator import certificate as certificates
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
 OWN = "derivatives/feel321"
 """What feel321 makes of the data, a derivative dataset of its own."""
 
-CHOICES = f"{OWN}/code/analysis.json"
 IGNORED = "/data\n/ro-crate-metadata.json\n"
 """`.bidsignore`: what Psych-DS and RO-Crate want and BIDS has no place for."""
 
@@ -249,6 +250,8 @@ def describe_choices(gathered: _Gathered) -> dict[str, Any]:
     settings, further = gathered.settings, gathered.further
     frames = {"metrics": further.metrics.reset_index(), "mountings": further.mountings}
     paper = settings.paper
+    ours = {name: one for name, one in gathered.table.info.items() if name not in METRIC_INFO}
+    info = {**ours, **analyze.list_info(settings)}
     return {
         "name": settings.study.name,
         "seed": settings.study.seed,
@@ -256,7 +259,7 @@ def describe_choices(gathered: _Gathered) -> dict[str, Any]:
         "keep_ids": all(one.label == one.progress.participant for one in gathered.people),
         "analysis": settings.analysis.model_dump(mode="json", exclude={"screening"}),
         "screening_left_out": len(settings.analysis.screening),
-        "info": {name: _dump(one) for name, one in gathered.table.info.items()},
+        "info": {name: _dump(one) for name, one in info.items()},
         "further": {
             name: None if frame is None else frame.to_dict("list") for name, frame in frames.items()
         },
