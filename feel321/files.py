@@ -195,7 +195,7 @@ LONGEST_LINE = 1000
 
 
 def as_line(text: str) -> str:
-    """Put a refusal on one line that can be printed: a file's own names may hold line feeds and worse, or be endless."""
+    """Put a refusal on one line that can be printed: a file's own names may hold line feeds, or be endless."""
     if len(text) > LONGEST_LINE:
         text = f"{text[: LONGEST_LINE // 2]} ... {text[-LONGEST_LINE // 2 :]}"
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -20,6 +20,7 @@ import tempfile
 import time
 import types
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).resolve().parent
 MOST_BYTES = 2**16
 RESULT = "result.json"
+say = partial(print, flush=True)
 KEPT = 5
 """Inputs that are kept of each way in which the law was broken."""
 
@@ -61,7 +63,7 @@ class Campaign:
             kind = "".join(c for c in str(error)[:120] if not c.isdigit())
             self.broken[kind] += 1
             if self.broken[kind] <= KEPT:
-                print(f"{self.name}: {error!s:.600}", file=sys.stderr, flush=True)
+                sys.stderr.write(f"{self.name}: {error!s:.600}\n")
                 keep(self.name, content, self.place / "found")
         if time.perf_counter() - self.began > self.seconds:
             self.end()
@@ -95,7 +97,7 @@ def fuzz(name: str, study: Path, place: Path, seconds: float) -> None:
         (corpus / f"seed{number}").write_bytes(content[:MOST_BYTES])
 
     def change(content: bytes, most: int, seed: int) -> bytes:
-        rng = random.Random(seed)
+        rng = random.Random(seed)  # noqa: S311 - libFuzzer's own
         if rng.random() < 1 / 2:
             return bytes(atheris.Mutate(content, most))
         return mutate(rng, content, trial.inputs)[:most]
@@ -119,7 +121,11 @@ def run(name: str, study: Path, out: Path, seconds: float) -> dict[str, Any]:
     place = out / fold(name)
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
-    words = ["--child", "--parser", name, "--seconds", str(seconds), "--study", str(study), "--out", str(place)]  # fmt: skip
+    facts = {"parser": name, "seconds": seconds, "study": study, "out": place}
+    words = [
+        "--child",
+        *(word for key, value in facts.items() for word in (f"--{key}", str(value))),
+    ]
     with (place / "said.txt").open("wb") as said:
         code = subprocess.call([sys.executable, __file__, *words], stdout=said, stderr=said)
     for kept in place.glob("found/*/*"):
@@ -130,8 +136,8 @@ def run(name: str, study: Path, out: Path, seconds: float) -> dict[str, Any]:
     if not result.is_file():
         tail = (place / "said.txt").read_text(encoding="utf-8", errors="replace")[-500:]
         return {"parser": name, "died": code, "said": tail}
-    facts: dict[str, Any] = json.loads(result.read_text(encoding="utf-8"))
-    return facts
+    counted: dict[str, Any] = json.loads(result.read_text(encoding="utf-8"))
+    return counted
 
 
 HEAD = "| parser | inputs | s | inputs/s | gave a value | peak MB | broke the law |\n|---|---|---|---|---|---|---|"
@@ -166,14 +172,14 @@ def main(words: Sequence[str] | None = None) -> int:
     study = given.study or out / "study"
     if not study.exists():
         seeds.make_study(study)
-    print(HEAD, flush=True)
+    say(HEAD)
     results = []
     for name in given.parser or PARSERS:
         results.append(run(name, study, out, given.seconds))
-        print(format_row(results[-1]), flush=True)
+        say(format_row(results[-1]))
     (out / "results.json").write_text(json.dumps(results, indent=1), encoding="utf-8")
     inputs = sum(facts.get("inputs", 0) for facts in results)
-    print(f"| all | {inputs} | {sum(facts.get('seconds', 0) for facts in results):.0f} |")
+    say(f"| all | {inputs} | {sum(facts.get('seconds', 0) for facts in results):.0f} |")
     return int(any(facts.get("broken", 1) for facts in results))
 
 

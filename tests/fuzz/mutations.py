@@ -17,11 +17,26 @@ NUMBERS: Final = (
     b"-9223372036854775809", b"18446744073709551616", b"1" + b"0" * 400, b"0x10", b"1_000", b"true", b"null", b"1,5",
 )  # fmt: skip
 TEXTS: Final = (
-    b"", b"\0", b"\x1b[31m", b"\xff", b"\xc3\x28", "‮".encode(), "\u2028".encode(), "\U0010ffff".encode(),
-    b"\\ud800", b"\\u0000", b"../../etc/passwd", b"=1+1", b"@x", b"[[[[", b"{" * 200, b"[" * 5000, b"]", b"}", b'"', b"'",
-    b"\r", b"\n", b"\r\n\r\n", b",", b";", b"\t", b"#", b"%s%n", b"{0.__class__}", b"null", b"[]", b"{}", b'""', b"1e999",
+    b"", b"\0", b"\x1b[31m", b"\xff", b"\xc3\x28", "\u202e".encode(), "\u2028".encode(), "\U0010ffff".encode(),
+    b"\\ud800", b"\\u0000", b"../../etc/passwd",
+    b"=1+1", b"@x", b"[[[[", b"{" * 200, b"[" * 5000,
+    b"]", b"}", b'"', b"'",
+    b"\r", b"\n", b"\r\n\r\n", b",", b";", b"\t", b"#", b"%s%n", b"{0.__class__}", b"null", b"[]", b"{}", b'""',
 )  # fmt: skip
-EDGES: Final = (0, 1, 2, 0x7F, 0x80, 0xFF, 0x7FFF, 0x8000, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF)
+EDGES: Final = (
+    0,
+    1,
+    2,
+    0x7F,
+    0x80,
+    0xFF,
+    0x7FFF,
+    0x8000,
+    0xFFFF,
+    0x7FFFFFFF,
+    0x80000000,
+    0xFFFFFFFF,
+)
 
 
 def _place(rng: Random, content: bytes) -> tuple[int, int]:

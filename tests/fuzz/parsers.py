@@ -33,14 +33,15 @@ from feel321.stimuli import port, wav
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.sets.build import read_history
 from feel321.stimuli.sets.manifest import check_stimuli, find_methods, read_stimuli
-from feel321.study import audit, collect, folder, server
+from feel321.study import collect, folder, server
 from feel321.study.actuator import certificate, rig
-from feel321.study.answers import read_answers
+from feel321.study.auditing.study import audit_study
 from feel321.study.cli import feel321
 from feel321.study.commands import signals
 from feel321.study.ledger import progress, rigs, slots
 from feel321.study.monitor.hand import BrowserWindow
 from feel321.study.monitor.server import Door, make_app
+from feel321.study.persons.answers import read_answers
 from feel321.study.ratings import read_judgements
 from feel321.study.session import journal, plan
 from feel321.study.settings import read as settings
@@ -49,6 +50,7 @@ from tests.fuzz import seeds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
+
 
 def _unchanged(content: bytes) -> bytes:
     return content
@@ -60,7 +62,7 @@ class Parser:
 
     file: under which name they lie in the scratch folder. beside: parts of the seed study that are copied there. write:
     writes a value again, where the product can. lines: of a message, at most: a settings' file lists all its faults.
-    typed: by whom the message is for, who may see the own words again as they are.
+    typed: by whom the message is for, who may see the own words again as they are. bounded: in memory.
     """
 
     read: Callable[[Path], object]
@@ -71,6 +73,7 @@ class Parser:
     write: Callable[[Any, Path], object] | None = None
     lines: int = 1
     typed: bool = False
+    bounded: bool = True
 
     def prepare(self, scratch: Path, study: Path) -> Path:
         """Lay out the scratch folder, and return where the input goes."""
@@ -228,7 +231,7 @@ def read_participant(path: Path) -> object:
     """Read a participant's folder in all ways; what the audit finds is words, never an exception."""
     home = path.parent
     study = folder.StudyFolder(home.parents[1])
-    findings = audit.audit_study(study)
+    findings = audit_study(study)
     assert all(isinstance(finding, str) for finding in findings)
     collect.read_holding(home)
     progress.read_progress(home)
@@ -259,7 +262,11 @@ def read_header_rig(path: Path) -> object:
 
 def read_arrays(path: Path) -> object:
     entry = json.loads(path.with_suffix(".json").read_bytes())
-    facts = {name: value for name, value in entry.items() if name not in {"format", "sha256", "arrays_sha256"}}
+    facts = {
+        name: value
+        for name, value in entry.items()
+        if name not in {"format", "sha256", "arrays_sha256"}
+    }
     return certificate._unpack(facts, path.read_bytes(), seal="")
 
 
@@ -372,93 +379,167 @@ PERSON = ("study.toml", "stimuli", "sessions")
 TOMB = "sessions/sim003/withdrawn.json"
 
 PARSERS: dict[str, Parser] = {
-    "wav": Parser(wav.read_wav, lazily(seeds.make_wavs), "a.wav", write=lambda v, p: wav.write_wav(p, *v)),
+    "wav": Parser(
+        wav.read_wav, lazily(seeds.make_wavs), "a.wav", write=lambda v, p: wav.write_wav(p, *v)
+    ),
     "recording.wav": Parser(read_recording, lazily(seeds.make_wavs), "a.wav"),
     "recording.npz": Parser(read_recording, lazily(lambda: [seeds.make_npz()]), "a.npz"),
     "recording.npz, packed": Parser(
-        read_recording, lazily(lambda: [seeds.make_npy(seeds.make_signal())]), "a.npz", dress=seeds.wrap_npy,
+        read_recording,
+        lazily(lambda: [seeds.make_npy(seeds.make_signal())]),
+        "a.npz",
+        dress=seeds.wrap_npy,
+        bounded=False,
     ),
     "recording.npy": Parser(
-        partial(read_recording, rate_hz=1000, unit="g"), lazily(lambda: [seeds.make_npy(seeds.make_signal())]), "a.npy"
+        partial(read_recording, rate_hz=1000, unit="g"),
+        lazily(lambda: [seeds.make_npy(seeds.make_signal())]),
+        "a.npy",
     ),
     "recording.mat": Parser(read_recording, lazily(seeds.make_mats), "a.mat"),
     "recording.csv": Parser(
-        partial(read_recording, rate_hz=1000, unit="g", resample=True), lazily(seeds.make_tables), "a.csv"
+        partial(read_recording, rate_hz=1000, unit="g", resample=True),
+        lazily(seeds.make_tables),
+        "a.csv",
     ),
     "recording.csv, columns": Parser(
-        partial(read_recording, rate_hz=1000, unit="g", columns=("x", "y", "z")), lazily(seeds.make_tables), "a.csv"
+        partial(read_recording, rate_hz=1000, unit="g", columns=("x", "y", "z")),
+        lazily(seeds.make_tables),
+        "a.csv",
     ),
     "recording.xml": Parser(read_recording, lazily(lambda: [seeds.make_hatt()]), "a.xml"),
     "recording.txt, LMT": Parser(
-        partial(read_recording, unit="g"), given(b"0.5\n-1.25\n3e-2\n", b"1,5\r\n2,5\r\n-4,0\r\n"), LMT,
+        partial(read_recording, unit="g"),
+        given(b"0.5\n-1.25\n3e-2\n", b"1,5\r\n2,5\r\n-4,0\r\n"),
+        LMT,
         tuple(LMT.replace("_X_", f"_{axis}_") for axis in "YZ"),
     ),
-    "recording.ide": Parser(read_recording, lazily(seeds.make_ides), "a.ide"),
-    "sidecar.json": Parser(read_sidecar, given(seeds.SIDECAR, b'{"full_scale": 160, "unit": "g"}'), "a.json", ("a.wav",)),
-    "sidecar.toml": Parser(read_sidecar, given(b'unit = "g"\nrate_hz = 1000.0\naxes = ["z", "y", "x"]\n'), "a.toml", ("a.wav",)),
-    "sidecar of reduce": Parser(
-        signals._read_sidecar, given(b'{"recording_sha256": "ab", "reducer": "dft321", "conditioning": {}}'), "a.json"
+    "recording.ide": Parser(read_recording, lazily(seeds.make_ides), "a.ide", bounded=False),
+    "sidecar.json": Parser(
+        read_sidecar,
+        given(seeds.SIDECAR, b'{"full_scale": 160, "unit": "g"}'),
+        "a.json",
+        ("a.wav",),
     ),
-    "study.toml": Parser(read_study_toml, of("study.toml", "template.toml"), "study.toml", lines=100),
+    "sidecar.toml": Parser(
+        read_sidecar,
+        given(b'unit = "g"\nrate_hz = 1000.0\naxes = ["z", "y", "x"]\n'),
+        "a.toml",
+        ("a.wav",),
+    ),
+    "sidecar of reduce": Parser(
+        signals._read_sidecar,
+        given(b'{"recording_sha256": "ab", "reducer": "dft321", "conditioning": {}}'),
+        "a.json",
+    ),
+    "study.toml": Parser(
+        read_study_toml, of("study.toml", "template.toml"), "study.toml", lines=100
+    ),
     "study.toml, edited": Parser(edit_study, of("study.toml", "template.toml"), "study.toml"),
     "rig.toml": Parser(rig.read_rig, of("rig.toml", "rig_all.toml"), "rig.toml", lines=100),
     "rig of a header": Parser(read_header_rig, of("rig.json"), "rig.json"),
     "texts.toml": Parser(read_texts_toml, of("texts.toml"), "texts.toml", lines=100),
     "manifest.csv": Parser(
-        read_manifest_csv, of("stimuli/manifest.csv"), "stimuli/manifest.csv", ("stimuli", "rated.csv")
+        read_manifest_csv,
+        of("stimuli/manifest.csv"),
+        "stimuli/manifest.csv",
+        ("stimuli", "rated.csv"),
     ),
     "manifest.json": Parser(
-        read_manifest_json, of("stimuli/manifest.json"), "stimuli/manifest.json", ("stimuli/manifest.csv",)
+        read_manifest_json,
+        of("stimuli/manifest.json"),
+        "stimuli/manifest.json",
+        ("stimuli/manifest.csv",),
     ),
-    "ratings.csv": Parser(read_ratings_csv, of("rated.csv", "ratings.csv"), "ratings.csv", ("stimuli",)),
+    "ratings.csv": Parser(
+        read_ratings_csv, of("rated.csv", "ratings.csv"), "ratings.csv", ("stimuli",)
+    ),
     "ratings.parquet": Parser(
-        lambda path: sheets.open_parquet(path), lazily(lambda: [seeds.make_parquet()]), "ratings.parquet"
+        sheets.open_parquet, lazily(lambda: [seeds.make_parquet()]), "ratings.parquet"
     ),
-    "participants.csv": Parser(read_people, of("participants.csv", "people.csv"), "participants.csv"),
+    "participants.csv": Parser(
+        read_people, of("participants.csv", "people.csv"), "participants.csv"
+    ),
     "published.csv": Parser(read_means, given(seeds.MATRIX, seeds.MEANS), "published.csv"),
     "journal": Parser(
-        read_chain_file, first_lines("sessions/sim001/session-01.jsonl", 6), "session-01.jsonl", write=write_lines
+        read_chain_file,
+        first_lines("sessions/sim001/session-01.jsonl", 6),
+        "session-01.jsonl",
+        write=write_lines,
     ),
     "journal, chained": Parser(
         read_participant,
-        lambda study: [*first_lines("sessions/sim001/session-01.jsonl", 14)(study), *of("sessions/sim001/*.jsonl")(study)],
-        "sessions/sim001/session-01.jsonl", PERSON, dress=chain_lines,
+        lambda study: [
+            *first_lines("sessions/sim001/session-01.jsonl", 14)(study),
+            *of("sessions/sim001/*.jsonl")(study),
+        ],
+        "sessions/sim001/session-01.jsonl",
+        PERSON,
+        dress=chain_lines,
     ),
     "plan.json": Parser(
-        read_own_plan, of("sessions/sim001/plan.json"), "sessions/sim001/plan.json", ("study.toml",), write=write_own_plan
+        read_own_plan,
+        of("sessions/sim001/plan.json"),
+        "sessions/sim001/plan.json",
+        ("study.toml",),
+        write=write_own_plan,
     ),
     "plan.json, sealed": Parser(
         read_participant, take_plan, "sessions/sim001/plan.json", PERSON, dress=seal_plan
     ),
     "withdrawn.json": Parser(
-        lambda path: progress.read_tombstone(path.parent), of(TOMB), TOMB, write=write_tomb,
+        lambda path: progress.read_tombstone(path.parent),
+        of(TOMB),
+        TOMB,
+        write=write_tomb,
         dress=partial(seal_json, digest=progress._digest),
     ),
     "certificate.json": Parser(
-        certificate.read_certificate, of("calibration/*.json"), "calibration/c.json", ("calibration/c.npz",),
+        certificate.read_certificate,
+        of("calibration/*.json"),
+        "calibration/c.json",
+        ("calibration/c.npz",),
         dress=partial(seal_json, digest=certificate._seal),
     ),
     "certificate.npz": Parser(
         read_arrays, of("calibration/c.npz"), "calibration/c.npz", ("calibration/c.json",)
     ),
     "ledger.sqlite": Parser(
-        read_ledger, of("sessions/ledger.sqlite"), "sessions/ledger.sqlite", ("study.toml", "sessions")
+        read_ledger,
+        of("sessions/ledger.sqlite"),
+        "sessions/ledger.sqlite",
+        ("study.toml", "sessions"),
     ),
     "ledger.sqlite, a cell": Parser(
-        read_ledger, given(*seeds.CELLS), "sessions/ledger.sqlite", ("study.toml", "sessions"),
+        read_ledger,
+        given(*seeds.CELLS),
+        "sessions/ledger.sqlite",
+        ("study.toml", "sessions"),
         dress=lambda content: change_cell(content, _seed_ledger()),
     ),
     "benchmark card": Parser(
-        card.read_card, of("*.card.json"), "a.card.json", write=write_own_card, dress=partial(seal_json, digest=card._digest)
+        card.read_card,
+        of("*.card.json"),
+        "a.card.json",
+        write=write_own_card,
+        dress=partial(seal_json, digest=card._digest),
     ),
-    "leaderboard": Parser(lambda path: leaderboard.read_leaderboard(path.parent), of("*.card.json"), "a.card.json"),
+    "leaderboard": Parser(
+        lambda path: leaderboard.read_leaderboard(path.parent), of("*.card.json"), "a.card.json"
+    ),
     "answer of a port": Parser(
         lambda path: port._read_answer(path.parent, "v"), given(seeds.ANSWER), "v.out.csv"
     ),
-    "answer of a program": Parser(lambda path: port._read_answer(path.parent, "v"), lazily(seeds.make_wavs), "v.out.wav"),
+    "answer of a program": Parser(
+        lambda path: port._read_answer(path.parent, "v"), lazily(seeds.make_wavs), "v.out.wav"
+    ),
     "formula": Parser(read_formula, given(*seeds.FORMULAS), "formula", typed=True),
     "command line": Parser(read_arguments, given(*seeds.ARGUMENTS), "words", typed=True),
-    "command of a method": Parser(read_command, given(b"./my321 {input} {output} --n '3 4'"), "command", typed=True),
+    "command of a method": Parser(
+        read_command, given(b"./my321 {input} {output} --n '3 4'"), "command", typed=True
+    ),
     "request of a browser": Parser(read_request, given(*seeds.REQUESTS), "request"),
-    "act of a browser": Parser(read_act, given(b'{"kind": "press", "key": "enter", "x": 0.5, "y": -1e3}'), "act"),
-}  # fmt: skip
+    "act of a browser": Parser(
+        read_act, given(b'{"kind": "press", "key": "enter", "x": 0.5, "y": -1e3}'), "act"
+    ),
+}

@@ -149,7 +149,7 @@ def make_study(folder: Path) -> None:
     from feel321.study.actuator import certificate
     from feel321.study.actuator.rig import identify, read_rig
     from feel321.study.folder import StudyFolder
-    from feel321.study.ledger.withdrawal import withdraw_participant
+    from feel321.study.persons.withdrawal import withdraw_participant
     from feel321.study.study import Study
 
     study = StudyFolder(folder)
@@ -160,7 +160,9 @@ def make_study(folder: Path) -> None:
     (folder / "rig_all.toml").write_bytes(study.rig.read_bytes() + RIG)
     (folder / "template.toml").write_bytes((templates / "template.toml").read_bytes())
     (folder / "texts.toml").write_bytes(TEXTS)
-    (folder / "rig.json").write_text(json.dumps(identify(read_rig(folder / "rig_all.toml"))), encoding="utf-8")
+    (folder / "rig.json").write_text(
+        json.dumps(identify(read_rig(folder / "rig_all.toml"))), encoding="utf-8"
+    )
     own = Study.open(folder)
     own.build(page=False)
     own.simulate(3, 1)
@@ -177,8 +179,15 @@ def make_study(folder: Path) -> None:
     for axis in "YZ":
         (folder / f"G1_Movement_{axis}_train1.txt").write_bytes(b"0.5\n-1.25\n3e-2\n")
     (folder / "people.csv").write_bytes(PEOPLE)
-    names = [line.partition(",")[0] for line in study.manifest.read_text(encoding="utf-8").splitlines()[1:]]
-    rows = [f"{who},{name},realism,{50 + 7 * k % 40}" for who in ("a", "b") for k, name in enumerate(names)]
+    names = [
+        line.partition(",")[0]
+        for line in study.manifest.read_text(encoding="utf-8").splitlines()[1:]
+    ]
+    rows = [
+        f"{who},{name},realism,{50 + 7 * k % 40}"
+        for who in ("a", "b")
+        for k, name in enumerate(names)
+    ]
     (folder / "rated.csv").write_text("\n".join([RATED, *rows]) + "\n", encoding="utf-8")
 
 
@@ -196,9 +205,12 @@ def pack_cell(table: int, column: int, kind: int, value: bytes) -> bytes:
 
 
 CELLS = [
-    pack_cell(0, 3, 2, b"running"), pack_cell(0, 2, 0, struct.pack("<q", 7)), pack_cell(1, 2, 1, struct.pack("<d", 1.5)),
-    pack_cell(1, 0, 3, b"\xff"), pack_cell(0, 1, 4, b""),
-]  # fmt: skip
+    pack_cell(0, 3, 2, b"running"),
+    pack_cell(0, 2, 0, struct.pack("<q", 7)),
+    pack_cell(1, 2, 1, struct.pack("<d", 1.5)),
+    pack_cell(1, 0, 3, b"\xff"),
+    pack_cell(0, 1, 4, b""),
+]
 
 RATED = "participant,stimulus_id,scale,rating"
 PEOPLE = b"participant,group,rig,calibration\nsim001,old,ab,c1\nsim002,young,ab,c2\n"
@@ -232,15 +244,26 @@ MATRIX = b",a,b,c\na,0,1,2\nb,1,0,3\nc,2,3,0\n"
 MEANS = b"recording,reducer,mean,sd,n\na,sax321,50,10,12\na,dft321,60,9,12\nb,sax321,40,8,12\nb,dft321,65,10,12\n"
 ANSWER = b"1.5\n2.5\n-3e-2\n"
 FORMULAS = [
-    b"y ~ a + b + (1 | g)", b"y ~ a * b + (1 + a || g) + (1 | g:h)", b"y ~ I(a**2) + `b` + (0 + a | g/h)",
+    b"y ~ a + b + (1 | g)",
+    b"y ~ a * b + (1 + a || g) + (1 | g:h)",
+    b"y ~ I(a**2) + `b` + (0 + a | g/h)",
     b"log(y) ~ C(k) + poly(a, 2) + (1 | g)",
-]  # fmt: skip
+]
 ARGUMENTS = [
-    b"power\0--participants\0" b"12\0--seed\0" b"3", b"simulate\0--participants\0" b"4\0--seed\0" b"1\0.", b"chart\0--json\0--reducer\0all",
-    b"reduce\0x.wav\0--reducer\0dft321\0-o\0y.wav\0--columns\0time,x,y,z", b"analyze\0--draws\0" b"100\0--metric\0gain",
-    b"build\0--processes\0" b"2\0--quiet", b"ledger\0--rebuild", b"export\0--json", b"monitor\0--port\0" b"0", b"texts\0de",
-]  # fmt: skip
+    b"power\0--participants\012\0--seed\03",
+    b"simulate\0--participants\04\0--seed\01\0.",
+    b"chart\0--json\0--reducer\0all",
+    b"reduce\0x.wav\0--reducer\0dft321\0-o\0y.wav\0--columns\0time,x,y,z",
+    b"analyze\0--draws\0100\0--metric\0gain",
+    b"build\0--processes\02\0--quiet",
+    b"ledger\0--rebuild",
+    b"export\0--json",
+    b"monitor\0--port\00",
+    b"texts\0de",
+]
 REQUESTS = [
-    b"GET /?token=@ HTTP/1.1\nHost: 127.0.0.1:8321\n\n", b"POST /act?token=@ HTTP/1.1\nHost: localhost:8321\n\n"
-    b'{"kind": "press", "key": "enter", "x": 0.5, "y": -0.25}', b"HEAD /screen.json?token=@&after=3 HTTP/1.1\nHost: [::1]:8321\n\n",
-]  # fmt: skip
+    b"GET /?token=@ HTTP/1.1\nHost: 127.0.0.1:8321\n\n",
+    b"POST /act?token=@ HTTP/1.1\nHost: localhost:8321\n\n"
+    b'{"kind": "press", "key": "enter", "x": 0.5, "y": -0.25}',
+    b"HEAD /screen.json?token=@&after=3 HTTP/1.1\nHost: [::1]:8321\n\n",
+]

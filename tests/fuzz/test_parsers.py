@@ -1,4 +1,4 @@
-"""Every parser, on changed files: it gives a value or one printable refusal, soon, in little memory, touching nothing."""
+"""Every parser, on changed files: a value or one printable refusal, soon, in little memory, touching nothing."""
 
 from __future__ import annotations
 
@@ -98,7 +98,8 @@ BREAKS: dict[str, Callable[[Path], Any]] = {
 
 
 @pytest.mark.parametrize("way", BREAKS)
-def test_the_law_sees(way: str, tmp_path: Path) -> None:
+def test_the_law_sees(way: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.fuzz.law.CPU_S", 0.1)
     (tmp_path / "old").touch()
     with pytest.raises(Broken), law():
         BREAKS[way](tmp_path)

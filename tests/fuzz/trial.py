@@ -34,30 +34,29 @@ class Trial:
         self.parser: Parser = PARSERS[name]
         self.scratch, self.path = scratch, self.parser.prepare(scratch, study)
         self.inputs = [*self.parser.seeds(study), *list_found(name)]
-        self.kept = self._list_files()
 
-    def __call__(self, content: bytes, *, bounded: bool = True) -> object:
+    def __call__(self, content: bytes) -> object:
         """Try an input; Broken says how the law was broken."""
         self.path.write_bytes(self.parser.dress(content))
         before = self._list_files()
-        value = self._read(self.path, bounded=bounded)
+        value = self._read(self.path)
         if self._list_files() != before:
             raise Broken(f"the folder holds {self._list_files() ^ before} after reading")
         if value is not None and self.parser.write is not None:
-            self._check_again(value, bounded=bounded)
+            self._check_again(value)
         return value
 
-    def _read(self, path: Path, *, bounded: bool) -> Any:
-        value = None
-        with law(lines=self.parser.lines, bounded=bounded, typed=self.parser.typed):
-            value = self.parser.read(path)
-        return value
+    def _read(self, path: Path) -> Any:
+        own = self.parser
+        with law(lines=own.lines, bounded=own.bounded, typed=own.typed):
+            return self.parser.read(path)
+        return None  # a refusal, which the law has judged
 
-    def _check_again(self, value: Any, *, bounded: bool) -> None:
+    def _check_again(self, value: Any) -> None:
         """Check that what is written of a value is read as that value."""
         with law(lines=self.parser.lines, bounded=False, writes=True):
             self.parser.write(value, self.path)  # type: ignore[misc]  # the caller looked
-            again = self._read(self.path, bounded=bounded)
+            again = self._read(self.path)
             if not is_same(value, again):
                 raise Broken(f"written and read again, {value!r:.300} is {again!r:.300}")
 

@@ -37,6 +37,8 @@ def read_npz(path: Path, request: common.ReadingOptions) -> common.Decoded:
         np.load(file, allow_pickle=False) as archive,
     ):
         arrays = {name: archive[name] for name in archive.files}
+        if odd := [name for name, array in arrays.items() if isinstance(array, bytes)]:
+            raise ValueError(f"{odd[0]} is not an array")
     return decode_arrays(arrays, request)
 
 

@@ -323,24 +323,25 @@ def read_entries(connection: sa.Connection, participant: str | None = None) -> l
         for row in connection.execute(people).mappings()
     ]
     for entry in entries:
-        for one in (entry, *entry.anchors):
-            _check_cells(one, connection)
+        _check_cells([entry, *entry.anchors], connection)
     return sorted(
         entries,
         key=lambda entry: (entry.simulated, entry.number, entry.state in LIVE, entry.participant),
     )
 
 
-def _check_cells(one: Entry | Anchor, connection: sa.Connection) -> None:
+def _check_cells(rows: Iterable[Entry | Anchor], connection: sa.Connection) -> None:
     """Refuse what no column of ours holds: SQLite keeps whatever it is given, of any type."""
-    for cell in (cell for cell in fields(one) if cell.type in _TYPES):
-        value = getattr(one, cell.name)
+    cells = ((one, getattr(row, one.name)) for row in rows for one in fields(row))
+    for cell, value in cells:
+        if cell.type not in _TYPES:
+            continue
         known = STATES if cell.name == "state" else None
         is_ours = type(value) is cell.type and (known is None or value in known)
         if not is_ours or (isinstance(value, int) and value < 0):
             raise ValueError(
-                f"{name_ledger(connection.engine)}: got a damaged cell ({cell.name} is {as_line(repr(value))}); move the "
-                "file away, then rebuild it from the journals: feel321 ledger --rebuild"
+                f"{name_ledger(connection.engine)}: got a damaged cell ({cell.name} is {as_line(repr(value))}); move "
+                "it away, then rebuild it from the journals: feel321 ledger --rebuild"
             )
 
 
