@@ -14,6 +14,7 @@ from feel321.study import analyze
 from feel321.study.actuator import certificate as certificates
 from feel321.study.export import credit, people, tables, writing
 from feel321.study.export.crate import make_crate
+from feel321.study.export.narrative import METHODS_FILE
 from feel321.study.ledger.progress import note_estimates
 from feel321.study.persons import outputs
 from feel321.study.session.journal import utc_now
@@ -233,6 +234,8 @@ def _list_derived(gathered: _Gathered, choices: ExportChoices) -> Iterator[tuple
     yield f"{OWN}/README", credit.write_derived_readme(title).encode()
     yield CHOICES, tables.write_json(describe_choices(gathered))
     report = gathered.study.report
+    if (report / METHODS_FILE).is_file():
+        yield f"{OWN}/docs/{METHODS_FILE}", report / METHODS_FILE
     if not choices.report:
         return
     if not (report / "results.json").is_file():
