@@ -22,7 +22,6 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.manifest import find_methods, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
-from feel321.study.export.narrative import write_methods
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import Progress as Participant
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
@@ -62,7 +61,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     if rivals:
         listed = manifest or study.manifest
         further = add_rivals(study, None if manifest else settings, listed, further=further)
-    results = write_report(
+    return write_report(
         ratings or study.ratings,
         manifest or study.manifest,
         out or study.report,
@@ -78,9 +77,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
-    if ratings is None:
-        write_methods(study, out or study.report)
-    return results
 
 
 def read_study_table(

@@ -456,15 +456,8 @@ def analyze(  # noqa: PLR0913 - one per option
             "--manifest needs --ratings; give both, or --ratings alone in a study"
         )
     if dataset is not None:
-        if out is None or ratings is not None or metrics or rivals:
-            raise click.UsageError(
-                "--bids takes a dataset and --out DIR, and no other choice; its own are exported with it"
-            )
-        from feel321.study.export.readback import analyze_dataset
-
-        with shared.show_progress("analyze") as progress:
-            analyze_dataset(dataset, out, progress=progress)
-        shared.print_results(out, as_json=as_json)
+        choices = bool(ratings or metrics or rivals)
+        _analyze_dataset(dataset, out, has_choices=choices, as_json=as_json)
         return
     study = StudyFolder(folder)
     if ratings is not None and manifest is None and not study.settings.is_file():
@@ -472,6 +465,7 @@ def analyze(  # noqa: PLR0913 - one per option
             "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
         )
     from feel321.study.analyze import analyze_study
+    from feel321.study.export.narrative import write_methods
 
     with shared.show_progress("analyze") as progress:
         analyze_study(
@@ -483,4 +477,19 @@ def analyze(  # noqa: PLR0913 - one per option
             out=out,
             progress=progress,
         )
+    if ratings is None:
+        write_methods(study, out or study.report)
     shared.print_results(out or study.report, as_json=as_json)
+
+
+def _analyze_dataset(dataset: Path, out: Path | None, *, has_choices: bool, as_json: bool) -> None:
+    """Write the report of a dataset that was exported, with the choices that lie beside it."""
+    if out is None or has_choices:
+        raise click.UsageError(
+            "--bids takes a dataset and --out DIR, and no other choice; its own are exported with it"
+        )
+    from feel321.study.export.readback import analyze_dataset
+
+    with shared.show_progress("analyze") as progress:
+        analyze_dataset(dataset, out, progress=progress)
+    shared.print_results(out, as_json=as_json)

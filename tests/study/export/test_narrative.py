@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from feel321.study.analyze import analyze_study
-from feel321.study.export.narrative import count_flow
+from feel321.study.export.narrative import count_flow, write_methods
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import require_plan
 from tests.study.export.conftest import PLANTED
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 def report(studied: StudyFolder, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("narrative") / "report"
     analyze_study(studied, out=folder)
+    write_methods(studied, folder)
     return folder
 
 
