@@ -37,6 +37,7 @@ from feel321.study.minutes import read_pace
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
+from feel321.study.session.outlet import check_lsl, open_outlet
 from feel321.study.settings import read
 from feel321.study.strength import find_unfelt
 
@@ -75,6 +76,7 @@ class Lab:
     screen: int = 0
     casting: Casting | None = None
     certificate: Certificate | None = None
+    lsl: bool = False
 
     @property
     def calibration(self) -> dict[str, str] | str:
@@ -132,6 +134,8 @@ def open_lab(
         window = stack.enter_context(screen)
         hand = stack.enter_context(_open_hand(plan, journal, stimuli, lab=lab))
         own = {} if lab.rig.keys == USUAL else {"keys": lab.rig.keys.model_dump(mode="json")}
+        if lab.lsl:
+            stack.enter_context(open_outlet(journal, clock, participant=plan.participant))
         journal.write(DeviceOpened({**output.identity, **own}))
         exploration = stack.enter_context(_open_exploration(plan, window, lab=lab, clock=clock))
         yield ScreenPresenter(
@@ -251,6 +255,7 @@ class Visit:
     simulated: bool = False
     seed: int | None = None
     accept_rig: bool = False
+    lsl: bool = False
 
 
 def run_participant(
@@ -270,10 +275,12 @@ def run_participant(
         warn(unfelt)
     rig, certificate = require_rig(study, settings, stimuli, visit=visit, now=now, warn=warn)
     check_lab(rig, screen=visit.screen)
+    if has_lsl := visit.lsl or settings.session.lsl:
+        check_lsl()
     seed = settings.study.seed if visit.seed is None else visit.seed
     casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
     view = partial(Lab, windowed=visit.windowed, screen=visit.screen)
-    lab = view(study, settings, stimuli, rig, casting=casting, certificate=certificate)
+    lab = view(study, settings, stimuli, rig, casting=casting, certificate=certificate, lsl=has_lsl)
     room, notice = open_room(study, settings, stimuli, now=now)
     if notice:
         warn(notice)
