@@ -410,6 +410,9 @@ def _withdraw_all(
 ) -> None:
     """Remove the data of those who withdrew elsewhere: a tombstone wins over what a copy still holds."""
     for participant, one in gathered.items():
+        if TOMBSTONE_FILE in one.take and (study.sessions / participant).is_dir():
+            stone = progress.read_tombstone(study.sessions / participant)
+            collected.notes += withdrawal.clear_derived(study, stone) if stone else ()
         if one.withdrew is not None:
             removed = withdrawal.withdraw_participant(
                 study,

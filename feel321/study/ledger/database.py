@@ -11,10 +11,12 @@ This module imports SQLAlchemy; import it where it is used, so that the command 
 import hashlib
 import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import Field, asdict, dataclass, field, fields
 from pathlib import Path
 from sqlite3 import Connection as SqliteConnection
+from sqlite3 import Error as SqliteError
+from sqlite3 import connect
 from threading import Timer
 from typing import Any
 
@@ -107,6 +109,20 @@ TERMS = sa.Table(
     sa.Column("name", sa.String, primary_key=True),
     sa.Column("value", sa.Text, nullable=False),
 )
+
+
+def compact(ledger: sa.Engine) -> None:
+    """Write the file of a ledger anew, without what was deleted; a server does so when it pleases (VACUUM FULL)."""
+    if is_shared(ledger):
+        return
+    try:
+        with closing(connect(str(ledger.url.database), PATIENCE_S, isolation_level=None)) as file:
+            file.execute("PRAGMA secure_delete = ON")
+            file.execute("VACUUM")
+    except SqliteError as error:
+        raise OSError(
+            f"{name_ledger(ledger)}: could not be compacted ({error}); run again"
+        ) from error
 
 
 def is_shared(ledger: sa.Engine | sa.Connection) -> bool:
@@ -258,6 +274,7 @@ def _describe_server(ledger: sa.Engine, error: DBAPIError) -> Exception:
 def _leave_transactions_alone(connection: SqliteConnection, _record: object) -> None:
     # Python's sqlite3 would begin transactions by itself, and late.
     connection.isolation_level = None
+    connection.execute("PRAGMA secure_delete = ON")  # what is deleted is overwritten
 
 
 def _begin(connection: sa.Connection) -> None:

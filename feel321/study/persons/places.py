@@ -65,8 +65,8 @@ KINDS: dict[str, DataKind] = {
 }  # fmt: skip
 """Kind of place -> what is to be known of it."""
 
-RESULTS = ("report", "chart", "stress", "advice", "power", "benchmark")
-"""Folders of results in a study, unless told otherwise."""
+RESULTS = ("report", "chart", "advice", "power")
+"""Folders of results in a study that ratings may be in, unless another name was given."""
 
 TABLES = {
     "ratings.csv": "ratings", "ratings.parquet": "ratings", "participants.csv": "roster", "answers.csv": "answers",
@@ -74,9 +74,7 @@ TABLES = {
 }  # fmt: skip
 """Files in the study's folder itself, and their kinds."""
 
-UNFINISHED = re.compile(
-    r"\..+\.(?:\d+|[0-9a-f]{32})\.part|\.(?:report|chart|stress|advice|power|benchmark)-\w{8}"
-)
+UNFINISHED = re.compile(r"\..+\.part|\.(?:report|chart|stress|advice|power|benchmark)-\w+")
 """Names of what a killed run was writing: a file, or the stage of a folder of results."""
 
 _PERSONAL = (
