@@ -55,4 +55,6 @@ def export(
     table, seed = read_study_table(
         StudyFolder(folder), ratings=ratings, manifest=manifest, metrics=metrics or None
     )
-    click.echo(f"{export_r(table, r_folder, rng=seed)}: next, in that folder: Rscript model.R")
+    with shared.recording(StudyFolder(folder), "export", r_folder):
+        export_r(table, r_folder, rng=seed)
+    click.echo(f"{r_folder}: next, in that folder: Rscript model.R")

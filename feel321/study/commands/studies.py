@@ -453,7 +453,8 @@ def analyze(  # noqa: PLR0913 - one per option
         )
     from feel321.study.analyze import analyze_study
 
-    with shared.show_progress("analyze") as progress:
+    recording = shared.recording(study, "analyze", out or study.report)
+    with shared.show_progress("analyze") as progress, recording:
         analyze_study(
             study,
             ratings=ratings,

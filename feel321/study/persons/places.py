@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.study.folder import LEDGER_FILES
-from feel321.study.persons.outputs import OUTPUTS_FILE, read_outputs
+from feel321.study.persons.outputs import OUTPUTS_FILE, RESULTS, read_outputs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -64,9 +64,6 @@ KINDS: dict[str, DataKind] = {
     "temporary": DataKind("feel321-*/ of the system", "what a killed run was working on", DERIVED, NAMED),
 }  # fmt: skip
 """Kind of place -> what is to be known of it."""
-
-RESULTS = ("report", "chart", "advice", "power")
-"""Folders of results in a study that ratings may be in, unless another name was given."""
 
 TABLES = {
     "ratings.csv": "ratings", "ratings.parquet": "ratings", "participants.csv": "roster", "answers.csv": "answers",

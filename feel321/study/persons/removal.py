@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from feel321.files import digest_file, sync_folder
 from feel321.study.ledger import progress
 from feel321.study.persons import places
-from feel321.study.persons.outputs import WrittenOutput, forget_outputs, read_outputs
+from feel321.study.persons.outputs import RESULTS, WrittenOutput, forget_outputs, read_outputs
 from feel321.study.session.plan import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def clear_unfinished(study: StudyFolder) -> Iterator[str]:
 
 def clear_results(study: StudyFolder) -> Iterator[str]:
     """Remove the folders of results that were made of ratings; yield what there is to do."""
-    for name in places.RESULTS:
+    for name in RESULTS:
         if (folder := study.path / name).is_symlink():
             yield from drop_link(folder)
         elif folder.is_dir() and _holds_ratings(folder):
@@ -117,6 +117,8 @@ def _clear_output(output: WrittenOutput) -> Iterator[str]:
     if output.path.is_symlink():
         yield f"{output.path}: has become a link; remove the participant's data behind it"
         return
+    if not output.files and output.path.exists():
+        yield f"{output.path}: {output.verb} was interrupted there; remove the participant's data in it"
     for name, sha256 in output.files.items():
         path = output.path / name if name != "." else output.path
         if path.is_symlink():
