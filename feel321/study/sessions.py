@@ -14,9 +14,9 @@ from feel321.study.ledger import slots
 from feel321.study.ledger.keeper import Keeper
 from feel321.study.ledger.progress import check_anchors
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
+from feel321.study.persons.vault import PERSONAL_FILE, Vault, find_vault, make_keeper
 from feel321.study.provenance import find_changes
 from feel321.study.session.codes import list_by_code
-from feel321.study.persons.vault import PERSONAL_FILE, Vault, find_vault, make_keeper
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.plan import Plan, Stale, make_plan, open_session

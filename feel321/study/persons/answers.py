@@ -11,10 +11,11 @@ from feel321.study.session.events import QuestionAnswered, SessionSuperseded
 from feel321.study.session.plan import TOMBSTONE_FILE, read_as_written, read_dossier
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
+    from feel321.study.session.plan import Plan
 
 ANSWERS_FILE = "answers.csv"
 
@@ -45,27 +46,34 @@ def read_answers(folder: Path, vault: Vault | None = None) -> Iterator[dict[str,
     dossier = read_dossier(folder)
     plan, apart = dossier.plan, read_answers_apart(folder, vault)
     for number, chain in enumerate(dossier.chains, start=1):
-        is_superseded = chain.records.has(SessionSuperseded)
+        facts = {
+            "session": number,
+            "rejected": _write_flag(is_so=chain.records.has(SessionSuperseded)),
+            "simulated": _write_flag(is_so=plan.simulated),
+        }
         with read_as_written(folder):
-            for answered in chain.records.find(QuestionAnswered):
-                question = find_question(plan.questions, f"{PREFIX}{answered.question}")
-                storage, value = "journal", answered.value
-                if answered.sha256:
-                    storage, value = apart.get(answered.sha256, ("removed", None))
-                yield {
-                    "participant": plan.participant,
-                    "session": number,
-                    "question": answered.question,
-                    "kind": question.kind if question else "",
-                    "when": question.when if question else "",
-                    "occasion": answered.occasion,
-                    "answer": _write_value(value),
-                    "personal": _write_flag(is_so=answered.personal),
-                    "response_time_s": answered.stood_s,
-                    "rejected": _write_flag(is_so=is_superseded),
-                    "simulated": _write_flag(is_so=plan.simulated),
-                    "storage": storage,
-                }
+            answers = list(chain.records.find(QuestionAnswered))
+        yield from ({**_describe(one, plan, apart), **facts} for one in answers)
+
+
+def _describe(
+    answered: QuestionAnswered, plan: Plan, apart: Mapping[str, tuple[str, Any]]
+) -> dict[str, Any]:
+    question = find_question(plan.questions, f"{PREFIX}{answered.question}")
+    storage, value = "journal", answered.value
+    if answered.sha256:
+        storage, value = apart.get(answered.sha256, ("removed", None))
+    return {
+        "participant": plan.participant,
+        "question": answered.question,
+        "kind": question.kind if question else "",
+        "when": question.when if question else "",
+        "occasion": answered.occasion,
+        "answer": _write_value(value),
+        "personal": _write_flag(is_so=answered.personal),
+        "response_time_s": answered.stood_s,
+        "storage": storage,
+    }
 
 
 def _write_value(value: float | str | None) -> str:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Row = dict[str, Any]
 
-PASSPHRASE_VARIABLE = "FEEL321_PASSPHRASE"
+UNLOCK_VARIABLE = "FEEL321_PASSPHRASE"
 
 PERSONAL_FILE = "personal.jsonl"
 
@@ -92,11 +92,11 @@ def find_vault(study: StudyFolder, *, needed: bool = False) -> Vault | None:
     needed: refuse if there is none and the study has encrypted answers, or asks for it.
     """
     own = [path for path in _list_files(study) if _read(path)[0]["cost"]]
-    if not (passphrase := os.environ.get(PASSPHRASE_VARIABLE)):
+    if not (passphrase := os.environ.get(UNLOCK_VARIABLE)):
         if needed and (own or _wants_encryption(study)):
             raise ValueError(
                 f"{own[0] if own else study.settings}: personal answers are encrypted, got no passphrase; "
-                f"put it into the environment: {PASSPHRASE_VARIABLE}"
+                f"put it into the environment: {UNLOCK_VARIABLE}"
             )
         return None
     vault = Vault(passphrase)
@@ -118,7 +118,7 @@ def _list_files(study: StudyFolder) -> list[Path]:
 def _check_passphrase(vault: Vault, head: Row, path: Path) -> None:
     if vault.open(head["check"], _CHECK, head["cost"]) != _CHECK:
         raise ValueError(
-            f"{path}: {PASSPHRASE_VARIABLE} is not the passphrase that it was encrypted with; {LOST}"
+            f"{path}: {UNLOCK_VARIABLE} is not the passphrase that it was encrypted with; {LOST}"
         )
 
 
@@ -153,13 +153,13 @@ def keep_answer(
     sha256 = _digest(folder.name, row, salt)
     head, rows = _read(path) if path.exists() else (_make_head(folder.name, vault, others), [])
     if head["cost"] and vault is None:
-        raise ValueError(f"{path}: is encrypted, got no passphrase; set {PASSPHRASE_VARIABLE}")
+        raise ValueError(f"{path}: is encrypted, got no passphrase; set {UNLOCK_VARIABLE}")
     if vault and not head["cost"]:  # a passphrase was set in mid-study
         head = _make_head(folder.name, vault, others)
-        rows = [_seal(one, folder.name, vault, head) for one in rows]
+        rows = [_seal(one, head, vault) for one in rows]
     rows = [one for one in rows if one["session"] != row["session"] or one["sha256"] in known]
     new = row | {"salt": salt, "sha256": sha256}
-    rows.append(_seal(new, folder.name, vault, head) if vault else new)
+    rows.append(_seal(new, head, vault) if vault else new)
     lines = (json.dumps(one, ensure_ascii=False) for one in (head, *rows))
     write_text(path, "".join(f"{line}\n" for line in lines))
     return sha256
@@ -174,10 +174,12 @@ def _make_head(participant: str, vault: Vault | None, others: Sequence[Path]) ->
     return head | {"cost": cost, "check": vault.seal(_CHECK, _CHECK, cost)}
 
 
-def _seal(row: Row, participant: str, vault: Vault, head: Row) -> Row:
+def _seal(row: Row, head: Row, vault: Vault) -> Row:
     secret = json.dumps({name: row[name] for name in ("value", "salt")}).encode()
     open_part = {name: row[name] for name in (*_PLACE, "sha256")}
-    return open_part | {"sealed": vault.seal(secret, _about(participant, row), head["cost"])}
+    return open_part | {
+        "sealed": vault.seal(secret, _about(head["participant"], row), head["cost"])
+    }
 
 
 def _about(participant: str, row: Row) -> bytes:
@@ -186,7 +188,9 @@ def _about(participant: str, row: Row) -> bytes:
 
 def _digest(participant: str, row: Row, salt: str) -> str:
     place = [row[name] for name in _PLACE]
-    return hashlib.sha256(json.dumps([salt, participant, *place, row["value"]]).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps([salt, participant, *place, row["value"]]).encode()
+    ).hexdigest()
 
 
 def read_answers_apart(folder: Path, vault: Vault | None) -> dict[str, tuple[str, Any]]:
@@ -197,10 +201,10 @@ def read_answers_apart(folder: Path, vault: Vault | None) -> dict[str, tuple[str
     head, rows = _read(path)
     if head["cost"] and vault:
         _check_passphrase(vault, head, path)
-    return {row["sha256"]: _open(row, head, vault, path) for row in rows}
+    return {row["sha256"]: _open(row, head, vault, path=path) for row in rows}
 
 
-def _open(row: Row, head: Row, vault: Vault | None, path: Path) -> tuple[str, Any]:
+def _open(row: Row, head: Row, vault: Vault | None, *, path: Path) -> tuple[str, Any]:
     participant = head["participant"]
     if head["cost"]:
         if vault is None:
@@ -208,7 +212,9 @@ def _open(row: Row, head: Row, vault: Vault | None, path: Path) -> tuple[str, An
         secret = vault.open(row["sealed"], _about(participant, row), head["cost"])
         row = row | (json.loads(secret) if secret else {"salt": "", "value": None})
     if _digest(participant, row, row["salt"]) != row["sha256"]:
-        raise ValueError(f"{path}: {row['question']} was changed after it was written; restore it from a copy")
+        raise ValueError(
+            f"{path}: {row['question']} was changed after it was written; restore it from a copy"
+        )
     return ("encrypted" if head["cost"] else "apart"), row["value"]
 
 

@@ -98,7 +98,7 @@ class _Paused(Exception):  # noqa: N818 - nothing went wrong
     """The participant paused; the time is the argument."""
 
 
-def run_session(
+def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
     plan: Plan,
     presenter: Presenter,
     *,
