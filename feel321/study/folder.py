@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
@@ -10,7 +11,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321.files import create_text, write_text
+from feel321.files import create_text, is_of_group, make_folder, write_text
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PARTICIPANT_ID
 
@@ -122,6 +123,31 @@ class StudyFolder:
         """All journals, sorted by participant, then session, without copies under other names."""
         return [journal for folder in self.participants for journal in list_journals(folder)]
 
+    def make_sessions(self) -> None:
+        """Make the folder of the sessions: its owner's alone, or its group's too where `[data] group_readable` says so.
+
+        Whatever is private and lies in it takes that over.
+        """
+        if not self.sessions.is_dir():
+            make_folder(self.sessions, private=True)
+            if self._find_data().get("group_readable") is True:
+                self.sessions.chmod(0o750)
+
+    def share(self, path: Path) -> None:
+        """Let the group read a table that was derived from sessions which it may read."""
+        twin = path.with_suffix(".parquet")
+        if self.sessions.is_dir() and is_of_group(self.sessions):
+            for one in filter(Path.is_file, (path, twin)):
+                one.chmod(0o640)
+
+    def _find_data(self) -> dict[str, Any]:
+        """Find the table `[data]` of the settings, which are read in full by whoever plans sessions."""
+        try:
+            found = tomllib.loads(self.settings.read_text(encoding="utf-8-sig")).get("data", {})
+        except (OSError, ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
     @property
     def _entries(self) -> list[Path]:
         # Hidden ones are the system's, or a file that is being written.
@@ -152,10 +178,10 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     """
     text = read_template() if bundled is None else read_bundled(bundled)
     study = StudyFolder(path)
-    (path / "recordings").mkdir(parents=True, exist_ok=True)
+    make_folder(path / "recordings")
     create_text(study.settings, text)
     for name in sorted(set(re.findall(r"methods/(\w+\.py)", text if bundled else ""))):
-        (path / "methods").mkdir(exist_ok=True)
+        make_folder(path / "methods")
         code = BUNDLED / "methods" / f"{name}.txt"
         create_text(path / "methods" / name, code.read_text(encoding="utf-8"))
     if not study.rig.exists():
@@ -166,7 +192,7 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
 def add_methods(study: StudyFolder) -> None:
     """Add an example of every kind of method of a lab's own to a study that was just begun."""
     home = study.path / "methods"
-    home.mkdir(exist_ok=True)
+    make_folder(home)
     for entry in (TEMPLATES / "methods").iterdir():
         if entry.name.endswith(".py.txt"):
             create_text(home / entry.name.removesuffix(".txt"), entry.read_text(encoding="utf-8"))

@@ -13,6 +13,7 @@ import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import Field, asdict, dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from sqlite3 import Connection as SqliteConnection
 from sqlite3 import Error as SqliteError
@@ -24,6 +25,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
 from sqlalchemy.pool import NullPool
 
+from feel321.files import create_file
 from feel321.study.server import Server, scrub
 from feel321.study.session.journal import Anchor
 
@@ -148,6 +150,7 @@ def connect_ledger(place: Path | Server) -> sa.Engine:
             poolclass=NullPool,
             connect_args={"timeout": PATIENCE_S},
         )
+        sa.event.listen(ledger, "do_connect", partial(_begin_file, place))
         sa.event.listen(ledger, "connect", _leave_transactions_alone)
     else:
         ledger = _connect_server(place)
@@ -155,6 +158,12 @@ def connect_ledger(place: Path | Server) -> sa.Engine:
         sa.event.listen(ledger, "close", _lift_limit)
     sa.event.listen(ledger, "begin", _begin)
     return ledger
+
+
+def _begin_file(path: Path, *_: object) -> None:
+    """Begin the file of a ledger with the mode that it, its journal and all pieces of it are to have."""
+    with suppress(OSError):  # what is wrong with its place SQLite says
+        create_file(path, private=True)
 
 
 def _connect_server(server: Server) -> sa.Engine:

@@ -387,7 +387,7 @@ def _write_rebuild(study: StudyFolder) -> str:
 
 
 def _connect(study: StudyFolder) -> sa.Engine:
-    study.sessions.mkdir(exist_ok=True)
+    study.make_sessions()
     return database.connect_ledger(find_place(study))
 
 

@@ -35,7 +35,8 @@ def write_answers(study: StudyFolder) -> list[dict[str, Any]]:
     rows = [row for folder in study.participants for row in read_answers(folder, vault)]
     path = study.path / ANSWERS_FILE
     if rows or path.exists():
-        write_table(path, COLUMNS, rows)
+        write_table(path, COLUMNS, rows, private=True)
+        study.share(path)
     return rows
 
 

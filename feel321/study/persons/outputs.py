@@ -101,4 +101,4 @@ def _write(study: StudyFolder, outputs: Iterable[WrittenOutput]) -> None:
     lines = [
         json.dumps(asdict(one) | {"path": str(one.path)}, ensure_ascii=False) for one in outputs
     ]
-    write_text(study.path / OUTPUTS_FILE, "".join(f"{line}\n" for line in lines))
+    write_text(study.path / OUTPUTS_FILE, "".join(f"{line}\n" for line in lines), private=True)

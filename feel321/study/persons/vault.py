@@ -161,7 +161,7 @@ def keep_answer(
     new = row | {"salt": salt, "sha256": sha256}
     rows.append(_seal(new, head, vault) if vault else new)
     lines = (json.dumps(one, ensure_ascii=False) for one in (head, *rows))
-    write_text(path, "".join(f"{line}\n" for line in lines))
+    write_text(path, "".join(f"{line}\n" for line in lines), private=True)
     return sha256
 
 
