@@ -130,7 +130,7 @@ class StudyFolder:
         """
         if not self.sessions.is_dir():
             make_folder(self.sessions, private=True)
-            if self._find_data().get("group_readable") is True:
+            if self.is_group_readable:
                 self.sessions.chmod(0o750)
 
     def share(self, path: Path) -> None:
@@ -140,13 +140,14 @@ class StudyFolder:
             for one in filter(Path.is_file, (path, twin)):
                 one.chmod(0o640)
 
-    def _find_data(self) -> dict[str, Any]:
-        """Find the table `[data]` of the settings, which are read in full by whoever plans sessions."""
+    @property
+    def is_group_readable(self) -> bool:
+        """Whether `[data]` lets the group read; whoever plans sessions reads the settings in full."""
         try:
-            found = tomllib.loads(self.settings.read_text(encoding="utf-8-sig")).get("data", {})
+            tables = tomllib.loads(self.settings.read_text(encoding="utf-8-sig"))
         except (OSError, ValueError, RecursionError):
-            return {}
-        return found if isinstance(found, dict) else {}
+            return False
+        return isinstance(own := tables.get("data"), dict) and own.get("group_readable") is True
 
     @property
     def _entries(self) -> list[Path]:

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.files import digest_file, sync_folder
+from feel321.files import digest_file, sweep, sweep_temporary, sync_folder
 from feel321.study.ledger import progress
 from feel321.study.persons import places
 from feel321.study.persons.outputs import RESULTS, WrittenOutput, forget_outputs, read_outputs
@@ -55,15 +55,14 @@ def _walk(folder: Path) -> Iterator[Path]:
 
 
 def clear_unfinished(study: StudyFolder) -> Iterator[str]:
-    """Remove what killed runs were writing in the study."""
+    """Remove what killed runs left, in the study and in the system's temporary folder; name what live ones hold."""
+    sweep(study.path)
+    sweep_temporary()
     for place in places.list_places(study):
-        if place.kind == "unfinished":
+        if place.path.is_symlink() and place.kind == "unfinished":
             yield from drop_link(place.path)
-            place.path.unlink(missing_ok=True)
-    for path in study.path.glob(".*-*"):
-        if places.UNFINISHED.fullmatch(path.name) and path.is_dir():
-            clear_folder(path)
-            path.rmdir()
+        elif place.kind in {"unfinished", "temporary"} and place.path.exists():
+            yield f"{place.path}: is being written; once that has ended, run feel321 audit"
 
 
 def clear_results(study: StudyFolder) -> Iterator[str]:

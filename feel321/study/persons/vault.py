@@ -39,7 +39,8 @@ PERSONAL_FILE = "personal.jsonl"
 
 LOST = "without the passphrase nobody can read these answers, feel321's authors neither"
 
-_COST = {"name": "scrypt", "n": 2**15, "r": 8, "p": 1}
+_N, _R, _P = 2**15, 8, 1
+_COST = {"name": "scrypt", "n": _N, "r": _R, "p": _P}
 
 _CHECK = b"feel321 personal answers"
 """What every encrypted file holds sealed, by which a wrong passphrase is known."""
@@ -62,7 +63,7 @@ class Vault:
             raise ValueError(f"{PERSONAL_FILE} was encrypted with {dict(cost)}, allowed is {_COST}")
         salt = str(cost["salt"])
         if salt not in self.keys:
-            kdf = Scrypt(bytes.fromhex(salt), 32, n=_COST["n"], r=_COST["r"], p=_COST["p"])  # type: ignore[arg-type]
+            kdf = Scrypt(bytes.fromhex(salt), 32, n=_N, r=_R, p=_P)
             self.keys[salt] = kdf.derive(self.passphrase.encode())
         return self.keys[salt]
 
@@ -91,7 +92,7 @@ def find_vault(study: StudyFolder, *, needed: bool = False) -> Vault | None:
 
     needed: refuse if there is none and the study has encrypted answers, or asks for it.
     """
-    own = [path for path in _list_files(study) if _read(path)[0]["cost"]]
+    own = [path for path in _list_files(study) if is_encrypted(path)]
     if not (passphrase := os.environ.get(UNLOCK_VARIABLE)):
         if needed and (own or _wants_encryption(study)):
             raise ValueError(
@@ -103,6 +104,11 @@ def find_vault(study: StudyFolder, *, needed: bool = False) -> Vault | None:
     if own:
         _check_passphrase(vault, _read(own[0])[0], own[0])
     return vault
+
+
+def is_encrypted(path: Path) -> bool:
+    """Check whether a file of personal answers is encrypted."""
+    return bool(_read(path)[0]["cost"])
 
 
 def _wants_encryption(study: StudyFolder) -> bool:
@@ -236,19 +242,27 @@ def audit_apart(folder: Path, records: journal.Records) -> Iterator[str]:
     if not wanted:
         return
     try:
-        kept = read_answers_apart(folder, None)
+        kept, removed = read_answers_apart(folder, None), list_removed(folder)
     except ValueError as error:
         yield f": {error}"
         return
-    is_removed = was_removed(folder)
-    gone = [one.question for one in wanted if one.sha256 not in kept]
-    if gone and not is_removed:
+    if gone := [
+        one.question for one in wanted if one.sha256 not in removed and one.sha256 not in kept
+    ]:
         yield f": personal answers {', '.join(gone)} are gone from {PERSONAL_FILE}; restore it from a copy"
-    if kept and is_removed:
-        yield f": personal answers were removed, and {PERSONAL_FILE} is there; run feel321 withdraw --personal again"
+    if back := [one.question for one in wanted if one.sha256 in removed and one.sha256 in kept]:
+        again = f"feel321 withdraw --participant {folder.name} --personal"
+        yield f": personal answers {', '.join(back)} were removed, and are there again; finish: {again}"
 
 
-def was_removed(folder: Path) -> bool:
-    """Check whether a participant's personal answers were removed on purpose, by the newest journal."""
-    paths = journal.list_journals(folder)
-    return bool(paths) and journal.read_journal(paths[-1]).records.has(events.PersonalRemoved)
+def list_removed(folder: Path) -> set[str]:
+    """List the digests of personal answers that were removed on purpose, by the journals."""
+    seen, removed = set[str](), set[str]()
+    for path in journal.list_journals(folder):
+        records = journal.read_journal(path).records
+        for event in records.find(events.QuestionAnswered, events.PersonalRemoved):
+            if isinstance(event, events.QuestionAnswered):
+                seen.add(event.sha256)
+            else:
+                removed |= seen
+    return removed - {""}

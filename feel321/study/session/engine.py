@@ -106,7 +106,7 @@ def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
     journal: Journal,
     scales: Mapping[str, Scale] | None = None,
     on_step: Callable[[Place], None] | None = None,
-    keep: KeepAnswer | None = None,
+    keep: Callable[[str, int, float | str | None], str] | None = None,
 ) -> Outcome:
     """Present all trials that are not done yet.
 

@@ -35,9 +35,10 @@ def find_mode(path: Path) -> int:
     return stat.S_IMODE(path.lstat().st_mode)
 
 
+@pytest.mark.usefixtures("usual_umask")
 @pytest.mark.parametrize("is_shared", [False, True])
 def test_places_are_their_owners_from_the_first_byte(
-    smallest: StudyFolder, monkeypatch: pytest.MonkeyPatch, usual_umask: None, *, is_shared: bool
+    smallest: StudyFolder, monkeypatch: pytest.MonkeyPatch, *, is_shared: bool
 ) -> None:
     with smallest.settings.open("a", encoding="utf-8") as file:
         file.write(f"{ASKING}[data]\ngroup_readable = {str(is_shared).lower()}\n")
