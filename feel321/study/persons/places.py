@@ -125,7 +125,8 @@ def list_places(study: StudyFolder) -> Iterator[DataPlace]:
             yield from (DataPlace(file, "unfinished") for file in walk(path))
     yield from list_outputs(study)
     for path in sorted(Path(tempfile.gettempdir()).glob("feel321-*")):
-        yield from (DataPlace(file, "temporary") for file in walk(path))
+        if TEMPORARY.fullmatch(path.name):  # also of other studies; a live process removes its own
+            yield from (DataPlace(file, "temporary") for file in walk(path))
 
 
 def list_folder(sessions: Path) -> Iterator[DataPlace]:

@@ -55,13 +55,13 @@ def _walk(folder: Path) -> Iterator[Path]:
 
 
 def clear_unfinished(study: StudyFolder) -> Iterator[str]:
-    """Remove what killed runs left, in the study and in the system's temporary folder; name what live ones hold."""
+    """Remove what killed runs left, in the study and in the system's temporary folder; name what a live one holds."""
     sweep(study.path)
     sweep_temporary()
     for place in places.list_places(study):
         if place.path.is_symlink() and place.kind == "unfinished":
             yield from drop_link(place.path)
-        elif place.kind in {"unfinished", "temporary"} and place.path.exists():
+        elif place.kind == "unfinished" and place.path.exists():
             yield f"{place.path}: is being written; once that has ended, run feel321 audit"
 
 
