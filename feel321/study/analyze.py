@@ -23,6 +23,8 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.manifest import find_methods, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.answers import ANSWERS_FILE, write_answers
+from feel321.study.auditing.checkpoints import find_chain, note_analysis
+from feel321.study.auditing.sealing import seal_study
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import Progress as Participant
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
@@ -30,6 +32,7 @@ from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
 from feel321.study.paper import make_paper
 from feel321.study.ratings import write_ratings
+from feel321.study.session.journal import utc_now
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings
 from feel321.types import MetricInfo
@@ -61,7 +64,10 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     if rivals:
         listed = manifest or study.manifest
         further = add_rivals(study, None if manifest else settings, listed, further=further)
-    return write_report(
+    is_own = out is None and find_chain(study).is_file()
+    if is_own:
+        note_analysis(study, now=utc_now)
+    results = write_report(
         ratings or study.ratings,
         manifest or study.manifest,
         out or study.report,
@@ -77,6 +83,9 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         seed=settings.study.seed if settings else 0,
         progress=progress,
     )
+    if is_own:
+        seal_study(study, by="analysis", now=utc_now)
+    return results
 
 
 def read_study_table(

@@ -28,6 +28,7 @@ from feel321.study.actuator.rig import (
     read_rig,
     take_device,
 )
+from feel321.study.auditing.sealing import note_session
 from feel321.study.exploration.motion import POINTER, Pointer, Strokes, open_tracker
 from feel321.study.exploration.track import MOTION, Exploration
 from feel321.study.folder import DELIVERED
@@ -281,18 +282,23 @@ def run_participant(
     for entry in recall(room.ledger, plan.participant):
         if entry.state == "finished":  # No window is opened for it.
             return Outcome(entry.done, entry.total)
-    outcome, repaired = lead_session(
-        replace(room, pace=read_pace(study, stimuli), warn=warn),
-        plan,
-        identity=read.make_identity(
-            settings, study.path, identify_lab(lab), calibration=lab.calibration
-        ),
-        make_presenter=partial(open_lab, lab=lab),
-        on_step=on_step,
-        accept_rig=visit.accept_rig,
+    identity = read.make_identity(
+        settings, study.path, identify_lab(lab), calibration=lab.calibration
     )
-    if repaired:
-        warn(repaired)
+    try:
+        outcome, repaired = lead_session(
+            replace(room, pace=read_pace(study, stimuli), warn=warn),
+            plan,
+            identity=identity,
+            make_presenter=partial(open_lab, lab=lab),
+            on_step=on_step,
+            accept_rig=visit.accept_rig,
+        )
+    finally:
+        entries = recall(room.ledger, plan.participant)
+        unsealed = note_session(study, plan.participant, entries=entries, now=now)
+    for notice in filter(None, (repaired, unsealed)):
+        warn(notice)
     return outcome
 
 

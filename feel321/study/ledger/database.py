@@ -16,7 +16,7 @@ from dataclasses import Field, asdict, dataclass, field, fields
 from pathlib import Path
 from sqlite3 import Connection as SqliteConnection
 from threading import Timer
-from typing import Any
+from typing import Any, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
@@ -74,6 +74,8 @@ _NAME, *_REST = (one for one in fields(Entry) if one.name not in {"anchors", "st
 _STATION = fields(Entry)[-1]
 _PARTICIPANTS = _declare("participants", _NAME, *_REST, keys=["participant"])
 _ANCHORS = _declare("anchors", _NAME, *fields(Anchor), keys=["participant", "journal"])
+_CELLS = {one.name for one in (*_REST, _NAME, *fields(Anchor))}
+Stored = TypeVar("Stored", "Entry", Anchor)
 _HOLDS_SLOT = _PARTICIPANTS.c.state.in_(LIVE)
 # Claims see to it by themselves; this keeps any other program from doing otherwise.
 sa.Index(
@@ -307,8 +309,9 @@ def read_entries(connection: sa.Connection, participant: str | None = None) -> l
         people = people.where(_PARTICIPANTS.c.participant == participant)
         seen = seen.where(_ANCHORS.c.participant == participant)
     anchors: dict[str, tuple[Anchor, ...]] = {}
-    for name, *anchor in connection.execute(seen):
-        anchors[name] = (*anchors.get(name, ()), Anchor(*anchor))
+    for name, *values in connection.execute(seen):
+        anchor = _check_types(connection, Anchor(*values), name)
+        anchors[name] = (*anchors.get(name, ()), anchor)
     homes: dict[str, str] = (
         dict(connection.execute(sa.select(_HOMES)).all()) if is_shared(connection) else {}
     )
@@ -321,9 +324,21 @@ def read_entries(connection: sa.Connection, participant: str | None = None) -> l
         for row in connection.execute(people).mappings()
     ]
     return sorted(
-        entries,
+        (_check_types(connection, entry, entry.participant) for entry in entries),
         key=lambda entry: (entry.simulated, entry.number, entry.state in LIVE, entry.participant),
     )
+
+
+def _check_types(connection: sa.Connection, own: Stored, participant: object) -> Stored:
+    """Refuse a cell of another type than feel321 writes, which SQLite keeps in any column."""
+    for one in fields(own):
+        value = getattr(own, one.name)
+        if one.name in _CELLS and type(value).__name__ != getattr(one.type, "__name__", one.type):
+            raise ValueError(
+                f"{name_ledger(connection.engine)}: {participant} has {one.name} {value!r}, which feel321 does not "
+                "write; move the file away, then rebuild it from the journals: feel321 ledger --rebuild"
+            )
+    return own
 
 
 def write_entries(
