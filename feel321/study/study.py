@@ -179,7 +179,7 @@ class Contents:
         """
         import pandas as pd
 
-        from feel321.study.answers import COLUMNS, write_answers
+        from feel321.study.persons.answers import COLUMNS, write_answers
 
         return pd.DataFrame(write_answers(self.folder), columns=list(COLUMNS))
 

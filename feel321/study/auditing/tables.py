@@ -15,10 +15,11 @@ from typing import Any
 
 from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import answers, matches
+from feel321.study import matches
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.progress import ROSTER_FILE, list_progress, list_roster
+from feel321.study.persons import answers
 from feel321.study.ratings import read_judgements
 from feel321.study.session.plan import TOMBSTONE_FILE
 

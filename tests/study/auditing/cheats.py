@@ -1,4 +1,4 @@
-"""Ways to falsify a finished study, each a function on its folder; `docs/audit.md` says which of them are seen, and how.
+"""Ways to falsify a finished study, each a function on its folder; `docs/audit.md` says which are seen, and how.
 
 `knows` says how well informed a cheat is: it edits files; mends the digests of what it edits; makes the ledger and the
 tables anew, so that they agree. On top of that, `begin_anew` writes the checkpoints anew.
@@ -14,19 +14,18 @@ import os
 import shutil
 import sqlite3
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.answers import write_answers
-from feel321.study.folder import StudyFolder
 from feel321.study.ledger.progress import Tombstone, write_roster, write_tombstone
 from feel321.study.ledger.slots import rebuild_ledger
-from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
 from feel321.study.matches import write_matches
+from feel321.study.persons.answers import write_answers
+from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import (
     START,
@@ -37,6 +36,9 @@ from feel321.study.session.journal import (
     write_line,
 )
 from feel321.study.simulation import simulate_study
+
+if TYPE_CHECKING:
+    from feel321.study.folder import StudyFolder
 
 EDITS, DIGESTS, LEDGER = "edits", "mends digests", "mends ledger and tables"
 
@@ -115,7 +117,8 @@ def take_as_it_is(study: StudyFolder) -> None:
     study.ledger.unlink(missing_ok=True)
     rebuild_ledger(study)
     study.ledger_log.unlink(missing_ok=True)
-    derive(study)
+    with suppress(ValueError):  # of journals that no longer make sense
+        derive(study)
 
 
 def derive(study: StudyFolder) -> None:
@@ -590,10 +593,11 @@ def _(study: StudyFolder) -> None:
     withdraw_participant(study, "sim002", now=now)
 
 
-@cheat("a slot is released, by the verb", LEDGER)
+@cheat("a finished session is shown as released", LEDGER)
 def _(study: StudyFolder) -> None:
-    release_participant(study, "sim002", now=now)
-    derive(study)
+    records = list(read_journal(journal(study)).records)
+    chain(journal(study), [*records, replace(records[-1], event="released", data={})])
+    take_as_it_is(study)
 
 
 @cheat("a tombstone is forged", LEDGER)
@@ -645,9 +649,13 @@ def _(study: StudyFolder) -> None:
     study.ledger.unlink()
 
 
-@cheat("the ledger's log is emptied", is_data=False)
+@cheat("lines are cut off, the ledger rebuilt, and its log emptied", LEDGER)
 def _(study: StudyFolder) -> None:
-    study.ledger_log.unlink()
+    lines = journal(study).read_bytes().splitlines(keepends=True)
+    journal(study).write_bytes(b"".join(lines[:-3]))
+    rebuild_ledger(study)
+    study.ledger_log.write_bytes(b"")
+    derive(study)
 
 
 # Tables and the report.

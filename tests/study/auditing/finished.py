@@ -1,4 +1,4 @@
-"""Two finished studies to be falsified: one of simulated participants with all that a study can have, one run on a rig."""
+"""Two finished studies to be falsified: simulated participants with all that a study can have, and one run on a rig."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.protocols.texts import write_copy
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import lab
 from feel321.study.actuator.certificate import make_manual, write_certificate
@@ -60,8 +61,11 @@ RULE = '''"""A screening rule of the lab's own."""
 
 
 def strict(rows):
-    """Hit nobody."""
-    return 0.0, 0.5
+    """Measure nothing."""
+    return 0 * rows.groupby("participant")["rating"].mean()
+
+
+strict.limit = 0.5
 '''
 
 REAL = """
@@ -113,7 +117,7 @@ def make_simulated(path: Path) -> StudyFolder:
     """Three simulated participants with thresholds, questions, motion, own texts and a rule; analysed."""
     study = create_study(path)
     study.settings.write_text(SETTINGS, encoding="utf-8")
-    (path / "texts.toml").write_text('# our own\nbased_on = "en"\n', encoding="utf-8")
+    (path / "texts.toml").write_text(write_copy("en"), encoding="utf-8")
     (path / "methods").mkdir(exist_ok=True)
     (path / "methods" / "strict.py").write_text(RULE, encoding="utf-8")
     build_study(study)

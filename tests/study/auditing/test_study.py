@@ -16,7 +16,7 @@ from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.database import open_ledger, rewrite_ledger
 from feel321.study.ledger.slots import rebuild_ledger
-from feel321.study.ledger.withdrawal import withdraw_participant
+from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session.journal import (
     START,
     create_journal,
