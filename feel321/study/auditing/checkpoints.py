@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from feel321.study.auditing.marks import GROWING, HEAD, Mark, continues, find_kind, take_marks
+from feel321.study import server
+from feel321.study.auditing.marks import GROWING, HEAD, FileMark, continues, find_kind, take_marks
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.database import Entry, read_place
-from feel321.study.ledger.slots import find_place
 from feel321.study.session.journal import (
     Clock,
     Journal,
@@ -45,22 +45,24 @@ class Tip:
 
 
 @dataclass(slots=True)
-class State:
+class Holdings:
     """What a chain says that a study holds: its marks by name."""
 
-    marks: dict[str, Mark] = field(default_factory=dict)
+    marks: dict[str, FileMark] = field(default_factory=dict)
 
-    def take(self, data: Mapping[str, Any]) -> Iterator[tuple[str, Mark | None, Mark | None]]:
+    def take(
+        self, data: Mapping[str, Any]
+    ) -> Iterator[tuple[str, FileMark | None, FileMark | None]]:
         """Take a checkpoint; yield what it changes: name, mark before, mark after (None: gone)."""
         for name, entry in data["marks"].items():
             before = self.marks.pop(name, None)
             after = None
             if entry is not None:
-                after = Mark.read(entry)
+                after = FileMark.read(entry)
                 kept = (
                     before.heads[: int(entry["from"]) * HEAD] if before and "from" in entry else ""
                 )
-                after = self.marks[name] = Mark(after.sha256, after.lines, kept + after.heads)
+                after = self.marks[name] = FileMark(after.sha256, after.lines, kept + after.heads)
             yield name, before, after
 
 
@@ -69,9 +71,9 @@ def find_chain(study: StudyFolder) -> Path:
     return study.path / CHECKPOINTS
 
 
-def fold(records: Iterable[Record]) -> State:
+def fold(records: Iterable[Record]) -> Holdings:
     """Gather what all checkpoints together say."""
-    state = State()
+    state = Holdings()
     for record in records:
         if record.event == CHECKPOINT:
             list(state.take(record.data))
@@ -99,9 +101,10 @@ def read_tip(study: StudyFolder) -> Tip | None:
 
 def read_entries(study: StudyFolder) -> list[Entry]:
     """Read the ledger where it is a file that is there and can be read."""
-    place = find_place(study)
+    if not study.ledger.is_file() or server.find_server(study.settings):
+        return []
     try:
-        return read_place(place)[1] if isinstance(place, Path) and place.is_file() else []
+        return read_place(study.ledger)[1]
     except (OSError, ValueError):
         return []  # The audit names it.
 
@@ -154,8 +157,8 @@ def _open_chain(study: StudyFolder, *, now: Clock) -> Iterator[Journal]:
 
 def find_delta(
     study: StudyFolder,
-    state: State,
-    marks: Mapping[str, Mark],
+    state: Holdings,
+    marks: Mapping[str, FileMark],
     *,
     participants: Sequence[str] | None = None,
 ) -> dict[str, Any]:

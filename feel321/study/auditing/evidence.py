@@ -7,7 +7,7 @@ from pathlib import Path
 from feel321.study.auditing import anchors
 from feel321.study.auditing.checkpoints import CHECKPOINT, find_chain, name_chain
 from feel321.study.auditing.codes import read_code
-from feel321.study.auditing.history import History, describe_counts
+from feel321.study.auditing.history import Following, describe_counts
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import Chain, digest, read_chain, read_journal
 
@@ -52,7 +52,7 @@ def _follow(study: StudyFolder, chain: Chain | None, own: Evidence) -> None:
         return
     own.checkpoints = sum(one.event == CHECKPOINT for one in chain.records)
     lines = own.anchor.lines if own.anchor else len(chain.records)
-    history = History(study, lines)
+    history = Following(study, lines)
     try:
         history.follow(chain.records)
     except (AttributeError, LookupError, TypeError, ValueError) as error:

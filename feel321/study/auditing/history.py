@@ -7,12 +7,12 @@ from typing import Any
 from feel321.study.auditing.checkpoints import (
     ANALYSING,
     CHECKPOINT,
-    State,
+    Holdings,
     find_delta,
     fold,
     read_entries,
 )
-from feel321.study.auditing.marks import GROWING, Mark, find_kind, find_line, take_marks
+from feel321.study.auditing.marks import GROWING, FileMark, find_kind, find_line, take_marks
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.progress import read_tombstone
 from feel321.study.session.journal import Record
@@ -22,7 +22,7 @@ PRESENT = "present"
 
 
 @dataclass(slots=True)
-class History:
+class Following:
     """What became of a study: findings, remarks, and what was recorded after the line that was anchored."""
 
     study: StudyFolder
@@ -30,7 +30,7 @@ class History:
     findings: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     counts: dict[str, set[str]] = field(default_factory=dict)
-    _state: State = field(default_factory=State)
+    _state: Holdings = field(default_factory=Holdings)
     _undeclared: list[str] = field(default_factory=list)
     _is_analysing: bool = False
     _when: str = ""
@@ -62,7 +62,7 @@ class History:
             self.remarks += [f"{line} ({reason})" for line in self._undeclared]
             self._undeclared.clear()
 
-    def _count(self, name: str, before: Mark | None, after: Mark | None) -> None:
+    def _count(self, name: str, before: FileMark | None, after: FileMark | None) -> None:
         what = ""
         if find_kind(name) == GROWING and after is not None:
             what = "recorded" if name.endswith(".jsonl") else "rebuilt"
@@ -74,7 +74,7 @@ class History:
             self.counts.setdefault(what, set()).add(name)
 
     def _judge(
-        self, name: str, before: Mark, after: Mark | None, *, is_rewritten: bool, by: str
+        self, name: str, before: FileMark, after: FileMark | None, *, is_rewritten: bool, by: str
     ) -> None:
         """Judge what became of a file that was there."""
         path, kind = self.study.path / name, find_kind(name)
@@ -102,7 +102,7 @@ class History:
                 self.findings.append(f"{text}, by no analysis; write it anew: feel321 analyze")
 
     def _judge_growing(
-        self, name: str, before: Mark, after: Mark | None, *, is_rewritten: bool
+        self, name: str, before: FileMark, after: FileMark | None, *, is_rewritten: bool
     ) -> Iterator[str]:
         path, since = self.study.path / name, f"at the checkpoint of {self._when}"
         if after is None:
@@ -124,7 +124,7 @@ class History:
         ]
         return (path.parent / TOMBSTONE_FILE).is_file() or not (journals or path.parent.exists())
 
-    def _find_unexplained(self, name: str, before: Mark) -> str:
+    def _find_unexplained(self, name: str, before: FileMark) -> str:
         """Find whether a journal went with its participant: its tombstone has seen all of it."""
         folder, journal = (self.study.path / name).parent, name.rpartition("/")[2]
         try:

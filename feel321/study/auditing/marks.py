@@ -44,7 +44,7 @@ _KINDS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class FileMark:
     """By what a file is known again; lines: of a file that grows, else 0."""
 
     sha256: str
@@ -52,7 +52,7 @@ class Mark:
     heads: str = ""
 
     @classmethod
-    def read(cls, entry: Mapping[str, Any]) -> "Mark":
+    def read(cls, entry: Mapping[str, Any]) -> "FileMark":
         """Read a mark from a checkpoint."""
         return cls(str(entry["sha256"]), int(entry.get("lines", 0)), str(entry.get("heads", "")))
 
@@ -90,22 +90,22 @@ def _is_own(path: Path) -> bool:
     return path.is_file() and "__pycache__" not in path.parts and not path.name.startswith(".")
 
 
-def take_mark(path: Path, kind: str) -> Mark:
+def take_mark(path: Path, kind: str) -> FileMark:
     """Take the mark of a file as it is now; an unfinished line of one that grows is left out."""
     content = path.read_bytes()
     if kind == GROWING:
         digests = [digest(line) for line in content.split(b"\n")[:-1]]
         heads = "".join(one[:HEAD] for one in digests)
-        return Mark(digests[-1] if digests else START, len(digests), heads)
+        return FileMark(digests[-1] if digests else START, len(digests), heads)
     lines = content.splitlines() if content.count(b"\n") <= MANY_LINES else []
     is_text = bool(lines) and b"\0" not in content
     heads = "".join(digest(line)[:HEAD] for line in lines) if is_text else ""
-    return Mark(hashlib.sha256(content).hexdigest(), heads=heads)
+    return FileMark(hashlib.sha256(content).hexdigest(), heads=heads)
 
 
 def take_marks(
     study: StudyFolder, participants: Iterable[Path], entries: Iterable[Entry]
-) -> dict[str, Mark]:
+) -> dict[str, FileMark]:
     """Take the marks of a study as it is now: name -> mark."""
     marks = {}
     for path in list_covered(study, participants):
@@ -114,7 +114,7 @@ def take_marks(
     for entry in entries:
         if entry.anchors:  # before that, a slot may be given back
             own = digest(f"number {entry.number}, simulated {entry.simulated}")
-            marks[f"{SLOT_PREFIX}{entry.participant}"] = Mark(own)
+            marks[f"{SLOT_PREFIX}{entry.participant}"] = FileMark(own)
     return marks
 
 
@@ -127,7 +127,7 @@ def find_line(before: str, after: str) -> int:
     return 0
 
 
-def continues(path: Path, mark: Mark) -> bool:
+def continues(path: Path, mark: FileMark) -> bool:
     """Check whether a file that grows begins with the lines that were marked."""
     lines = path.read_bytes().split(b"\n")[:-1]
     if len(lines) < mark.lines:

@@ -1,6 +1,7 @@
 """Sealing: a checkpoint of a study, and its end put elsewhere; after each session, too."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from feel321.study.auditing import anchors, checkpoints, keys
@@ -8,7 +9,7 @@ from feel321.study.auditing.codes import write_code
 from feel321.study.findings import Seal
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.database import Entry
-from feel321.study.session.journal import Clock
+from feel321.study.session.journal import Clock, utc_now
 
 
 def seal_study(
@@ -20,20 +21,46 @@ def seal_study(
     return Seal(tip.utc, tip.lines, write_code(tip), tuple(places), tuple(problems))
 
 
-def note_session(
-    study: StudyFolder, participant: str, *, entries: Iterable[Entry], now: Clock
+@contextmanager
+def sealing_session(
+    study: StudyFolder,
+    participant: str,
+    *,
+    recall: Callable[[], Iterable[Entry]],
+    now: Clock,
+    warn: Callable[[str], None],
+) -> Iterator[None]:
+    """Take a checkpoint when a session ends, however it does, of its participant and of the study's own files."""
+    try:
+        yield
+    finally:
+        if not study.is_rehearsal and (
+            problem := _note_session(study, participant, recall, now=now)
+        ):
+            warn(problem)
+
+
+def _note_session(
+    study: StudyFolder, participant: str, recall: Callable[[], Iterable[Entry]], *, now: Clock
 ) -> str:
-    """Take a checkpoint after a session, of its participant and of the study's own files; returns what went wrong."""
-    if study.is_rehearsal:
-        return ""
     try:
         tip = checkpoints.take_checkpoint(
-            study, by="session", participants=[participant], entries=entries, now=now
+            study, by="session", participants=[participant], entries=recall(), now=now
         )
-        _, problems = anchors.put_anchors(study, tip)
+        return "; ".join(anchors.put_anchors(study, tip)[1])
     except (OSError, ValueError) as error:
         return f"no checkpoint was taken ({error}); take it later: feel321 seal"
-    return "; ".join(problems)
+
+
+@contextmanager
+def sealing_analysis(study: StudyFolder) -> Iterator[None]:
+    """Note that an analysis begins, where a study has checkpoints, and take one when the report is written."""
+    if not checkpoints.find_chain(study).is_file():
+        yield
+        return
+    checkpoints.note_analysis(study, now=utc_now)
+    yield
+    seal_study(study, by="analysis", now=utc_now)
 
 
 def choose_key(*, passphrase: str = "") -> tuple[Path, str]:
