@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -238,12 +238,15 @@ class Auditable(Contents):
         from feel321.study.auditing.seal import make_seal
         from feel321.study.auditing.study import examine
         from feel321.study.findings import Audit
+        from feel321.study.freezing.record import describe_frozen, find_faults
 
         extra = [as_path(one, "anchors") for one in anchors]
         with follow(self.progress, "audit") as step:
             found = examine(self.folder, code=code, extra=extra, progress=step)
+        findings = (*found.findings, *find_faults(self.folder))
+        remarks = (*found.remarks, *filter(None, [describe_frozen(self.folder)]))
         seal = make_seal(self.folder)
-        return Audit(found.findings, seal, found.remarks, found.sentence, found.anchored_utc)
+        return Audit(findings, seal, remarks, found.sentence, found.anchored_utc)
 
     def seal(self, reason: str = "") -> Seal:
         """Record what the study holds as a checkpoint, and put its end into the places that were chosen for this rig.
@@ -417,10 +420,13 @@ class Study(Plannable):
         Problems
             All that was found, at once.
         """
+        from feel321.study.freezing.record import describe_frozen, find_faults
         from feel321.study.workflow import check_study
 
         with follow(self.progress, "check") as step:
-            return check_study(self.folder, progress=step)
+            found = check_study(self.folder, progress=step)
+        warnings, line = (*found.warnings, *find_faults(self.folder)), describe_frozen(self.folder)
+        return replace(found, warnings=warnings, notes=(*found.notes, *filter(None, [line])))
 
     def build(self, workers: int | Workers = 1, *, page: bool = True) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
