@@ -10,14 +10,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-<<<<<<< HEAD
-from feel321.files import create_text, write_text
-from feel321.study.session.journal import PARTICIPANT_ID, list_journals
-=======
 from feel321.files import create_text, make_folder, write_text
-from feel321.study.session.journal import list_journals
-from feel321.study.session.plan import PARTICIPANT_ID
->>>>>>> main
+from feel321.study.session.journal import PARTICIPANT_ID, list_journals
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

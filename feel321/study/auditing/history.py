@@ -96,7 +96,7 @@ class Following:
                 self.findings.append(f"{name}: {became} {since}; restore the ledger from a copy")
             case "decided":
                 self._undeclared.append(text)
-            case "rig":
+            case "noted":
                 self.remarks.append(text)
             case "report" if after is not None and not (by == "analysis" or self._is_analysing):
                 self.findings.append(f"{text}, by no analysis; write it anew: feel321 analyze")

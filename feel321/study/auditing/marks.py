@@ -2,7 +2,8 @@
 
 A journal and the ledger's log only grow: their mark is the number of lines and the digest of the last one. Of plans,
 tombstones, certificates and the manifest nothing may change. What the lab decides (`study.toml`, texts, methods) may
-change if it is said why; the rig may, for each session's header holds it. The report changes with each analysis.
+change if it is said why; the rig may, for each session's header holds it, and so may `frozen.json`, which says why
+itself. The report changes with each analysis.
 Rendered, measured and motion files are known by their digests in the journals, stimuli by those in the manifest.
 
 `heads` are the first six digits of the digest of every line: they find the line that was changed, they prove nothing.
@@ -20,8 +21,8 @@ from feel321.study.ledger.database import Entry
 from feel321.study.session.journal import START, digest, list_journals
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
 
-GROWING, KEPT, DECIDED, RIG, REPORT, SLOT = (
-    "growing", "kept", "decided", "rig", "report", "slot",
+GROWING, KEPT, DECIDED, NOTED, REPORT, SLOT = (
+    "growing", "kept", "decided", "noted", "report", "slot",
 )  # fmt: skip
 """Kinds of files, and of what else has a mark: a participant's slot in the ledger."""
 
@@ -38,7 +39,7 @@ _KINDS = (
     (r"sessions/[^/]+/session-\d+\.jsonl$|sessions/ledger\.log$", GROWING),
     (r"sessions/|calibration/|stimuli/", KEPT),
     (r"report/", REPORT),
-    (r"rig\.toml$", RIG),
+    (r"(rig\.toml|frozen\.json)$", NOTED),
     (r"", DECIDED),
 )
 

@@ -7,6 +7,7 @@ the journals say, row by row.
 import csv
 import html
 import json
+import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -137,7 +138,8 @@ class _Comparison:
         for line, row in written:
             own = expected.get(_name(row, derived.key))
             if wrong := self._judge(row, own, derived):
-                self.findings.append(f"{derived.path}, line {line}: {wrong}; {ANEW}")
+                remedy = "" if "restore" in wrong else f"; {ANEW}"
+                self.findings.append(f"{derived.path}, line {line}: {wrong}{remedy}")
         self.findings.extend(
             f"{derived.path}: holds {' '.join(name)} {many} times; {ANEW}"
             for name, many in seen.items()
@@ -158,21 +160,30 @@ class _Comparison:
             groups[row["participant"], row.get("session", "")].append(row)
         late = 0
         for rows in groups.values():
-            there = [_name(row, derived.key) in seen for row in rows]
-            last = max((place for place, is_there in enumerate(there) if is_there), default=-1)
-            late += len(rows) - 1 - last
-            for row, is_there in zip(rows[: max(last, 0)], there, strict=False):
-                if not is_there:
-                    name = ", ".join(f"{k} {row[k]}" for k in derived.key if row[k])
-                    text = (
-                        f"{derived.path}: lacks the row of {name}, which the journals have; {ANEW}"
-                    )
-                    self.findings.append(text)
+            last = max(
+                (_find_onset(r) for r in rows if _name(r, derived.key) in seen), default=-math.inf
+            )
+            for row in (row for row in rows if _name(row, derived.key) not in seen):
+                if _find_onset(row) >= last:
+                    late += 1
+                    continue
+                name = ", ".join(f"{k} {row[k]}" for k in derived.key if row[k])
+                self.findings.append(
+                    f"{derived.path}: lacks the row of {name}, which the journals have; {ANEW}"
+                )
         if late:
             count = "a row" if late == 1 else f"{late} rows"
             self.remarks.append(
                 f"{derived.path}: lacks {count} that the journals have; where they are not newer, it was edited; {ANEW}"
             )
+
+
+def _find_onset(row: Row) -> float:
+    """Find when a row came in its session: trials that were spoiled come again later, so their numbers do not say."""
+    try:
+        return float(row.get("onset_s") or math.inf)
+    except ValueError:
+        return math.inf
 
 
 def _name(row: Row, key: Sequence[str]) -> tuple[str, ...]:
@@ -184,7 +195,7 @@ def _find_nobody(study: StudyFolder, who: str) -> str:
         return f"holds data of {who}, who withdrew"
     if who and (study.sessions / who).is_dir():
         return f"a row of {who} of which no journal says anything"
-    return f"a row of {who or 'nobody'}, of whom there is no journal; restore sessions/ from a copy, or"
+    return f"a row of {who or 'nobody'}, of whom there is no journal; restore sessions/ from a copy"
 
 
 def _find_wrong(row: Row, own: Row, derived: Derived) -> str:

@@ -1,5 +1,4 @@
-<<<<<<< HEAD
-"""Verbs of evidence: audit, seal."""
+"""Verbs that keep evidence: audit, seal, freeze."""
 
 from __future__ import annotations
 
@@ -8,13 +7,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-=======
-"""Verbs that keep evidence: freeze."""
-
-from __future__ import annotations
-
-from dataclasses import replace
->>>>>>> main
 from typing import TYPE_CHECKING
 
 import click
@@ -22,7 +14,6 @@ import click
 from feel321.study.commands import shared
 
 if TYPE_CHECKING:
-<<<<<<< HEAD
     from feel321.study.findings import Audit
     from feel321.study.study import Study
 
@@ -109,21 +100,10 @@ def _group(findings: Sequence[str]) -> list[str]:
 Example: feel321 seal my-study
          feel321 seal my-study --to /mnt/elsewhere/anchors
          feel321 seal my-study --reason "analysis.draws raised, as preregistered"
-=======
-    from feel321.study.study import Study
-
-
-@click.command(
-    epilog="""\b
-Example: feel321 freeze my-study
-         feel321 freeze my-study --because "one recording was too weak to feel"
-         feel321 freeze my-study --text > preregistration.md
->>>>>>> main
 """
 )
 @shared.study_argument
 @click.option(
-<<<<<<< HEAD
     "--reason",
     default="",
     help="Why settings, texts or methods were changed since the last checkpoint.",
@@ -183,7 +163,17 @@ def seal(  # noqa: PLR0913 - one per option
     click.echo("\n".join([
         f"{study.folder.path}: checkpoint {found.checkpoints} of {found.utc}", *places, f"code: {found.code}"
     ]))  # fmt: skip
-=======
+
+
+@click.command(
+    epilog="""\b
+Example: feel321 freeze my-study
+         feel321 freeze my-study --because "one recording was too weak to feel"
+         feel321 freeze my-study --text > preregistration.md
+"""
+)
+@shared.study_argument
+@click.option(
     "--because", default="", metavar="TEXT", help="Why choices change that were frozen before."
 )
 @click.option(
@@ -244,4 +234,3 @@ def freeze(  # noqa: PLR0913 - one per option
             f"{study.folder.path / 'frozen.json'}: {text.describe_written(frozen)}",
         ])
     )
->>>>>>> main
