@@ -171,6 +171,8 @@ def _describe(own: Evidence, kept: anchors.Kept, *, is_known: bool) -> None:
         verb = "compared with" if own.findings else "nothing was changed since"
         own.sentence = f"{verb} the anchor of {own.anchor.utc} in {own.anchor.place}; {after}"
     elif is_known:
-        own.sentence = f"compared with {own.checkpoints} checkpoints in the folder itself; anchors: none ({looked})"
+        count = f"{own.checkpoints} checkpoint{'s' * (own.checkpoints != 1)} in the folder itself"
+        since = f", {own.since} after the last" if own.since else ""
+        own.sentence = f"compared with {count}{since}; anchors: none ({looked})"
     else:
         own.sentence = f"no checkpoints were kept; anchors: none ({looked})"

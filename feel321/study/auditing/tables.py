@@ -8,8 +8,8 @@ import csv
 import html
 import json
 import math
-from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -133,49 +133,57 @@ class _Comparison:
         except (ValueError, csv.Error) as error:
             self.findings.append(f"{derived.path}: cannot be read ({error}); {ANEW}")
             return
-        expected = {_name(row, derived.key): row for row in derived.rows}
-        seen = Counter(_name(row, derived.key) for _, row in written)
-        for line, row in written:
-            own = expected.get(_name(row, derived.key))
-            if wrong := self._judge(row, own, derived):
-                remedy = "" if "restore" in wrong else f"; {ANEW}"
-                self.findings.append(f"{derived.path}, line {line}: {wrong}{remedy}")
-        self.findings.extend(
-            f"{derived.path}: holds {' '.join(name)} {many} times; {ANEW}"
-            for name, many in seen.items()
-            if many > 1
-        )
-        self._find_missing(derived, seen)
-
-    def _judge(self, row: Row, own: Row | None, derived: Derived) -> str:
-        who = row.get("participant") or ""
-        if who in derived.skipped:
-            return ""
-        return _find_nobody(self.study, who) if own is None else _find_wrong(row, own, derived)
-
-    def _find_missing(self, derived: Derived, seen: Counter[tuple[str, ...]]) -> None:
-        """Find rows that are not there: those at the end may be newer, one amid others was left out."""
-        groups: dict[tuple[str, str], list[Row]] = defaultdict(list)
+        left: dict[tuple[str, ...], list[Row]] = defaultdict(list)
         for row in derived.rows:
-            groups[row["participant"], row.get("session", "")].append(row)
-        late = 0
-        for rows in groups.values():
-            last = max(
-                (_find_onset(r) for r in rows if _name(r, derived.key) in seen), default=-math.inf
+            left[_name(row, derived.key)].append(row)
+        known, others = set(left), []
+        for line, row in written:  # A trial that was rejected comes again, under the same number.
+            same = (
+                own for own in left[_name(row, derived.key)] if not _find_wrong(row, own, derived)
             )
-            for row in (row for row in rows if _name(row, derived.key) not in seen):
-                if _find_onset(row) >= last:
-                    late += 1
-                    continue
-                name = ", ".join(f"{k} {row[k]}" for k in derived.key if row[k])
-                self.findings.append(
-                    f"{derived.path}: lacks the row of {name}, which the journals have; {ANEW}"
-                )
+            if (own := next(same, None)) is not None:
+                left[_name(row, derived.key)].remove(own)
+            elif row.get("participant") not in derived.skipped:
+                others.append((line, row))
+        for line, row in others:
+            wrong = self._judge(row, left[_name(row, derived.key)], derived, known=known)
+            remedy = "" if "restore" in wrong else f"; {ANEW}"
+            self.findings.append(f"{derived.path}, line {line}: {wrong}{remedy}")
+        there = {_name(row, derived.key) for _, row in written}
+        self._find_missing(derived, [own for owns in left.values() for own in owns], there)
+
+    def _judge(
+        self, row: Row, own: list[Row], derived: Derived, *, known: Collection[tuple[str, ...]]
+    ) -> str:
+        """Say what is wrong with a row that is not as the journals give it."""
+        if own:
+            return _find_wrong(row, own.pop(0), derived)
+        if (name := _name(row, derived.key)) in known:
+            return f"{' '.join(filter(None, name))} stands there once more than in the journals"
+        return _find_nobody(self.study, row.get("participant") or "")
+
+    def _find_missing(
+        self, derived: Derived, left: Sequence[Row], there: Collection[tuple[str, ...]]
+    ) -> None:
+        """Find rows that are not there: those at the end may be newer, one amid others was left out."""
+        last: dict[tuple[str, str], float] = defaultdict(lambda: -math.inf)
+        for row in derived.rows:
+            if _name(row, derived.key) in there and math.isfinite(onset := _find_onset(row)):
+                last[_find_session(row)] = max(last[_find_session(row)], onset)
+        late = [row for row in left if _find_onset(row) >= last[_find_session(row)]]
+        for row in (row for row in left if row not in late):
+            name = ", ".join(f"{k} {row[k]}" for k in derived.key if row[k])
+            text = f"lacks the row of {name}, which the journals have"
+            self.findings.append(f"{derived.path}: {text}; {ANEW}")
         if late:
-            count = "a row" if late == 1 else f"{late} rows"
+            count = "a row" if len(late) == 1 else f"{len(late)} rows"
             self.remarks.append(
                 f"{derived.path}: lacks {count} that the journals have; where they are not newer, it was edited; {ANEW}"
             )
+
+
+def _find_session(row: Row) -> tuple[str, str]:
+    return row["participant"], row.get("session", "")
 
 
 def _find_onset(row: Row) -> float:

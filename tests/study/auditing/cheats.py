@@ -464,6 +464,7 @@ def _(study: StudyFolder) -> None:
 @cheat("a participant's folder is a link", is_data=False)
 def _(study: StudyFolder) -> None:
     target = study.path.parent / f"{study.path.name}-elsewhere"
+    shutil.rmtree(target, ignore_errors=True)
     folder(study).rename(target)
     folder(study).symlink_to(target)
 
