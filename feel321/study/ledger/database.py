@@ -16,12 +16,13 @@ from dataclasses import Field, asdict, dataclass, field, fields
 from pathlib import Path
 from sqlite3 import Connection as SqliteConnection
 from threading import Timer
-from typing import Any, TypeVar
+from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
 from sqlalchemy.pool import NullPool
 
+from feel321.files import as_line
 from feel321.study.server import Server, scrub
 from feel321.study.session.journal import Anchor
 
@@ -74,8 +75,6 @@ _NAME, *_REST = (one for one in fields(Entry) if one.name not in {"anchors", "st
 _STATION = fields(Entry)[-1]
 _PARTICIPANTS = _declare("participants", _NAME, *_REST, keys=["participant"])
 _ANCHORS = _declare("anchors", _NAME, *fields(Anchor), keys=["participant", "journal"])
-_CELLS = {one.name for one in (*_REST, _NAME, *fields(Anchor))}
-Stored = TypeVar("Stored", "Entry", Anchor)
 _HOLDS_SLOT = _PARTICIPANTS.c.state.in_(LIVE)
 # Claims see to it by themselves; this keeps any other program from doing otherwise.
 sa.Index(
@@ -234,13 +233,14 @@ def name_ledger(ledger: sa.Engine) -> str:
 
 def _describe_file(ledger: sa.Engine, error: DBAPIError) -> Exception:
     path, reason = name_ledger(ledger), error.orig
+    words = as_line(" ".join(str(reason).split()))
     if getattr(reason, "sqlite_errorname", "") in _DAMAGED:
         return ValueError(
-            f"{path}: got a damaged file ({reason}); move it away, then rebuild it from the journals: "
+            f"{path}: got a damaged file ({words}); move it away, then rebuild it from the journals: "
             "feel321 ledger --rebuild"
         )
     return OSError(
-        f"{path}: could not be used ({reason}); check that the folder may be written to, the disk has room "
+        f"{path}: could not be used ({words}); check that the folder may be written to, the disk has room "
         "and no other program holds the file, then run again"
     )
 
@@ -309,9 +309,8 @@ def read_entries(connection: sa.Connection, participant: str | None = None) -> l
         people = people.where(_PARTICIPANTS.c.participant == participant)
         seen = seen.where(_ANCHORS.c.participant == participant)
     anchors: dict[str, tuple[Anchor, ...]] = {}
-    for name, *values in connection.execute(seen):
-        anchor = _check_types(connection, Anchor(*values), name)
-        anchors[name] = (*anchors.get(name, ()), anchor)
+    for name, *anchor in connection.execute(seen):
+        anchors[name] = (*anchors.get(name, ()), Anchor(*anchor))
     homes: dict[str, str] = (
         dict(connection.execute(sa.select(_HOMES)).all()) if is_shared(connection) else {}
     )
@@ -323,22 +322,27 @@ def read_entries(connection: sa.Connection, participant: str | None = None) -> l
         )
         for row in connection.execute(people).mappings()
     ]
+    for entry in entries:
+        _check_cells([entry, *entry.anchors], connection)
     return sorted(
-        (_check_types(connection, entry, entry.participant) for entry in entries),
+        entries,
         key=lambda entry: (entry.simulated, entry.number, entry.state in LIVE, entry.participant),
     )
 
 
-def _check_types(connection: sa.Connection, own: Stored, participant: object) -> Stored:
-    """Refuse a cell of another type than feel321 writes, which SQLite keeps in any column."""
-    for one in fields(own):
-        value = getattr(own, one.name)
-        if one.name in _CELLS and type(value).__name__ != getattr(one.type, "__name__", one.type):
+def _check_cells(rows: Iterable[Entry | Anchor], connection: sa.Connection) -> None:
+    """Refuse what no column of ours holds: SQLite keeps whatever it is given, of any type."""
+    cells = ((one, getattr(row, one.name)) for row in rows for one in fields(row))
+    for cell, value in cells:
+        if cell.type not in _TYPES:
+            continue
+        known = STATES if cell.name == "state" else None
+        is_ours = type(value) is cell.type and (known is None or value in known)
+        if not is_ours or (isinstance(value, int) and value < 0):
             raise ValueError(
-                f"{name_ledger(connection.engine)}: {participant} has {one.name} {value!r}, which feel321 does not "
-                "write; move the file away, then rebuild it from the journals: feel321 ledger --rebuild"
+                f"{name_ledger(connection.engine)}: got a damaged cell ({cell.name} is {as_line(repr(value))}); move "
+                "it away, then rebuild it from the journals: feel321 ledger --rebuild"
             )
-    return own
 
 
 def write_entries(
