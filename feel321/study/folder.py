@@ -12,8 +12,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import create_text, is_of_group, make_folder, write_text
-from feel321.study.session.journal import list_journals
-from feel321.study.session.plan import PARTICIPANT_ID
+from feel321.study.session.journal import PARTICIPANT_ID, list_journals
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
