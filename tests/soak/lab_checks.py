@@ -21,8 +21,17 @@ if TYPE_CHECKING:
 
     from lab_day import Day
 
-MOST_GROWTH_MIB_PER_H = 1.0
-"""Growth of a process in lab hours, over the hours after its first; a session's records stay in its memory."""
+MOST_GROWTH = {
+    "session": 10.0,
+    "monitor": 16.0,
+    "monitor, nobody there": 1.0,
+    "server": 2.0,
+    "cable": 2.0,
+}
+"""MiB that a process may grow in the day: sessions and the live page keep what their journals hold."""
+
+MARKS = ("resumed", "device_failed", "clock_stepped", "aborted", "warm_up")
+"""Events that a day must leave in some journal, or nothing happened."""
 
 
 def read_rated(folder: Path) -> tuple[Counter[str], Counter[int]]:
@@ -62,9 +71,9 @@ def count_answers(day: Day, place: Path) -> tuple[int, int, int, int]:
 def find_growth(points: list[tuple[float, float, int]]) -> tuple[float, float, float, int, int]:
     """Start, end and slope (MiB per lab hour) of the memory, and open files at start and end."""
     hours, sizes, files = (np.array(one) for one in zip(*points, strict=True))
-    early, late = slice(len(hours) // 4, len(hours) // 4 + 5), slice(-5, None)
-    later = hours >= hours[len(hours) // 4]
-    slope = np.polyfit(hours[later], sizes[later], 1)[0] if later.sum() > 2 else 0.0
+    first = len(hours) // 10
+    early, late, later = slice(first, first + 5), slice(-5, None), slice(first, None)
+    slope = np.polyfit(hours[later], sizes[later], 1)[0]
     return (
         float(np.median(sizes[early])), float(np.median(sizes[late])), float(slope),
         int(np.median(files[early])), int(np.median(files[late])),
@@ -72,11 +81,22 @@ def find_growth(points: list[tuple[float, float, int]]) -> tuple[float, float, f
 
 
 def find_processes(day: Day) -> Iterator[tuple[str, tuple[float, float, float, int, int], float]]:
-    """The long-lived processes: those seen for at least half a lab hour."""
+    """The long-lived processes: those seen at least 20 times."""
     for name, points in sorted(day.samples.items()):
         watched_h = points[-1][0] - points[0][0]
-        if watched_h >= 0.06 * day.hours and len(points) >= 12:
+        if len(points) >= 20:
             yield name, find_growth(points), watched_h
+
+
+def count_marks(day: Day) -> Counter[str]:
+    """Count the records of what went wrong, in the office's journals."""
+    marks = Counter[str]()
+    for path in StudyFolder(day.root / "office").journals:
+        marks.update(record.event for record in read_journal(path).records)
+    found = Counter({event: marks[event] for event in MARKS})
+    if missing := [event for event in MARKS if not found[event]]:
+        day.faults.append(f"no journal knows of {missing}: the day did not reach the sessions")
+    return found
 
 
 def collect(day: Day) -> None:
@@ -170,13 +190,15 @@ def check(day: Day) -> bool:
         print(f"{name:8} acknowledged {acknowledged}, found {found}, lost {lost}, twice {doubled}")
         if lost or doubled or found != acknowledged or not acknowledged:
             day.faults.append(f"{name}: {lost} lost, {doubled} twice")
+    print("journals:", dict(count_marks(day)))
     print("analyzed:", told)
     print(f"{'process':24} {'h':>5} {'MiB':>7} {'MiB':>7} {'MiB/h':>7} {'files':>6} {'files':>6}")
     for name, (start, end, slope, opened, still), watched_h in find_processes(day):
         print(
             f"{name:24} {watched_h:5.2f} {start:7.1f} {end:7.1f} {slope:7.2f} {opened:6} {still:6}"
         )
-        if slope * watched_h > max(8.0, 0.1 * start) or still > opened + 8:
+        most = MOST_GROWTH["session" if "session" in name else name]
+        if end - start > most or still > opened + 8:
             day.faults.append(
                 f"{name} grows: {start:.1f} to {end:.1f} MiB, {opened} to {still} files"
             )

@@ -16,7 +16,6 @@ import heapq
 import importlib.util
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -29,6 +28,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,7 @@ HERE = Path(__file__).parent
 FEEL321 = Path(sys.executable).with_name("feel321")
 PEOPLE = 12
 SMALL_DISK_MIB = 24
+IDLE_LOOKS = 300
 
 STUDY = """
 [study]
@@ -57,6 +58,13 @@ policy = "warm_up"
 use = "demographics"
 """
 SCENES = ("bumps", "texture_drag", "hard_taps", "isotropic_rumble")
+
+
+def read_process(pid: int) -> tuple[float, int]:
+    """Resident memory of a process in MiB, and how many files it has open."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    n_files = len(list(Path(f"/proc/{pid}/fd").iterdir()))
+    return pages * os.sysconf("SC_PAGESIZE") / 2**20, n_files
 
 
 def load_postgres() -> Any:
@@ -107,6 +115,7 @@ class Day:
     )
     watched: dict[str, subprocess.Popen[str]] = field(default_factory=dict)
     finished: set[str] = field(default_factory=set)
+    address: str = ""
     spared: frozenset[str] = frozenset({"p05", "p06"})
 
     @property
@@ -164,23 +173,42 @@ class Day:
         printed, complained = seat.communicate()
         code = seat.returncode
         self.ends[f"exit {code}"] += 1
-        if code == 0 and not json.loads(printed)["stopped"]:
+        outcome = json.loads(printed) if code == 0 else {}
+        complained += outcome.get("notice", "")
+        if code == 0 and not outcome["stopped"]:
             self.finished.add(station.queue.pop(0))
         elif code == 0:  # tired: back in three hours, after whoever is next
             person = station.queue.pop(0)
             (self.control / f"tired-{person}").unlink()
             self.at(self.hour + 3 * self.hours / 8, lambda: station.queue.append(person))
         else:
-            station.retry_h = self.hour + (0.03 if code < 0 else 0.08)
+            station.retry_h = self.hour + (0.08 if code == 1 else 0.03)
         if complained.strip():
             self.said.append(f"{self.hour:5.2f} h {station.name} {station.person}: {complained}")
 
+    def is_seated(self, station: Station) -> bool:
+        """Whether a session is under way there, beyond its start."""
+        seat = station.seat
+        return seat is not None and (self.control / f"seated-{seat.pid}").exists()
+
+    def meet(self, hour: float, station: Station, act: Callable[[], None]) -> None:
+        """Let something happen to a session: at that hour, or as soon as one is under way."""
+
+        def wait() -> None:
+            if self.is_seated(station):
+                act()
+            else:
+                self.at(self.hour + 0.01, wait)
+
+        self.at(hour, wait)
+
     def signal(self, station: Station, number: signal.Signals) -> None:
-        """Signal the session that runs, unless its person is spared; then try again in a while."""
-        if station.seat is None or station.seat.poll() is not None or station.person in self.spared:
-            if self.hour < self.hours:
-                self.at(self.hour + 0.07, lambda: self.signal(station, number))
+        """Signal the session that runs, unless its person is spared; then later."""
+        if station.person in self.spared:
+            self.meet(self.hour + 0.07, station, lambda: self.signal(station, number))
             return
+        assert station.seat is not None
+        (self.control / f"seated-{station.seat.pid}").unlink()
         station.seat.send_signal(number)
         self.events[f"{number.name} to a session"] += 1
 
@@ -219,6 +247,9 @@ class Day:
         self.at(self.hour + duration_h, self.server.start)
 
     def fill_disk(self, duration_h: float) -> None:
+        if not self.has_small_disk:
+            print("LEFT OUT: only root may make a small disk to be filled")
+            return
         self.events["disk full"] += 1
         ballast = self.stations[0].folder / "ballast"
         with suppress(OSError), ballast.open("wb", buffering=0) as file:
@@ -260,19 +291,17 @@ class Day:
 
     def sample(self) -> None:
         watched = {name: one.pid for name, one in self.watched.items()}
-        watched |= {f"session {one.person}": one.seat.pid for one in self.stations if one.seat}
+        watched |= {
+            f"session {one.person}": one.seat.pid
+            for one in self.stations
+            if one.seat and self.is_seated(one)
+        }
         with suppress(OSError):
             watched["server"] = self.server.pid
         for name, pid in watched.items():
             with suppress(OSError, TypeError):
-                status = Path(f"/proc/{pid}/status").read_text()
-                rss_mib = int(re.search(r"VmRSS:\s+(\d+)", status)[1]) / 1024
-                n_files = len(list(Path(f"/proc/{pid}/fd").iterdir()))
-                self.samples[name if "session" not in name else f"{name} ({pid})"].append((
-                    self.hour,
-                    rss_mib,
-                    n_files,
-                ))
+                own = name if "session" not in name else f"{name} ({pid})"
+                self.samples[own].append((self.hour, *read_process(pid)))
 
     def look(self, address: str) -> None:
         """Look at the live page, as the experimenter's browser does."""
@@ -283,6 +312,15 @@ class Day:
         except (OSError, ValueError) as error:
             self.faults.append(f"{self.hour:.2f} h monitor: {error}")
 
+    def rest(self, monitor: subprocess.Popen[str]) -> None:
+        """Look at the live page while nothing happens: what then grows would grow for ever."""
+        for _ in range(IDLE_LOOKS):
+            self.look(self.address)
+            rss_mib, n_files = read_process(monitor.pid)
+            self.samples["monitor, nobody there"].append((self.hour, rss_mib, n_files))
+        monitor.send_signal(signal.SIGINT)
+        monitor.communicate()
+
     # The whole.
 
     def plan(self, rng: np.random.Generator) -> None:
@@ -291,25 +329,26 @@ class Day:
         for station in self.stations:
             for number, hour in enumerate(np.sort(rng.uniform(0.02, 0.8, 14))):
                 kind = signal.SIGTERM if number % 7 == 6 else signal.SIGKILL
-                self.at(hour * self.hours, lambda s=station, k=kind: self.signal(s, k))
+                act = partial(self.signal, station, kind)
+                self.meet(hour * self.hours, station, act)
         share = self.hours / 8
-        for hour, act in (
-            (0.4, lambda: self.lose_device(one, 0.07 * share)),
-            (0.5, lambda: self.tire(two)),
-            (1.1, lambda: self.lose_device(two, 0.15 * share)),
-            (2.0, lambda: self.pull_cable(0.6 * share)),
-            (2.2, lambda: self.tire(one)),
-            (3.5, lambda: self.kill_server(0.15 * share)),
-            (4.0, lambda: self.withdraw("p01")),
-            (4.3, lambda: self.lose_device(one, 0.1 * share)),
-            (5.0, lambda: self.step_clock(two, -420)),
-            (5.6, lambda: self.lose_device(two, 0.07 * share)),
-            (6.0, lambda: self.step_clock(two, 0)),
-            *((float(hour), self.audit) for hour in range(1, 8)),
+        for hour, station, act in (
+            (0.4, one, lambda: self.lose_device(one, 0.07 * share)),
+            (0.5, two, lambda: self.tire(two)),
+            (1.1, two, lambda: self.lose_device(two, 0.15 * share)),
+            (2.0, two, lambda: self.pull_cable(0.6 * share)),
+            (2.2, one, lambda: self.tire(one)),
+            (3.0, one, lambda: self.fill_disk(0.25 * share)),
+            (3.5, two, lambda: self.kill_server(0.15 * share)),
+            (4.3, one, lambda: self.lose_device(one, 0.1 * share)),
+            (5.0, two, lambda: self.step_clock(two, -420)),
+            (5.6, two, lambda: self.lose_device(two, 0.07 * share)),
+            (6.0, two, lambda: self.step_clock(two, 0)),
         ):
-            self.at(hour * share, act)
-        if self.has_small_disk:
-            self.at(3.0 * share, lambda: self.fill_disk(0.25 * share))
+            self.meet(hour * share, station, act)
+        for hour in (1.5, 3.2, 5.2, 7.0):
+            self.at(hour * share, self.audit)
+        self.at(4.0 * share, lambda: self.withdraw("p01"))
 
     def run(self, rng: np.random.Generator) -> None:
         """Let the day pass, until everybody is done."""
@@ -321,7 +360,7 @@ class Day:
         monitor = self.start(None, FEEL321, "monitor", *(one.folder for one in self.stations))
         self.watched["monitor"] = monitor
         assert monitor.stdout is not None
-        address = monitor.stdout.readline().strip()
+        self.address = monitor.stdout.readline().strip()
         self.plan(rng)
         next_s = 0.0
         while len(self.finished) < PEOPLE and self.hour < 2.5 * self.hours:
@@ -331,9 +370,9 @@ class Day:
                 self.tend(station)
             self.greet()
             if time.time() >= next_s:
-                next_s = time.time() + 1.0
+                next_s = time.time() + 2.0
                 self.sample()
-                self.look(address)
+                self.look(self.address)
             time.sleep(0.02)
         self.end()
 
@@ -342,7 +381,7 @@ class Day:
             if station.seat:
                 station.seat.kill()
                 station.seat.communicate()
-        self.watched.pop("monitor").send_signal(signal.SIGINT)
+        self.rest(self.watched.pop("monitor"))
         for *_, act in sorted(self.agenda):  # what is still broken is mended
             if act.__name__ in {"plug_cable", "start", "unlink"}:
                 act()
@@ -400,12 +439,15 @@ def main() -> int:
     for name in ("control", "wire", "tmp"):
         (root / name).mkdir()
     server.create()
+    day = None
     try:
         stations = make_stations(root, server.url, repeats=given.repeats, small=small)
         day = Day(root, given.hours, given.speed, server, stations_tests.PASSWORD, stations, small)
         day.run(np.random.default_rng(given.seed))
         good = lab_checks.check(day)
     finally:
+        for process in day.watched.values() if day else ():
+            process.kill()
         server.stop()
         if not given.keep:
             shutil.rmtree(root, ignore_errors=True)

@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
 import time
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import sessions
+from feel321.study.commands import lab
 from feel321.study.folder import StudyFolder
 from feel321.study.observer.casting import cast_observers
 from feel321.study.observer.participant import identify_observer
@@ -153,6 +155,7 @@ def lead(study: StudyFolder, name: str, number: int, control: Control) -> str:
         )
         person.control, person._paced_s = control, elapsed_s
         person.recall(journal.records, plan.trials, stimuli=stimuli)
+        (control.folder / f"seated-{os.getpid()}").touch()
         yield person
         person.settle()
 
@@ -163,11 +166,19 @@ def lead(study: StudyFolder, name: str, number: int, control: Control) -> str:
     return json.dumps({"stopped": outcome.stopped, "done": outcome.done, "notice": notice})
 
 
+def end(_number: int, _frame: object) -> NoReturn:
+    """As `run` takes it."""
+    raise lab.Terminated
+
+
 def main(path: str, name: str, number: str, folder: str) -> int:
     sessions.TRIALS_BETWEEN_NOTES = 1  # as for people
     control = Control(Path(folder), os.environ["FEEL321_STATION"], name)
+    signal.signal(signal.SIGTERM, end)
     try:
         print(lead(StudyFolder(Path(path)), name, int(number), control), flush=True)
+    except lab.Terminated:
+        return 143
     except (OSError, ValueError) as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
         return 1
