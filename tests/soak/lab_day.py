@@ -85,6 +85,7 @@ class Station:
     name: str
     folder: Path
     url: str
+    people: list[str] = field(default_factory=list)
     queue: list[str] = field(default_factory=list)
     seat: subprocess.Popen[str] | None = None
     person: str = ""
@@ -332,6 +333,9 @@ class Day:
                 act = partial(self.signal, station, kind)
                 self.meet(hour * self.hours, station, act)
         share = self.hours / 8
+        for station in self.stations:
+            for number, person in enumerate(station.people):
+                self.at(number * 1.25 * share, partial(station.queue.append, person))
         for hour, station, act in (
             (0.4, one, lambda: self.lose_device(one, 0.07 * share)),
             (0.5, two, lambda: self.tire(two)),
@@ -408,8 +412,8 @@ def make_stations(root: Path, url: str, *, repeats: int, small: bool) -> list[St
             options = ["-o", f"size={SMALL_DISK_MIB}m,mode=700"]
             subprocess.run(["mount", "-t", "tmpfs", *options, "labday", folder], check=True)
         shutil.copytree(built, folder, dirs_exist_ok=True)
-        queue = [f"p{one:02d}" for one in range(number, PEOPLE + 1, 2)]
-        stations.append(Station(station, folder, url if number == 1 else "", queue))
+        people = [f"p{one:02d}" for one in range(number, PEOPLE + 1, 2)]
+        stations.append(Station(station, folder, url if number == 1 else "", people))
     stations[1].url = url.rpartition("=")[0] + f"={root / 'wire'}"
     shutil.copytree(built, root / "office")
     return stations
@@ -421,7 +425,7 @@ def main() -> int:
     parser.add_argument("--speed", type=float, default=60.0, help="lab time over real time")
     parser.add_argument("--seed", type=int, default=19)
     parser.add_argument(
-        "--repeats", type=int, default=9, help="of each trial: sets the sessions' length"
+        "--repeats", type=int, default=12, help="of each trial: sets the sessions' length"
     )
     parser.add_argument("--keep", action="store_true", help="keep the folder")
     given = parser.parse_args()
