@@ -250,7 +250,10 @@ def status(*, study: Study, with_notes: bool, rehearsals: bool, as_json: bool) -
     if as_json:
         shared.print_json(asdict(state))
         return
-    click.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else [])]))
+    from feel321.study.persons.retention import describe_due
+
+    due = describe_due(study.folder, today=study.now().date())
+    click.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else []), *due]))
 
 
 @click.command(
