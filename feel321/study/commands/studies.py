@@ -1,4 +1,4 @@
-"""Verbs of a study: new, check, build, demo, simulate, status, note, audit, ledger, release, analyze."""
+"""Verbs of a study: new, check, build, demo, simulate, status, note, ledger, release, analyze."""
 
 from __future__ import annotations
 
@@ -250,7 +250,10 @@ def status(*, study: Study, with_notes: bool, rehearsals: bool, as_json: bool) -
     if as_json:
         shared.print_json(asdict(state))
         return
-    click.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else [])]))
+    from feel321.study.persons.retention import describe_due
+
+    due = describe_due(study.folder, today=study.now().date())
+    click.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else []), *due]))
 
 
 @click.command(
@@ -301,38 +304,6 @@ def texts(*, study: Study, language: str | None) -> None:
 
 def _choose(study: Study, *, rehearsals: bool) -> Study:
     return replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))
-
-
-@click.command(epilog="Example: feel321 audit my-study --expect 5fe2c1...")
-@shared.study_argument
-@click.option(
-    "--expect",
-    metavar="DIGEST",
-    help="The seal that an earlier audit printed; fail if it has changed.",
-)
-@shared.rehearsals_option
-@shared.json_option
-@click.pass_context
-def audit(
-    context: click.Context, *, study: Study, expect: str | None, rehearsals: bool, as_json: bool
-) -> None:
-    """Verify plans, journals and stimuli; list every change."""
-    study = _choose(study, rehearsals=rehearsals)
-    found = study.audit()
-    path, findings = study.folder.path, list(found.findings)
-    if expect not in {None, found.seal}:
-        findings.append(
-            f"{path}: the seal must be {expect}, got {found.seal}; something was recorded or changed since"
-        )
-    if as_json:
-        own = {"findings": findings, "seal": found.seal, "remarks": found.remarks}
-        shared.print_json(own)
-    else:
-        n = len(study.folder.journals)
-        good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, all as they were written"
-        click.echo("\n".join([*(findings or [good]), *found.remarks]))
-        click.echo(f"seal: {found.seal}; keep it elsewhere")
-    context.exit(1 if findings else 0)
 
 
 @click.command(epilog="Example: feel321 release my-study --participant p07")
