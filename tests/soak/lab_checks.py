@@ -200,7 +200,7 @@ def check(day: Day) -> bool:
         most = MOST_GROWTH["session" if "session" in name else name]
         if name == "monitor":
             journals = StudyFolder(day.root / "office").journals
-            most += 1.5 * sum(path.stat().st_size for path in journals) / 2**20
+            most += 4 * sum(path.stat().st_size for path in journals) / 2**20
         if end - start > most or still > opened + 8:
             day.faults.append(
                 f"{name} grows: {start:.1f} to {end:.1f} MiB, {opened} to {still} files"
