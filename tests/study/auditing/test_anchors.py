@@ -150,7 +150,9 @@ def interrupt(study: StudyFolder) -> None:
 
 def write_report(study: StudyFolder, text: str) -> None:
     study.report.mkdir(exist_ok=True)
-    (study.report / "results.json").write_text(json.dumps({"headline": text, "files": []}))
+    (study.report / "results.json").write_text(
+        json.dumps({"headline": text, "files": ["results.json", "index.html"]})
+    )
     (study.report / "index.html").write_text(f"<p>{text}</p>")
 
 
