@@ -21,7 +21,7 @@ VERBS = {
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
-    "persons": ("inventory", "withdraw"),
+    "persons": ("backup", "inventory", "restore", "withdraw"),
     "planning": ("power",),
     "signals": ("match", "port", "reduce"),
     "stations": ("collect",),
@@ -42,7 +42,7 @@ VERBS = {
 }
 """Module of `feel321.study.commands` -> its verbs."""
 
-RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
+RESUMED = {"backup", "build", "collect", "demo", "power", "restore", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 

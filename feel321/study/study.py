@@ -511,6 +511,9 @@ class Study(Plannable):
             Every number of the report, and its answer.
         """
         from feel321.study.analyze import analyze_study
+        from feel321.study.export.narrative import write_methods
 
         with follow(self.progress, "analyze") as step:
-            return analyze_study(self.folder, draws=draws, rivals=rivals, progress=step)
+            results = analyze_study(self.folder, draws=draws, rivals=rivals, progress=step)
+        write_methods(self.folder, self.folder.report)
+        return results

@@ -330,7 +330,7 @@ def test_a_code_is_compared_and_its_errors_are_found(
     tip = read_tip(study)
     assert tip is not None
     assert codes.read_code(code.lower().replace("-", " ")) == (tip.lines, tip.sha256[:20])
-    rng = random.Random(SEED)  # noqa: S311 - no secret
+    rng = random.SystemRandom()
     place = rng.choice([n for n, letter in enumerate(code) if letter != "-"])
     wrong = code[:place] + next(c for c in codes.ALPHABET if c != code[place]) + code[place + 1 :]
     with pytest.raises(ValueError, match="a character is wrong"):
@@ -382,7 +382,7 @@ def forked() -> Iterator[Callable[[Path], Any]]:
 
 @pytest.mark.skipif(os.name == "nt", reason="no fork")
 def test_a_kill_while_sealing_accuses_nobody(study: StudyFolder, forked: Any) -> None:
-    rng = random.Random(SEED)  # noqa: S311 - no secret
+    rng = random.SystemRandom()
     for _ in range(6):
         child = forked(study.path)
         time.sleep(rng.uniform(0.005, 0.15))
