@@ -16,6 +16,7 @@ from feel321.study.commands.shared import add_loudness, cap, warn
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
 VERBS = {
+    "evidence": ("freeze",),
     "exports": ("export",),
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
