@@ -275,7 +275,6 @@ def file_named(path: Path) -> Iterator[None]:
         raise type(error)(f"{prefix}{error.strerror or str(error).removeprefix(prefix)}") from error
 
 
-<<<<<<< HEAD
 LONGEST_LINE = 1000
 """Characters of a refusal: a file may hold anything, and be long."""
 
@@ -287,16 +286,6 @@ def as_line(text: str) -> str:
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
-def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    # Beside the target, so that the replacement stays on one file system and is atomic.
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        if path.is_file() and cmp(unfinished, path, shallow=False):
-=======
 def _is_kept(path: Path, private: bool) -> bool:  # noqa: FBT001 - of one caller
     return not private or os.name == "nt" or not path.stat().st_mode & 0o077
 
@@ -307,7 +296,6 @@ def _replace(path: Path, write: Callable[[BinaryIO], object], *, private: bool =
         file.flush()
         os.fsync(file.fileno())
         if path.is_file() and _is_kept(path, private) and cmp(unfinished, path, shallow=False):
->>>>>>> main
             return
         if os.name == "nt":  # pragma: no cover - an open file is not moved there
             file.close()

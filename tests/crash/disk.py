@@ -86,9 +86,10 @@ Step = Change | Sync | Mark
 
 @dataclass
 class Log:
-    """What was there before, and all steps in order; folders: numbers of folders."""
+    """What was there before, and all steps in order; folders: the numbers of all there ever were."""
 
     before: dict[int, Content]
+    folders: set[int]
     steps: list[Step] = field(default_factory=list)
 
 
@@ -102,8 +103,11 @@ class Cut:
     lost: tuple[Change, ...]
 
 
-def list_cuts(log: Log) -> Iterator[Cut]:
-    """List all power cuts at every point of a log; of those that leave one state the last, which must keep most."""
+def list_cuts(log: Log, *, stride: int = 1) -> Iterator[Cut]:
+    """List all power cuts at every point of a log; of those that leave one state the last, which must keep most.
+
+    stride: look at every n-th point only.
+    """
     found: dict[bytes, Cut] = {}
     safe: list[tuple[int, Change]] = []
     open_: list[tuple[int, Change]] = []
@@ -115,7 +119,7 @@ def list_cuts(log: Log) -> Iterator[Cut]:
             safe, open_ = _settle(safe, open_, step.place)
         else:
             open_.append((point, step))
-        for kept in choose(open_):
+        for kept in () if point % stride else choose(open_):
             changes = tuple(one for _, one in sorted([*safe, *kept], key=lambda pair: pair[0]))
             lost = tuple(one for pair in open_ if pair not in kept for one in pair[1:])
             cut = Cut(point, tuple(marks), changes, lost)
@@ -126,27 +130,19 @@ def list_cuts(log: Log) -> Iterator[Cut]:
 def _settle(
     safe: list[tuple[int, Change]], open_: list[tuple[int, Change]], place: int
 ) -> tuple[list[tuple[int, Change]], list[tuple[int, Change]]]:
+    """Sync a file or a folder: of what was moved between two folders, one end may be safe and the other not."""
     still: list[tuple[int, Change]] = []
     for number, change in open_:
-        places = change.places - {place}
         if place not in change.places:
             still.append((number, change))
-        elif places:  # entries of two folders, of which one is synced
-            still.append((number, _Half(change.changes, frozenset(places))))  # type: ignore[union-attr]
+        elif isinstance(change, Entries):
+            here = tuple(one for one in change.changes if one[0] == place)
+            there = tuple(one for one in change.changes if one[0] != place)
+            safe = [*safe, (number, Entries(here))]
+            still += [(number, Entries(there))] if there else []
         else:
             safe = [*safe, (number, change)]
     return safe, still
-
-
-@dataclass(frozen=True)
-class _Half(Entries):
-    """Entries of which some folders are synced."""
-
-    left: frozenset[int] = frozenset()
-
-    @property
-    def places(self) -> set[int]:
-        return set(self.left)
 
 
 Numbered = Sequence[tuple[int, Change]]
@@ -188,19 +184,24 @@ def apply(log: Log, changes: Sequence[Change]) -> dict[int, Content]:
     disk: dict[int, Content] = {
         number: dict(one) if isinstance(one, dict) else one for number, one in log.before.items()
     }
+    disk |= {number: {} for number in log.folders - set(disk)}
     for change in changes:
         if isinstance(change, Entries):
-            for folder, name, target in change.changes:
-                entries = disk.setdefault(folder, {})
-                assert isinstance(entries, dict)
-                entries.pop(name, None)
-                if target is not None:
-                    entries[name] = target
+            _enter(disk, change)
         else:
             content = disk.get(change.file, b"")
             assert isinstance(content, bytes)
             disk[change.file] = _write(content, change)
     return disk
+
+
+def _enter(disk: dict[int, Content], change: Entries) -> None:
+    for folder, name, target in change.changes:
+        entries = disk[folder]
+        assert isinstance(entries, dict)
+        entries.pop(name, None)
+        if target is not None:
+            entries[name] = target
 
 
 def _write(content: bytes, change: Write | Resize) -> bytes:

@@ -44,7 +44,7 @@ def trace(words: Sequence[str | Path], folder: Path, log: Path) -> Log:
     for line in _join(log.read_text(encoding="ascii", errors="replace").splitlines()):
         if match := LINE.match(line):
             recorder.take(match[1], match[2], int(match[3]))
-    return Log(before, recorder.steps)
+    return Log(before, set(recorder.entries), recorder.steps)
 
 
 def can_trace() -> bool:
@@ -113,6 +113,8 @@ class _Recorder:
             path = f"{decode(base[2] or '').decode()}/{path}"
         if path.startswith(MARKS):
             self.steps.append(Mark(path.removeprefix(MARKS)))
+        if path == self.folder:
+            return ROOT, "."
         if not path.startswith(f"{self.folder}/"):
             return None
         *above, name = path.removeprefix(f"{self.folder}/").strip("/").split("/")
@@ -138,9 +140,13 @@ class _Recorder:
         return number
 
     def _open(self, words: list[str], text: str, result: int) -> None:
-        place = self._resolve(words[: 2 if words[0].startswith("AT_FDCWD") or "<" in words[0] else 1])
-        if place is None or result < 0:
+        place = self._resolve(words[: 1 if words[0].startswith('"') else 2])
+        if result < 0:
+            return
+        if place is None or place[1] == ".":
             self.descriptors.pop(result, None)
+            if place:
+                self.descriptors[result] = [ROOT, 0, 0]
             return
         number = self.entries.get(place[0], {}).get(place[1])
         if number is None:
@@ -252,4 +258,6 @@ class _Recorder:
 
 
 def decode_all(words: list[str]) -> str:
-    return " ".join(decode(one).decode("utf-8", "replace") for word in words for one in STRING.findall(word))
+    return " ".join(
+        decode(one).decode("utf-8", "replace") for word in words for one in STRING.findall(word)
+    )

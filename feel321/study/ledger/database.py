@@ -133,7 +133,7 @@ def connect_ledger(place: Path | Server) -> sa.Engine:
             poolclass=NullPool,
             connect_args={"timeout": PATIENCE_S},
         )
-        sa.event.listen(ledger, "connect", _leave_transactions_alone)
+        sa.event.listen(ledger, "connect", _prepare_file)
     else:
         ledger = _connect_server(place)
         sa.event.listen(ledger, "connect", _limit, insert=True)
@@ -257,9 +257,11 @@ def _describe_server(ledger: sa.Engine, error: DBAPIError) -> Exception:
     )
 
 
-def _leave_transactions_alone(connection: SqliteConnection, _record: object) -> None:
+def _prepare_file(connection: SqliteConnection, _record: object) -> None:
     # Python's sqlite3 would begin transactions by itself, and late.
     connection.isolation_level = None
+    # A commit is the end of SQLite's journal: its going must be on the disk too, or a power cut takes it back.
+    connection.execute("PRAGMA synchronous = EXTRA")
 
 
 def _begin(connection: sa.Connection) -> None:
