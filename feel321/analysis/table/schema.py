@@ -22,6 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from feel321.files import as_line
+
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
@@ -204,11 +206,14 @@ def read_sheet(
     source: Path | DataFrame, what: str, schema: Mapping[str, ColumnInfo]
 ) -> tuple[DataFrame, list[str]]:
     """Read the columns that an analysis uses, as text, from a CSV file or a table in memory; `what` names it."""
-    sheet, header = (
-        _read_file(source, schema)
-        if isinstance(source, Path)
-        else _read_frame(source, what, schema)
-    )
+    try:
+        sheet, header = (
+            _read_file(source, schema)
+            if isinstance(source, Path)
+            else _read_frame(source, what, schema)
+        )
+    except ValueError as error:  # headers may hold anything
+        raise ValueError(as_line(str(error))) from error
     filled = sheet != ""
     sheet = sheet[filled.any(axis=1)]
     if sheet.empty:
