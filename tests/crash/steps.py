@@ -1,43 +1,33 @@
-"""What is recorded, and done again after a power cut: run as `steps.py STEP FOLDER`; marks what it acknowledges."""
+"""What is recorded, and done again after a power cut; `main` marks what it acknowledges."""
 
 from __future__ import annotations
 
 import os
-import sys
-import types
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-HERE = Path(__file__).resolve().parent
-if (
-    "tests" not in sys.modules
-):  # run by itself: some distribution may have installed a package of that name
-    package = types.ModuleType("tests")
-    package.__path__ = [str(HERE.parent)]
-    sys.modules["tests"] = package
-
-from feel321.protocols.tasks import make_task  # noqa: E402 - after the package is found
-from feel321.protocols.texts import read_scales  # noqa: E402
-from feel321.protocols.trial import Flow  # noqa: E402
-from feel321.stimuli.sets.manifest import read_stimuli  # noqa: E402
-from feel321.study.collect import collect_sessions  # noqa: E402
-from feel321.study.folder import StudyFolder  # noqa: E402
-from feel321.study.ledger.progress import write_roster  # noqa: E402
-from feel321.study.ledger.slots import claim_slots, open_study_ledger, rebuild_ledger  # noqa: E402
-from feel321.study.observer.participant import ObserverModel, identify_observer  # noqa: E402
-from feel321.study.observer.simulated import SimulatedObserver  # noqa: E402
-from feel321.study.persons.withdrawal import withdraw_participant  # noqa: E402
-from feel321.study.ratings import write_ratings  # noqa: E402
-from feel321.study.session import journal as journals  # noqa: E402
-from feel321.study.session.plan import Design, Stale, make_plan  # noqa: E402
-from feel321.study.session.ports import Abort  # noqa: E402
-from feel321.study.sessions import Room, lead_session  # noqa: E402
-from feel321.study.settings.schema import ObserverTable  # noqa: E402
-from feel321.study.study import Study  # noqa: E402
-from tests.crash.record import MARKS  # noqa: E402
+from feel321.protocols.tasks import make_task
+from feel321.protocols.texts import read_scales
+from feel321.protocols.trial import Flow
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.collect import collect_sessions
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.progress import write_roster
+from feel321.study.ledger.slots import claim_slots, open_study_ledger, rebuild_ledger
+from feel321.study.observer.participant import ObserverModel, identify_observer
+from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.ratings import write_ratings
+from feel321.study.session import journal as journals
+from feel321.study.session.plan import Design, Stale, make_plan
+from feel321.study.session.ports import Abort
+from feel321.study.sessions import Room, lead_session
+from feel321.study.settings.schema import ObserverTable
+from feel321.study.study import Study
+from tests.crash.record import MARKS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -91,7 +81,7 @@ def note_records() -> None:
         keep(self, record)
         mark(f"record/{self.path.parent.name}/{self.path.name}/{len(self.records)}/{self.tip}")
 
-    journals.Journal._keep = keep_and_mark  # type: ignore[method-assign]
+    journals.Journal._keep = keep_and_mark  # type: ignore[method-assign]  # the product stays as it is
 
 
 DESIGN = Design(
@@ -183,6 +173,7 @@ def list_files(folder: Path) -> Iterator[Path]:
     return (path for path in folder.rglob("*") if path.is_file())
 
 
-if __name__ == "__main__":
+def main(step: str, folder: str) -> None:
+    """Do a step, and mark what it acknowledges."""
     note_records()
-    STEPS[sys.argv[1]](Path(sys.argv[2]))
+    STEPS[step](Path(folder))

@@ -46,6 +46,16 @@ AGAIN = 8
 """After every eighth cut the step is done again."""
 
 
+BEGIN = """
+import sys, types
+package = sys.modules["tests"] = types.ModuleType("tests")
+package.__path__ = [{tests!r}]
+from tests.crash.steps import main
+main(*sys.argv[1:])
+"""
+"""Finds the package of the tests: some distribution may have installed another of that name."""
+
+
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Path]:
     """A folder in memory, where there is one: thousands of states are written."""
@@ -67,7 +77,13 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Lo
         place = tmp_path_factory.mktemp("recorded")
         whole = place / "whole"
         steps.prepare(step, whole)
-        words = [sys.executable, str(Path(steps.__file__)), step, whole]
+        words = [
+            sys.executable,
+            "-c",
+            BEGIN.format(tests=str(Path(__file__).parents[1])),
+            step,
+            whole,
+        ]
         return trace(words, whole, place / "calls.txt"), whole
 
     return make
@@ -113,7 +129,7 @@ def test_some_power_cuts(step: str, place: Path, record: Callable[[str], tuple[L
 def test_every_power_cut(step: str, place: Path, record: Callable[[str], tuple[Log, Path]]) -> None:
     recorded = record(step)
     cuts = list(list_cuts(recorded[0]))
-    print(f"{step}: {len(recorded[0].steps)} steps, {len(cuts)} states")  # noqa: T201 - the count
+    print(f"{step}: {len(recorded[0].steps)} steps, {len(cuts)} states")  # noqa: T201 - the count of states
     assert not replay(step, recorded, cuts, place=place)
 
 

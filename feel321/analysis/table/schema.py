@@ -22,8 +22,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from feel321.files import as_line
-
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
@@ -213,7 +211,8 @@ def read_sheet(
             else _read_frame(source, what, schema)
         )
     except ValueError as error:  # headers may hold anything
-        raise ValueError(as_line(str(error))) from error
+        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(error))
+        raise ValueError(line) from error
     filled = sheet != ""
     sheet = sheet[filled.any(axis=1)]
     if sheet.empty:
