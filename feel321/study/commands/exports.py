@@ -55,4 +55,4 @@ def export(
     table, seed = read_study_table(
         StudyFolder(folder), ratings=ratings, manifest=manifest, metrics=metrics or None
     )
-    click.echo(f"{export_r(table, r_folder, rng=seed)}: next, in that folder: Rscript model.R")
+    shared.echo(f"{export_r(table, r_folder, rng=seed)}: next, in that folder: Rscript model.R")

@@ -229,7 +229,7 @@ def _run_benchmark(task: MethodTask, methods: tuple[str, ...], *, as_json: bool)
         shared.print_json([card.model_dump() for card in done.cards])
     else:
         for path in paths:
-            click.echo(path)
+            shared.echo(path)
     if done.failures:
         raise ValueError("\n".join(done.failures))
 
@@ -350,8 +350,8 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
     if as_json:
         shared.print_json(content)
         return
-    click.echo(study.summary())
-    click.echo(task.output / "index.html")
+    shared.echo(study.summary())
+    shared.echo(task.output / "index.html")
 
 
 _OPTIONS = {
@@ -441,4 +441,4 @@ def published(
         found = papers.correlate_published(table, manifest, metrics=metrics or None, level=level)
         notes = [found.comparisons.to_string(index=False), *found.notes]
     lines = [found.to_frame().to_string(index=False), *notes]
-    click.echo(shared.dump_json(found.to_dict()) if as_json else "\n".join(lines))
+    shared.echo(shared.dump_json(found.to_dict()) if as_json else "\n".join(lines))

@@ -127,5 +127,5 @@ def power(
     if as_json:
         shared.print_results(target, as_json=True)
         return
-    click.echo(found.summary())
+    shared.echo(found.summary())
     shared.print_results(target, as_json=False)

@@ -43,7 +43,7 @@ def new(folder: Path, *, bundled: str | None, extra: str | None) -> None:
     study = Study.create(folder, like=bundled).folder
     if extra:
         add_methods(study)
-    click.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
+    shared.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
 
 
 @click.command(
@@ -91,7 +91,7 @@ def check(
         count = len(found.warnings) + len(found.remarks)
         counted = f", {count} warning{'s' * (count > 1)}" if count else ""
         good = f"{study.folder.path}: no problems{counted}"
-        click.echo("\n".join([*(shared.cap(found.problems) or [good]), *found.notes]))
+        shared.echo("\n".join([*(shared.cap(found.problems) or [good]), *found.notes]))
     context.exit(1 if found.problems else 0)
 
 
@@ -108,9 +108,9 @@ def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -
             "kind": method.kind, "name": method.name, **method.to_json(), "checks": found, "failed": failed,
         })  # fmt: skip
     else:
-        click.echo(f"{method.kind} {method.name}: {failed or 'no'} of {len(found)} checks failed")
+        shared.echo(f"{method.kind} {method.name}: {failed or 'no'} of {len(found)} checks failed")
         for one in found:
-            click.echo(f"  {'ok    ' if one.passed else 'FAILED'}  {one.check}: {one.text}")
+            shared.echo(f"  {'ok    ' if one.passed else 'FAILED'}  {one.check}: {one.text}")
     return 1 if failed else 0
 
 
@@ -139,7 +139,7 @@ def build(*, study: Study, workers: Workers, no_page: bool, as_json: bool) -> No
         shared.print_json({"stimuli": count, "folder": folder, "sha256": sha256, "notes": notes})
     else:
         lines = [f"{stimuli.folder}: {count} stimuli, set {sha256[:12]}", *shared.cap(notes)]
-        click.echo("\n".join(lines))
+        shared.echo("\n".join(lines))
 
 
 @click.command(epilog="Example: feel321 demo --dir demo-study")
@@ -155,9 +155,9 @@ def demo(folder: Path) -> None:
     """Run a whole study with simulated participants."""
     study = Study(_open_demo(folder), shared.wants_bar(), warn=shared.warn)
     stimuli = study.build()
-    click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
+    shared.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
     rows = _simulate(study, DEMO_PARTICIPANTS)
-    click.echo(
+    shared.echo(
         f"{study.folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants"
     )
     study.analyze()
@@ -232,8 +232,8 @@ def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool
         return
     terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.slopes.items()]
     terms += [f"{points:+.1f} for {reducer}" for reducer, points in planted.reducers.items()]
-    click.echo(f"{file}: {rows} ratings")
-    click.echo(
+    shared.echo(f"{file}: {rows} ratings")
+    shared.echo(
         f"planted in realism, in points: {', '.join(terms)}"
         if terms
         else "planted: more than the two matches"
@@ -251,7 +251,7 @@ def status(*, study: Study, with_notes: bool, rehearsals: bool, as_json: bool) -
     if as_json:
         shared.print_json(asdict(state))
         return
-    click.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else [])]))
+    shared.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else [])]))
 
 
 @click.command(
@@ -273,7 +273,7 @@ def note(*, study: Study, text: str, participant: str, rehearsals: bool) -> None
     folder = _choose(study, rehearsals=rehearsals).folder
     if notice := take_note(folder, participant, text, now=study.now):
         shared.warn(notice)
-    click.echo(f"{participant}: noted")
+    shared.echo(f"{participant}: noted")
 
 
 @click.command(epilog="Example: feel321 texts my-study --language de")
@@ -297,7 +297,7 @@ def texts(*, study: Study, language: str | None) -> None:
     check_name(language, list_languages(), "language")
     path = study.folder.path / COPY_FILE
     create_text(path, write_copy(language))
-    click.echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
+    shared.echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
 
 
 def _choose(study: Study, *, rehearsals: bool) -> Study:
@@ -331,8 +331,8 @@ def audit(
     else:
         n = len(study.folder.journals)
         good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, all as they were written"
-        click.echo("\n".join([*(findings or [good]), *found.remarks]))
-        click.echo(f"seal: {found.seal}; keep it elsewhere")
+        shared.echo("\n".join([*(findings or [good]), *found.remarks]))
+        shared.echo(f"seal: {found.seal}; keep it elsewhere")
     context.exit(1 if findings else 0)
 
 
@@ -356,12 +356,12 @@ def withdraw(
         raise click.UsageError("a terminal is needed to ask whether you are sure; else add --yes")
     question = f"Remove all data of {participant} in {folder.path} for good?"
     if not is_sure and not click.confirm(question, err=True):
-        click.echo(f"{folder.path}: nothing was removed")
+        shared.echo(f"{folder.path}: nothing was removed")
         context.exit(1)
     removed = withdraw_participant(
         folder, participant, now=study.now, reason=reason, warn=shared.warn
     )
-    click.echo(
+    shared.echo(
         f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
         "Exports and other copies are yours to remove"
     )
@@ -378,7 +378,7 @@ def release(*, study: Study, participant: str) -> None:
     from feel321.study.persons.withdrawal import release_participant
 
     number = release_participant(study.folder, participant, now=study.now)
-    click.echo(f"{study.folder.path}: {participant} is released, number {number} is free")
+    shared.echo(f"{study.folder.path}: {participant} is released, number {number} is free")
 
 
 @click.command(epilog="Example: feel321 ledger my-study")
@@ -395,10 +395,10 @@ def ledger(*, study: Study, rebuild: bool, as_json: bool) -> None:
     if as_json:
         shared.print_json([asdict(entry) for entry in entries])
         return
-    click.echo(f"{'number':>6}  {'participant':<16}{'state':<12}{'done':>5} of")
+    shared.echo(f"{'number':>6}  {'participant':<16}{'state':<12}{'done':>5} of")
     for entry in entries:
         mark = " (simulated)" if entry.simulated else ""
-        click.echo(
+        shared.echo(
             f"{entry.number:>6}  {entry.participant:<16}{entry.state:<12}{entry.done:>5} {entry.total}{mark}"
         )
 
