@@ -22,6 +22,7 @@ from feel321.analysis.published import Published
 from feel321.analysis.refined.refine import Refined
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.front import About
+from feel321.analysis.report.standing import Hypothesis, Standing
 from feel321.analysis.report.write import Results
 from feel321.analysis.screening.consistency import RaterModel
 from feel321.analysis.screening.screen import Screening
@@ -66,6 +67,7 @@ __all__ = [
     "Equivalence",
     "Estimate",
     "Further",
+    "Hypothesis",
     "Intraclass",
     "MixedFit",
     "Multiverse",
@@ -93,6 +95,7 @@ __all__ = [
     "SessionEvent",
     "Signal",
     "Space",
+    "Standing",
     "Status",
     "Stress",
     "StudyPower",

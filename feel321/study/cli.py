@@ -23,6 +23,7 @@ from feel321.study.commands.shared import add_loudness, cap, echo, warn
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
 VERBS = {
+    "evidence": ("freeze",),
     "exports": ("export",),
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),

@@ -18,6 +18,7 @@ from feel321.protocols.order import TASK_ORDERS
 from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.freezing.record import describe_frozen
 from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
 from feel321.study.ledger.rigs import RigUse, describe_rigs, find_rig_use
 from feel321.study.minutes import (
@@ -217,12 +218,13 @@ class ParticipantStatus:
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Status(Result):
-    """Progress of a study; stations: what is to be known of them, where several share a ledger."""
+    """Progress of a study; stations: what is to be known of them, where several share a ledger; frozen: in a line."""
 
     participants: tuple[ParticipantStatus, ...]
     balance: BalanceAsRun | None
     length: Length | None = None
     stations: tuple[str, ...] = ()
+    frozen: str = ""
 
     def to_frame(self) -> DataFrame:
         """Return one row per participant."""
@@ -238,7 +240,7 @@ class Status(Result):
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         length = [] if self.length is None else [self.length.describe()]
         uses = [entry.rig for entry in self.participants if entry.rig]
-        lines += [*describe_rigs(uses), *self.stations, *length]
+        lines += [*describe_rigs(uses), *self.stations, *length, *filter(None, [self.frozen])]
         return "\n".join([*lines, *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
@@ -281,7 +283,8 @@ def read_status(
             progress(count, len(folders))
     timed, length = _add_minutes(study, entries, dossiers)
     others, lines = _read_others(study)
-    return Status((*timed, *others), measure_realised(dossiers), length, lines)
+    frozen = "" if study.is_rehearsal else describe_frozen(study)
+    return Status((*timed, *others), measure_realised(dossiers), length, lines, frozen)
 
 
 def _read_others(study: StudyFolder) -> tuple[list[ParticipantStatus], tuple[str, ...]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -370,10 +370,13 @@ class Study(Plannable):
         Problems
             All that was found, at once.
         """
+        from feel321.study.freezing.record import describe_frozen, find_faults
         from feel321.study.workflow import check_study
 
         with follow(self.progress, "check") as step:
-            return check_study(self.folder, progress=step)
+            found = check_study(self.folder, progress=step)
+        warnings, line = (*found.warnings, *find_faults(self.folder)), describe_frozen(self.folder)
+        return replace(found, warnings=warnings, notes=(*found.notes, *filter(None, [line])))
 
     def build(self, workers: int | Workers = 1, *, page: bool = True) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
@@ -454,10 +457,12 @@ class Study(Plannable):
         from feel321.study.auditing.seal import make_seal
         from feel321.study.auditing.study import audit_study
         from feel321.study.findings import Audit
+        from feel321.study.freezing.record import describe_frozen, find_faults
 
         with follow(self.progress, "audit") as step:
-            findings = tuple(audit_study(self.folder, progress=step))
-        return Audit(findings, make_seal(self.folder), tuple(list_remarks(self.folder)))
+            findings = (*audit_study(self.folder, progress=step), *find_faults(self.folder))
+        remarks = (*list_remarks(self.folder), *filter(None, [describe_frozen(self.folder)]))
+        return Audit(findings, make_seal(self.folder), remarks)
 
     def analyze(self, draws: int | None = None, *, rivals: bool = False) -> Results:
         """Relate the ratings to the match metrics and write the report into `report/`.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain, product, repeat
 from typing import TYPE_CHECKING
 
@@ -18,6 +18,7 @@ from feel321.analysis.primary.model import FEWEST
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.section import Picture, Section, make_slug
+from feel321.analysis.report.standing import Standing
 
 if TYPE_CHECKING:
     from feel321.analysis.table.items import Table
@@ -65,6 +66,8 @@ class About:
         Day of the last rating, as 2026-03-01; empty if unknown.
     protocols : tuple of str
         Its protocols, in the order in which the report shows their scales.
+    standing : Standing
+        What was declared before the ratings.
 
     Examples
     --------
@@ -76,6 +79,7 @@ class About:
     name: str = ""
     date: str = ""
     protocols: tuple[str, ...] = ()
+    standing: Standing = field(default_factory=Standing)
 
 
 def order_scales(table: Table, protocols: Sequence[str]) -> Table:

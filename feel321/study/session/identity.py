@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +12,20 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-UNCOMPARED = ("format", "session", "versions", "system", "clock")
-"""May differ between a header and a later opening: other versions may go on with a session."""
+UNCOMPARED = ("format", "session", "versions", "system", "clock", "frozen")
+"""May differ between a header and a later opening: other versions may go on with a session, and choices be amended."""
+
+FROZEN_FILE = "frozen.json"
+"""What was decided before the ratings, in the study's folder (`feel321 freeze`)."""
+
+
+def identify_frozen(folder: Path) -> dict[str, str]:
+    """Return the digest that the study's frozen file gives of itself, for the header of a session; none without one."""
+    try:
+        return {"frozen": str(json.loads((folder / FROZEN_FILE).read_bytes())["sha256"])}
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return {}
+
 
 ACCEPTABLE = ("presenter.rig", "calibration")
 """May differ where somebody accepts it: a rig may have to be repaired in mid-study."""

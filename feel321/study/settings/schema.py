@@ -525,6 +525,7 @@ class AnalysisTable(kinds.TomlTable):
     screening: tuple[kinds.Words, ...] = ()
     draws: Annotated[int, Field(ge=100)] = 2000
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
+    hypotheses: tuple[kinds.Words, ...] = ()
 
 
 class LedgerTable(kinds.TomlTable):

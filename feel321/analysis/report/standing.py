@@ -1,0 +1,135 @@
+"""What was declared before the ratings were seen, and which results it makes confirmatory.
+
+A result is confirmatory if its hypothesis (a slope on one scale and level) was frozen before the first rating of a real
+person, and metrics, model, stimuli and rules about the data are those of the frozen file. All else is exploratory,
+which is no fault: it says that the data may have suggested the question.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from feel321.analysis.words import format_level, format_name, format_ratings
+
+CONFIRMATORY, EXPLORATORY = "confirmatory", "exploratory"
+
+MODEL: Mapping[str, Any] = {
+    "model": (
+        "rating ~ 1 + metrics within recordings + metrics between recordings + "
+        "(1 + metrics within recordings || participant) + (1 | recording) + (1 | item) + (1 | participant:recording) + "
+        "(1 | reducer) + (1 | participant:reducer), on means over equal repeats, else on single ratings with "
+        "(1 | participant:item); plus (1 | source) + (1 | source:reducer) where recordings share sources; restricted "
+        "maximum likelihood, Satterthwaite's degrees of freedom; with fewer than 8 reducers their spread is kept from 0"
+    ),
+    "alpha": 0.05,
+    "correction": "Holm's method over all slopes within recordings of the report",
+    "exclusions": (
+        "practice, training, rejected trials, hidden references and anchors are left out; no participant is left out "
+        "of the primary analysis, and results without those whom screening rules flag stand beside it"
+    ),
+    "not_estimable": "below 3 participants, 3 recordings (or sources of them) or 2 degrees of freedom",
+}  # fmt: skip
+"""What feel321 decides about the primary analysis, and no setting: it is frozen with the settings."""
+
+TESTED = frozenset({"value", "quartile_effect", "df", "p_holm"})
+"""Statistics of a slope that are the declared test; the others of its family are sensitivity analyses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """A slope that was declared; higher: whether a larger value of the metric means a better match or a worse one."""
+
+    scale: str
+    level: str
+    metric: str
+    higher: str = "better"
+
+    @property
+    def place(self) -> tuple[str, str, str]:
+        """What it is about."""
+        return self.scale, self.level, self.metric
+
+    def __str__(self) -> str:
+        """Write it in plain words."""
+        ratings = format_ratings(format_name(self.scale) + format_level(self.level))
+        way = "higher" if self.higher == "better" else "lower"
+        return (
+            f"Among the stimuli of one recording, those with a higher {format_name(self.metric)} get {way} {ratings}, "
+            "at equal values of the other metrics."
+        )
+
+
+UNDECLARED = (
+    "No hypotheses were frozen before the data, so all results are exploratory (feel321 freeze)."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What was declared before the ratings, and how the analysis compares with it.
+
+    Parameters
+    ----------
+    sentence : str
+        The state in one sentence, which opens the page.
+    state : str
+        ``none``: nothing was frozen; ``before``: frozen before the first rating; ``after``: after it; ``unsound``: the
+        file cannot be trusted; ``elsewhere``: the ratings are not those of the study.
+    hypotheses : tuple of Hypothesis
+        What was declared.
+    reason : str
+        Why no result is confirmatory; empty where the declared ones are.
+    changes : tuple of str
+        Every choice that differs from the frozen one, as "NAME: was ..., now ...".
+    frozen_utc, sha256 : str
+        When it was frozen, and the digest of ``frozen.json``; empty where nothing was.
+
+    Examples
+    --------
+    >>> from feel321.results import About
+    >>> About("pilot").standing.state
+    'none'
+    """
+
+    sentence: str = UNDECLARED
+    state: str = "none"
+    hypotheses: tuple[Hypothesis, ...] = ()
+    reason: str = "no hypotheses were frozen before the data"
+    changes: tuple[str, ...] = ()
+    frozen_utc: str = ""
+    sha256: str = ""
+
+    def judge(self, *place: str | None) -> tuple[str, str]:
+        """Judge a slope by scale, level and metric.
+
+        Parameters
+        ----------
+        *place : str
+            Scale, level and metric.
+
+        Returns
+        -------
+        tuple of str
+            ``confirmatory`` or ``exploratory``, and why the latter.
+        """
+        if self.reason:
+            return EXPLORATORY, self.reason
+        if place not in {one.place for one in self.hypotheses}:
+            return EXPLORATORY, "not among the frozen hypotheses"
+        return CONFIRMATORY, ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what ``results.json`` holds.
+
+        Returns
+        -------
+        dict
+            The fields, with hypotheses in words.
+        """
+        named = ("sentence", "state", "reason", "frozen_utc", "sha256")
+        return {
+            **{name: getattr(self, name) for name in named},
+            "changes": list(self.changes), "hypotheses": [str(one) for one in self.hypotheses],
+        }  # fmt: skip
