@@ -298,7 +298,7 @@ def stress(*, task: MethodTask, as_json: bool) -> None:
 )
 @click.option(
     "--axes",
-    type=int,
+    type=click.IntRange(1, 3),
     default=1,
     show_default=True,
     help="Axes that the actuator can move, 1 to 3.",
@@ -403,7 +403,7 @@ Example: feel321 published park-means.csv --manifest my-study/stimuli/manifest.c
 @click.option("--level", help="Of means: the stimuli's level, where the manifest has several.")
 @click.option(
     "--dimensions",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 100),
     default=2,
     show_default=True,
     help="For dissimilarities: number of map dimensions.",

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import nullcontext, suppress
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -39,6 +39,27 @@ class _GivenPath(click.Path):
         return super().convert(value, param, ctx)
 
 
+MOST = 1e9
+"""Beyond this no option means anything, whatever its unit."""
+
+MOST_WORKERS = 1024
+
+
+class Number(click.FloatRange):
+    """A number in a range; NaN, which is in none, is refused too."""
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Read a number."""
+        number: float = super().convert(value, param, ctx)
+        if number != number:  # noqa: PLR0124 - NaN alone differs from itself
+            self.fail(
+                f"{value!r} is not a number in the range {self._describe_range()}", param, ctx
+            )
+        return number
+
+
 LOUDNESS = "feel321.loudness"
 
 READING = {"audit", "check", "monitor", "published", "replay", "status", "stress", "texts"}
@@ -55,7 +76,7 @@ def flag(option: str, text: str, name: str = "") -> Callable[[Verb], Verb]:
 def number_option(option: str, text: str, default: str = "") -> Callable[[Verb], Verb]:
     """Give a verb a number that may be left out; the default stands in the help only."""
     shown = f"  [default: {default}]" if default else ""
-    return click.option(option, type=float, help=text + shown)
+    return click.option(option, type=Number(-MOST, MOST), help=text + shown)
 
 
 json_option = flag("--json", "Print the numbers as JSON.", "as_json")
@@ -87,7 +108,7 @@ def workers_option(verb: Verb) -> Verb:
     @click.option(
         "--workers",
         "processes",
-        type=click.IntRange(min=1),
+        type=click.IntRange(1, MOST_WORKERS),
         default=1,
         show_default=True,
         help="Number of processes; each takes a second or two to start, too long for a few short recordings.",
@@ -119,7 +140,7 @@ def workers_option(verb: Verb) -> Verb:
 def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]:
     """Give a verb a random seed."""
     text = f"Random seed{of}.  [default: {default}]"
-    return click.option("--seed", type=click.IntRange(min=0), help=text)
+    return click.option("--seed", type=click.IntRange(0, 2**63 - 1), help=text)
 
 
 def add_loudness(verb: click.Command) -> click.Command:

@@ -59,10 +59,10 @@ Example: feel321 replay my-study --participant p07 --speed 8
 )
 @shared.study_argument
 @shared.participant_option
-@click.option("--session", type=click.IntRange(min=1), help="Number.  [default: the newest]")
+@click.option("--session", type=click.IntRange(1, 10_000), help="Number.  [default: the newest]")
 @click.option(
     "--speed",
-    type=click.FloatRange(0.1, 1000),
+    type=shared.Number(0.1, 1000),
     default=1.0,
     show_default=True,
     help="Speed in the window.",
@@ -128,7 +128,7 @@ Example: feel321 rehearse my-study --out rehearsal.html
 @shared.flag("--by-hand", "Answer yourself, at an address of this machine.")
 @click.option(
     "--trials",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 10_000),
     default=2,
     show_default=True,
     help="Trials of each task in training, in practice and in the main phase.",
