@@ -270,11 +270,20 @@ def file_named(path: Path) -> Iterator[None]:
         yield
     except ValueError as error:
         text = str(error).removeprefix(prefix)
-        # Spell out what cannot be printed: a file's own names may hold line feeds and worse.
-        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-        raise ValueError(prefix + line) from error
+        raise ValueError(prefix + as_line(text)) from error
     except OSError as error:
         raise type(error)(f"{prefix}{error.strerror or str(error).removeprefix(prefix)}") from error
+
+
+LONGEST_LINE = 1000
+"""Characters of a refusal: a file may hold anything, and be long."""
+
+
+def as_line(text: str) -> str:
+    """Put a refusal on one line that can be printed: a file's own names may hold line feeds, or be endless."""
+    if len(text) > LONGEST_LINE:
+        text = f"{text[: LONGEST_LINE // 2]} ... {text[-LONGEST_LINE // 2 :]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def _is_kept(path: Path, private: bool) -> bool:  # noqa: FBT001 - of one caller

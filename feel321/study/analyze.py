@@ -57,7 +57,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     chosen = settings.analysis if settings else AnalysisTable()
     further, about = Further(pd.DataFrame(), ()), About()
     if settings:
-        further, about = _gather(study, settings, metrics, own=ratings is None)
+        further, about = gather_study(study, settings, metrics, own=ratings is None)
     if rivals:
         listed = manifest or study.manifest
         further = add_rivals(study, None if manifest else settings, listed, further=further)
@@ -108,8 +108,12 @@ def read_study_table(
     return table, settings.study.seed if settings else 0
 
 
-def _gather(
-    study: StudyFolder, settings: Settings, metrics: Sequence[str] | None, *, own: bool
+def gather_study(
+    study: StudyFolder,
+    settings: Settings,
+    metrics: Sequence[str] | None = None,
+    *,
+    own: bool = True,
 ) -> tuple[Further, About]:
     """Gather what the report needs beside the tables; of the study's own ratings, derive these and find their day."""
     further, day, declared = Further(pd.DataFrame(), ()), "", settings.analysis.metrics

@@ -49,7 +49,10 @@ class Number(click.FloatRange):
     """A number in a range; NaN, which is in none, is refused too."""
 
     def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+        self,
+        value: Any,  # noqa: ANN401 - as click has it
+        param: click.Parameter | None,
+        ctx: click.Context | None,
     ) -> float:
         """Read a number."""
         number: float = super().convert(value, param, ctx)

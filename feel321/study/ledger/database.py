@@ -22,6 +22,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
 from sqlalchemy.pool import NullPool
 
+from feel321.files import as_line
 from feel321.study.server import Server, scrub
 from feel321.study.session.journal import Anchor
 
@@ -232,13 +233,14 @@ def name_ledger(ledger: sa.Engine) -> str:
 
 def _describe_file(ledger: sa.Engine, error: DBAPIError) -> Exception:
     path, reason = name_ledger(ledger), error.orig
+    words = as_line(" ".join(str(reason).split()))
     if getattr(reason, "sqlite_errorname", "") in _DAMAGED:
         return ValueError(
-            f"{path}: got a damaged file ({reason}); move it away, then rebuild it from the journals: "
+            f"{path}: got a damaged file ({words}); move it away, then rebuild it from the journals: "
             "feel321 ledger --rebuild"
         )
     return OSError(
-        f"{path}: could not be used ({reason}); check that the folder may be written to, the disk has room "
+        f"{path}: could not be used ({words}); check that the folder may be written to, the disk has room "
         "and no other program holds the file, then run again"
     )
 
@@ -320,10 +322,27 @@ def read_entries(connection: sa.Connection, participant: str | None = None) -> l
         )
         for row in connection.execute(people).mappings()
     ]
+    for entry in entries:
+        _check_cells([entry, *entry.anchors], connection)
     return sorted(
         entries,
         key=lambda entry: (entry.simulated, entry.number, entry.state in LIVE, entry.participant),
     )
+
+
+def _check_cells(rows: Iterable[Entry | Anchor], connection: sa.Connection) -> None:
+    """Refuse what no column of ours holds: SQLite keeps whatever it is given, of any type."""
+    cells = ((one, getattr(row, one.name)) for row in rows for one in fields(row))
+    for cell, value in cells:
+        if cell.type not in _TYPES:
+            continue
+        known = STATES if cell.name == "state" else None
+        is_ours = type(value) is cell.type and (known is None or value in known)
+        if not is_ours or (isinstance(value, int) and value < 0):
+            raise ValueError(
+                f"{name_ledger(connection.engine)}: got a damaged cell ({cell.name} is {as_line(repr(value))}); move "
+                "it away, then rebuild it from the journals: feel321 ledger --rebuild"
+            )
 
 
 def write_entries(

@@ -57,6 +57,7 @@ KINDS: dict[str, DataKind] = {
     "matches": DataKind("matches.csv", "every match of strength, by code", DERIVED, REWRITTEN),
     "results": DataKind("report/, chart/, advice/, ...", "figures and tables of ratings, by code", DERIVED, REMOVED),
     "output": DataKind("named in outputs.jsonl", "what export, analyze --out and others wrote", DERIVED, REMOVED),
+    "key": DataKind(".export.key", "what numbers of exported participants are drawn with", SOURCE, KEPT),
     "backup": DataKind("named in outputs.jsonl", "a copy of the study", SOURCE, NAMED),
     "checkpoints": DataKind("checkpoints.jsonl", "codes and digests, no answer", SOURCE, KEPT),
     "outputs": DataKind(OUTPUTS_FILE, "where outputs went; no code", SOURCE, KEPT),
@@ -71,6 +72,7 @@ RESULTS = ("report", "chart", "stress", "advice", "power", "benchmark")
 TABLES = {
     "ratings.csv": "ratings", "ratings.parquet": "ratings", "participants.csv": "roster", "answers.csv": "answers",
     "matches.csv": "matches", "checkpoints.jsonl": "checkpoints", OUTPUTS_FILE: "outputs",
+    ".export.key": "key",
 }  # fmt: skip
 """Files in the study's folder itself, and their kinds."""
 

@@ -40,6 +40,7 @@ from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.asking import Questions, Scales
 from feel321.study.settings.paper import PaperTable
+from feel321.study.settings.publication import PublicationTable
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
 _BLOCK, _MATCHING = ThresholdBlock("bayesian", (), USUAL), MatchingBlock("")
@@ -569,3 +570,4 @@ class Settings(kinds.TomlTable):
     analysis: AnalysisTable = AnalysisTable()
     ledger: LedgerTable = LedgerTable()
     paper: PaperTable | None = None
+    publication: PublicationTable = PublicationTable()
