@@ -158,7 +158,7 @@ def clean_text(text: str, *, keep: str = "") -> str:
 
 def _spell(character: str) -> str:
     """Spell a character as JSON does, so that what was printed as JSON stays what it was."""
-    return json.dumps(character)[1:-1] if ord(character) != 0x7F else "\\u007f"  # noqa: PLR2004 - delete
+    return json.dumps(character)[1:-1].replace("\x7f", "\\u007f")
 
 
 def describe(value: object) -> str:

@@ -87,7 +87,9 @@ def export(  # noqa: PLR0913 - one per option
     table, seed = read_study_table(
         StudyFolder(folder), ratings=ratings, manifest=manifest, metrics=metrics or None
     )
-    shared.echo(f"{export_r(table, r_folder, rng=seed)}: next, in that folder: Rscript model.R")
+    with shared.recording(StudyFolder(folder), "export", r_folder):
+        export_r(table, r_folder, rng=seed)
+    shared.echo(f"{r_folder}: next, in that folder: Rscript model.R")
 
 
 def _export_bids(
@@ -98,6 +100,8 @@ def _export_bids(
     from feel321.study.folder import require_study
 
     choices = ExportChoices(keep_ids=keep_ids, simulated=simulated, report=report)
-    for line in export_bids(require_study(folder), target, choices):
-        shared.warn(line)
+    study = require_study(folder)
+    with shared.recording(study, "export", target):
+        for line in export_bids(study, target, choices):
+            shared.warn(line)
     shared.echo(f"{target}: check it with: bids-validator-deno {target}")

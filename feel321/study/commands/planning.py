@@ -99,7 +99,7 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
     help="Leave out the participants whom this screening rule flags; repeatable.  [default: nobody, as analyze does]",
 )  # fmt: skip
 @click.option(
-    "--power", "wanted", type=shared.Number(0.05, 0.995, min_open=True), default=0.8, show_default=True,
+    "--power", "wanted", type=shared.BoundedNumber(0.05, 0.995, min_open=True), default=0.8, show_default=True,
     help="Target power.",
 )  # fmt: skip
 @click.option(
@@ -123,7 +123,8 @@ def power(
     and JSON. After Ctrl-C the same command continues.
     """
     target = out or study.folder.path / "power"
-    found = study.power(folder=target, workers=workers, **given)  # type: ignore[arg-type]  # click checked them
+    with shared.recording(study.folder, "power", target):
+        found = study.power(folder=target, workers=workers, **given)  # type: ignore[arg-type]  # click checked them
     if as_json:
         shared.print_results(target, as_json=True)
         return

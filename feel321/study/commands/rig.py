@@ -223,7 +223,7 @@ RATE_HZ = 48000.0
 )
 @click.option(
     "--seconds",
-    type=shared.Number(0, 3600),
+    type=shared.BoundedNumber(0, 3600),
     default=5.0,
     show_default=True,
     help="Duration of the pulse train, in s.",

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.build import Facts
+    from feel321.study.folder import StudyFolder
 
     Verb = Callable[..., None]
 
@@ -45,7 +46,7 @@ MOST = 1e9
 MOST_WORKERS = 1024
 
 
-class Number(click.FloatRange):
+class BoundedNumber(click.FloatRange):
     """A number in a range; NaN, which is in none, is refused too."""
 
     def convert(
@@ -79,7 +80,7 @@ def flag(option: str, text: str, name: str = "") -> Callable[[Verb], Verb]:
 def number_option(option: str, text: str, default: str = "") -> Callable[[Verb], Verb]:
     """Give a verb a number that may be left out; the default stands in the help only."""
     shown = f"  [default: {default}]" if default else ""
-    return click.option(option, type=Number(-MOST, MOST), help=text + shown)
+    return click.option(option, type=BoundedNumber(-MOST, MOST), help=text + shown)
 
 
 json_option = flag("--json", "Print the numbers as JSON.", "as_json")
@@ -312,6 +313,14 @@ def dump_json(entry: object) -> str:
     from feel321.records import to_json_value
 
     return json.dumps(to_json_value(entry), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def recording(study: StudyFolder, verb: str, path: Path) -> AbstractContextManager[None]:
+    """Record what a verb writes outside the study's own places, so that a withdrawal finds it."""
+    from feel321.study.persons.outputs import recording_output
+    from feel321.study.session.journal import utc_now
+
+    return recording_output(study, verb, path, now=utc_now)
 
 
 def print_results(folder: Path, *, as_json: bool) -> None:

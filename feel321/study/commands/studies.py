@@ -1,8 +1,7 @@
-"""Verbs of a study: new, check, build, demo, simulate, status, note, audit, ledger, release, withdraw, analyze."""
+"""Verbs of a study: new, check, build, demo, simulate, status, note, audit, ledger, release, analyze."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from shlex import quote
@@ -124,6 +123,7 @@ def build(*, study: Study, workers: Workers, no_page: bool, as_json: bool) -> No
 
     Open stimuli/index.html in a browser to see, measure and hear every stimulus.
     """
+    from feel321.stimuli.sets.build import find_copies
     from feel321.study.strength import describe_built
     from feel321.study.workflow import build_study
 
@@ -132,6 +132,8 @@ def build(*, study: Study, workers: Workers, no_page: bool, as_json: bool) -> No
             study.folder, workers=workers, page=not no_page, progress=progress
         )
     shared.report_warnings(facts)
+    for copies in find_copies(facts):
+        shared.warn(copies)
     notes = describe_built(study.settings, stimuli)
     count, sha256 = len(stimuli.stimuli), stimuli.sha256
     if as_json:
@@ -336,37 +338,6 @@ def audit(
     context.exit(1 if findings else 0)
 
 
-@click.command(epilog="Example: feel321 withdraw my-study --participant p07 --yes")
-@shared.study_argument
-@shared.participant_option
-@click.option("--reason", default="", help="The reason, for the tombstone.")
-@shared.flag("--yes", "Do not ask.", "is_sure")
-@click.pass_context
-def withdraw(
-    context: click.Context, *, study: Study, participant: str, reason: str, is_sure: bool
-) -> None:
-    """Remove the data of a participant for good.
-
-    The code is not used again; the design slot is free.
-    """
-    from feel321.study.persons.withdrawal import withdraw_participant
-
-    folder = study.folder
-    if not is_sure and not sys.stdin.isatty():
-        raise click.UsageError("a terminal is needed to ask whether you are sure; else add --yes")
-    question = f"Remove all data of {participant} in {folder.path} for good?"
-    if not is_sure and not click.confirm(question, err=True):
-        shared.echo(f"{folder.path}: nothing was removed")
-        context.exit(1)
-    removed = withdraw_participant(
-        folder, participant, now=study.now, reason=reason, warn=shared.warn
-    )
-    shared.echo(
-        f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
-        "Exports and other copies are yours to remove"
-    )
-
-
 @click.command(epilog="Example: feel321 release my-study --participant p07")
 @shared.study_argument
 @shared.participant_option
@@ -453,7 +424,8 @@ def analyze(  # noqa: PLR0913 - one per option
         )
     from feel321.study.analyze import analyze_study
 
-    with shared.show_progress("analyze") as progress:
+    recording = shared.recording(study, "analyze", out or study.report)
+    with shared.show_progress("analyze") as progress, recording:
         analyze_study(
             study,
             ratings=ratings,

@@ -62,7 +62,7 @@ Example: feel321 replay my-study --participant p07 --speed 8
 @click.option("--session", type=click.IntRange(1, 10_000), help="Number.  [default: the newest]")
 @click.option(
     "--speed",
-    type=shared.Number(0.1, 1000),
+    type=shared.BoundedNumber(0.1, 1000),
     default=1.0,
     show_default=True,
     help="Speed in the window.",
@@ -100,7 +100,8 @@ def replay(  # noqa: PLR0913 - one parameter per option
     for change in film.changes:
         shared.echo(f"replay: the study has changed since this session began: {change}", err=True)
     if out is not None:
-        write_text(out, replays.write_page(film))
+        with shared.recording(folder, "replay", out):
+            write_text(out, replays.write_page(film))
         shared.echo(out)
     elif browser:
         from feel321.study.monitor.server import serve_pages

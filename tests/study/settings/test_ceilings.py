@@ -78,7 +78,7 @@ def test_every_number_of_a_setting_has_both_bounds() -> None:
 
 def test_no_setting_takes_what_is_beyond_all_sense() -> None:
     for _, kind, rules in (one for one in NUMBERS if one[0] not in UNBOUNDED):
-        number = TypeAdapter(typing.Annotated[kind, *rules])  # type: ignore[valid-type]
+        number = TypeAdapter(typing.Annotated[kind, *rules])  # type: ignore[valid-type]  # a type that is found at run time
         for value in (10**20, -(10**20), math.nan, math.inf, -math.inf):
             with pytest.raises(ValidationError):
                 number.validate_python(value, strict=kind is float)
