@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import json
 import os
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -140,6 +141,24 @@ def refuse_name(name: object, names: Collection[str], what: str) -> str:
     near = difflib.get_close_matches(str(name), list(names), n=1)
     hint = f", did you mean {near[0]!r}?" if near else ""
     return f"{what} must be one of {', '.join(names)}; got {describe(name)}{hint}"
+
+
+def clean_text(text: str, *, keep: str = "") -> str:
+    r"""Spell out what a terminal would obey and a reader not see: control, direction and other format characters.
+
+    Examples
+    --------
+    >>> clean_text("tap\x1b[2J\u202egpj")
+    'tap\\u001b[2J\\u202egpj'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else _spell(c) for c in text)
+
+
+def _spell(character: str) -> str:
+    """Spell a character as JSON does, so that what was printed as JSON stays what it was."""
+    return json.dumps(character)[1:-1].replace("\x7f", "\\u007f")
 
 
 def describe(value: object) -> str:

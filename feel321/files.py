@@ -179,10 +179,10 @@ def make_folder(path: Path, *, private: bool = False) -> None:
     missing = [one for one in (path, *path.parents) if not one.is_dir()]
     for folder in reversed(missing):
         mode = find_mode(folder, private=private)
-        folder.mkdir(
-            mode=mode | (mode & 0o444) >> 2, exist_ok=True
-        )  # who may read a folder may enter it
-        sync_folder(folder.parent)
+        mode |= (mode & 0o444) >> 2  # who may read a folder may enter it
+        with _naming(folder):
+            folder.mkdir(mode=mode, exist_ok=True)
+            sync_folder(folder.parent)
 
 
 def move_files(moves: Mapping[Path, Path]) -> None:

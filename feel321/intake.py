@@ -7,6 +7,7 @@ import codecs
 import errno
 import math
 import os
+import re
 import stat
 from contextlib import suppress
 from pathlib import Path
@@ -21,6 +22,8 @@ TEXT_SHARE = 4
 
 SMALL_BYTES = 2**22
 """So large may settings, texts and facts beside recordings be."""
+
+MOST_DIGITS = 4000
 
 LONGEST_LINE = 2**20
 """So many bytes may stand in a line of a table: thousands of columns."""
@@ -110,8 +113,14 @@ def read_text(path: Path, *, most: int | None = None) -> str:
 
 
 def read_small(path: Path) -> str:
-    """Read a text of settings or facts, which are never large."""
-    return read_text(path, most=SMALL_BYTES)
+    """Read a text of settings or facts, which are never large, nor are its numbers: parsers take memory for digits."""
+    text = read_text(path, most=SMALL_BYTES)
+    if found := re.search(rf"[0-9_]{{{MOST_DIGITS}}}", text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(
+            f"{path.name}: line {line} holds a number of more than {MOST_DIGITS} digits"
+        )
+    return text
 
 
 def decode(content: bytes, name: str) -> str:

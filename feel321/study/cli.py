@@ -1,19 +1,26 @@
 """`feel321 VERB [STUDY]`: the command line, and the one place where errors become exit codes.
 
-0 done, 1 could not, 2 wrong use, 130 interrupted. An error is one line on stderr.
+0 done, 1 could not, 2 wrong use, 130 interrupted, 143 ended by SIGTERM, 129 terminal closed.
+An error is one line on stderr.
 """
 
 import errno
+import signal
 import sys
+import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
+from typing import NoReturn
 
 import click
 
-from feel321.study.commands.shared import add_loudness, cap, warn
+from feel321 import intake
+from feel321.doors import clean_text
+from feel321.study.commands.shared import add_loudness, cap, echo, warn
 
-DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
+DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
 VERBS = {
     "evidence": ("audit", "freeze", "seal"),
@@ -42,12 +49,40 @@ VERBS = {
 }
 """Module of `feel321.study.commands` -> its verbs."""
 
+LONGEST = 1000
+"""Letters of a line of an error."""
+
 RESUMED = {"backup", "build", "collect", "demo", "power", "restore", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 
 class Interrupted(Exception):  # noqa: N818 - nothing went wrong
-    """Ctrl-C came while a verb ran; its name is the argument."""
+    """Ctrl-C or a signal to end came while a verb ran; its name and what came are the arguments."""
+
+
+class Terminated(KeyboardInterrupt):
+    """The process was asked to end, or its terminal was closed; that is treated as Ctrl-C is."""
+
+
+@contextmanager
+def heed_signals() -> Iterator[None]:
+    """Make the signals to end do what Ctrl-C does, unless they are ignored (nohup) or handled already."""
+
+    def stop(number: int, _frame: object) -> NoReturn:
+        for name in heeded:  # a second one would break off what cleans up
+            signal.signal(name, signal.SIG_IGN)
+        raise Terminated(signal.Signals(number))
+
+    is_main = threading.current_thread() is threading.main_thread()
+    names = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    heeded = [one for one in names if is_main and signal.getsignal(one) is signal.SIG_DFL]
+    for one in heeded:
+        signal.signal(one, stop)
+    try:
+        yield
+    finally:
+        for one in heeded:
+            signal.signal(one, signal.SIG_DFL)
 
 
 class _Verbs(click.Group):
@@ -68,8 +103,8 @@ class _Verbs(click.Group):
             with warnings.catch_warnings():
                 warnings.showwarning = _tell
                 return super().invoke(ctx)
-        except KeyboardInterrupt:
-            raise Interrupted(ctx.invoked_subcommand) from None
+        except KeyboardInterrupt as stop:
+            raise Interrupted(ctx.invoked_subcommand, *stop.args) from None
 
 
 @click.group(
@@ -105,15 +140,22 @@ def _tell(message: object, *_: object, **__: object) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb."""
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    with heed_signals():
+        return _run_verb(sys.argv[1:] if arguments is None else list(arguments))
+
+
+def _run_verb(arguments: Sequence[str]) -> int:
     try:
-        code = feel321.main(args=arguments, prog_name="feel321", standalone_mode=False)
+        code = feel321.main(args=[*arguments], prog_name="feel321", standalone_mode=False)
     except click.UsageError as error:
         return _complain(_hint(error, arguments), code=WRONG_USE)
     except (Interrupted, click.Abort) as stop:
         kept = "; what is done is kept, the same command continues"
-        resumed = RESUMED.intersection(stop.args)
-        return _complain(f"interrupted{kept if resumed else ''}", code=INTERRUPTED)
+        resumed = RESUMED.intersection(map(str, stop.args))
+        asked = [one for one in stop.args if isinstance(one, signal.Signals)]
+        what = f"ended by {asked[0].name}" if asked else "interrupted"
+        code = SIGNALLED + asked[0] if asked else INTERRUPTED
+        return _complain(f"{what}{kept if resumed else ''}", code=code)
     except Exception as error:  # the last door: whatever it is, it is one line
         if "--traceback" in arguments:
             raise
@@ -152,5 +194,5 @@ def _describe(error: Exception) -> str:
 
 def _complain(message: str, *, code: int) -> int:
     for line in cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
-        click.echo(f"feel321: {line}", err=True)
+        echo(f"feel321: {intake.clip(clean_text(line), LONGEST)}", err=True)
     return code

@@ -21,6 +21,7 @@ from feel321.stimuli.sets.build import (
     Foreseen,
     Survey,
     build_set,
+    find_copies,
     place_surveyed,
     read_history,
     survey_recording,
@@ -160,7 +161,7 @@ def check_study(
         problems=tuple(problems),
         warnings=found.warnings
         + rigged.warnings
-        + tuple([] if problems else find_warnings(study, settings)),
+        + tuple([] if problems else find_warnings(study, settings, examined.facts)),
         notes=rigged.notes + found.notes,
         remarks=tuple(f"{one.name}: {text}" for one in examined.facts for text in one.warnings),
     )
@@ -437,9 +438,12 @@ def _check_certificate(
     return None, Problems(warnings=lines if needs_one else ())
 
 
-def find_warnings(study: StudyFolder, settings: Settings) -> list[str]:
+def find_warnings(
+    study: StudyFolder, settings: Settings, recordings: Sequence[Facts] = ()
+) -> list[str]:
     """Find what is allowed in a study and still worth knowing."""
     remarks = [f"{study.settings.name}: {remark}" for remark in list_remarks(settings)]
+    remarks += find_copies(recordings)
     language = find_language(settings, study.path)
     if isinstance(language, Path) and (borrowed := list_borrowed(language)):
         remarks.append(

@@ -18,6 +18,7 @@ LEFT_OUT = {
     ),  # these three: into a stage that `move_files` makes durable
     ("analysis/report/folder.py", "write_text"),
     ("analysis/figures/style.py", "write_text"),
+    ("study/export/writing.py", "rename"),  # a whole folder in the place of another one
     ("study/study.py", "replace"),  # of values in a data frame
 }
 

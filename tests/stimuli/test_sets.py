@@ -22,7 +22,7 @@ from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, felt_level, loudest_levels, sensation_level_db
-from feel321.stimuli.sets.build import PARTS, build_stimuli, foresee_stimuli
+from feel321.stimuli.sets.build import PARTS, Facts, build_stimuli, find_copies, foresee_stimuli
 from feel321.stimuli.sets.manifest import (
     COLUMN_UNITS,
     Stimulus,
@@ -31,7 +31,7 @@ from feel321.stimuli.sets.manifest import (
     read_stimuli,
     write_manifest,
 )
-from feel321.stimuli.sets.recipe import GAINS, Recipe
+from feel321.stimuli.sets.recipe import GAINS, Recipe, check_names
 from feel321.stimuli.sets.render import find_headroom_cost, list_drafts, render_recording
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.stimuli.thresholds import THRESHOLDS
@@ -885,3 +885,18 @@ def test_real_recordings_build_and_pass(shared_recordings: Path, tmp_path: Path)
     assert check_stimuli(tmp_path) == []
     exact = [row.spectral_match for row in built.stimuli if row.reducer == "dft321"]
     np.testing.assert_allclose(exact, 1.0, atol=1e-9)
+
+
+def test_recordings_that_hold_the_same_are_named(scenes: list[Recording]) -> None:
+    facts = [
+        Facts.find(replace(scenes[0], name=name, sha256=sha256))
+        for name, sha256 in [("a", "1"), ("b", "2"), ("c", "1"), ("d", ""), ("e", "")]
+    ]
+    (said,) = find_copies(facts)
+    assert said.startswith("recordings a and c hold the same")
+
+
+@pytest.mark.parametrize("name", ["con", "NUL", "com1.old", "Lpt9"])
+def test_names_of_windows_devices_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="device on Windows"):
+        check_names([name])

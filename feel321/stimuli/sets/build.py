@@ -325,6 +325,18 @@ def foresee_stimuli(
     return place_surveyed(surveyed, recipe)
 
 
+def find_copies(facts: Iterable[Facts]) -> list[str]:
+    """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
+    names: dict[str, list[str]] = {}
+    for one in facts:
+        names.setdefault(one.sha256, []).append(one.name)
+    return [
+        f"recordings {' and '.join(same)} hold the same; leave one out, unless that is meant"
+        for sha256, same in names.items()
+        if sha256 and len(same) > 1
+    ]
+
+
 def place_surveyed(surveyed: Iterable[Survey], recipe: Recipe) -> list[Foreseen]:
     """Give stimuli their levels and gains."""
     facts, measured = _gather(surveyed)

@@ -39,6 +39,13 @@ each recording with its reference and anchors, so that no spike of one recording
 RIG_RATES_HZ = (2000, 384_000)
 """Rates at which 1000 Hz can be played and sound devices run."""
 
+_RESERVED = {
+    "con",
+    "prn",
+    "aux",
+    "nul",
+    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
+}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -195,6 +202,10 @@ def check_names(names: Sequence[str]) -> None:
             raise ValueError(
                 "a recording's name must be up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter "
                 f"or digit; got {name!r}, give it another name"
+            )
+        if name.partition(".")[0].casefold() in _RESERVED:
+            raise ValueError(
+                f"a recording's name must not be that of a device on Windows, got {name!r}; give it another name"
             )
         # Some file systems do not distinguish capitals from small letters.
         if name.casefold() in seen:

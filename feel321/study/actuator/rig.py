@@ -64,7 +64,7 @@ class LimitsTable(fields.TomlTable):
 
     peak_m_s2: Acceleration
     rms_m_s2: Acceleration
-    duration_s: fields.Positive
+    duration_s: Annotated[fields.Positive, Field(le=3600)]
 
 
 class MaskingTable(fields.TomlTable):
@@ -74,7 +74,7 @@ class MaskingTable(fields.TomlTable):
     rms: Annotated[float, Field(gt=0, le=LOUDEST_MASKING)] = 0.05
     ramp_s: Fade = 0.2
     lead_s: Fade = 0.5
-    seed: fields.Count = 1
+    seed: fields.Seed = 1
 
     @model_validator(mode="after")
     def _is_on_in_time(self) -> Self:
@@ -163,7 +163,7 @@ class SimulationTable(fields.TomlTable):
     noise_m_s2: fields.NotNegative = 0.01
     sensor_direction: Direction = (1.0, 1.0, 1.0)  # of a sensor with one axis
     coils: tuple[CoilTable, ...] = ()
-    seed: fields.Count = 1
+    seed: fields.Seed = 1
 
 
 class SyncTable(fields.TomlTable):

@@ -215,7 +215,7 @@ def freeze(  # noqa: PLR0913 - one per option
         if as_json:
             shared.print_json(text.describe_json(state))
         else:
-            click.echo(text.write_registration(state) if as_text else text.write_state(state))
+            shared.echo(text.write_registration(state) if as_text else text.write_state(state))
         return
     frozen, changes = freezing.freeze_study(
         study.folder,
@@ -228,7 +228,7 @@ def freeze(  # noqa: PLR0913 - one per option
     if as_json:
         shared.print_json(text.describe_json(state))
         return
-    click.echo(
+    shared.echo(
         "\n".join([
             *changes,
             f"{study.folder.path / 'frozen.json'}: {text.describe_written(frozen)}",

@@ -89,7 +89,7 @@ def export(  # noqa: PLR0913 - one per option
     )
     with shared.recording(StudyFolder(folder), "export", r_folder):
         export_r(table, r_folder, rng=seed)
-    click.echo(f"{r_folder}: next, in that folder: Rscript model.R")
+    shared.echo(f"{r_folder}: next, in that folder: Rscript model.R")
 
 
 def _export_bids(
@@ -104,4 +104,4 @@ def _export_bids(
     with shared.recording(study, "export", target):
         for line in export_bids(study, target, choices):
             shared.warn(line)
-    click.echo(f"{target}: check it with: bids-validator-deno {target}")
+    shared.echo(f"{target}: check it with: bids-validator-deno {target}")

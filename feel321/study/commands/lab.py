@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from shlex import join
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import click
 
@@ -20,17 +19,13 @@ if TYPE_CHECKING:
     from feel321.study.study import Study
 
 
-class Terminated(KeyboardInterrupt):
-    """The process was asked to end; that is treated as Ctrl-C is."""
-
-
 @click.command(epilog="Example: feel321 run my-study --participant p07")
 @shared.study_argument
 @shared.participant_option
 @shared.flag("--windowed", "A window instead of the whole screen.")
 @click.option(
     "--screen",
-    type=click.IntRange(min=0),
+    type=click.IntRange(0, 99),
     default=0,
     show_default=True,
     metavar="N",
@@ -76,13 +71,13 @@ def run(  # noqa: PLR0913 - one parameter per option
     )
     folder = replace(study.folder, is_rehearsal=rehearse)
     log = _Log(participant, _write_command(context), folder.rig)
-    with _catch_termination(), log.watch():
+    with log.watch():
         outcome = run_participant(folder, visit, now=study.now, on_step=log.note, warn=shared.warn)
         if outcome.stopped:
             log.say_how_to_resume(outcome.stopped)
             context.exit(1)
     log.end_line()
-    click.echo(f"{participant}: all {outcome.total} done")
+    shared.echo(f"{participant}: all {outcome.total} done")
 
 
 LINE = 60  # characters of the line that says what is left; it is overwritten by the next
@@ -99,13 +94,13 @@ class _Log:
 
     def note(self, place: Place) -> None:
         if self.place is None:
-            click.echo(f"{self.participant}: {place.done} of {place.total} done so far")
+            shared.echo(f"{self.participant}: {place.done} of {place.total} done so far")
         if place.fault:
             self._call(place.fault)
         elif shared.is_terminal():
             minutes = "" if place.left_s is None else f", about {place.left_s / 60:.0f} min left"
             line = f"{self.participant}: {place.done} of {place.total} done{minutes}"
-            click.echo(f"\r{line:<{LINE}}", nl=False, err=True)
+            shared.echo(f"{line:<{LINE}}", over=True, err=True)
         self.place = place
 
     def _call(self, fault: str) -> None:
@@ -114,7 +109,7 @@ class _Log:
 
         key = label_key(read_rig(self.rig).keys.find_key("experimenter"), {})
         begin = "\n" if shared.is_terminal() else ""
-        click.echo(
+        shared.echo(
             f"{begin}{self.participant}: the device failed ({fault}); check it, then press "
             f"{key} in the participant's window",
             err=True,
@@ -133,13 +128,13 @@ class _Log:
     def end_line(self) -> None:
         """Leave what was left as it stands, and begin a new line."""
         if self.place is not None and shared.is_terminal():
-            click.echo(err=True)
+            shared.echo(err=True)
 
     def say_how_to_resume(self, reason: str) -> None:
         if self.place is not None:
             self.end_line()
             done = f"{self.place.done} of {self.place.total} done"
-            click.echo(
+            shared.echo(
                 f"{self.participant}: {done} (aborted: {reason}); resume with: {self.command}",
                 err=True,
             )
@@ -156,17 +151,3 @@ def _write_command(context: click.Context) -> str:
         if isinstance(parameter, click.Option) and is_given:
             words += parameter.opts if value is True else [*parameter.opts, str(value)]
     return join(words)
-
-
-@contextmanager
-def _catch_termination() -> Iterator[None]:
-    """Close device and window, and the journal with a last record, when the process is asked to end."""
-
-    def stop(_number: int, _frame: object) -> NoReturn:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -229,7 +229,7 @@ def _run_benchmark(task: MethodTask, methods: tuple[str, ...], *, as_json: bool)
         shared.print_json([card.model_dump() for card in done.cards])
     else:
         for path in paths:
-            click.echo(path)
+            shared.echo(path)
     if done.failures:
         raise ValueError("\n".join(done.failures))
 
@@ -299,7 +299,7 @@ def stress(*, task: MethodTask, as_json: bool) -> None:
 )
 @click.option(
     "--axes",
-    type=int,
+    type=click.IntRange(1, 3),
     default=1,
     show_default=True,
     help="Axes that the actuator can move, 1 to 3.",
@@ -352,8 +352,8 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
     if as_json:
         shared.print_json(content)
         return
-    click.echo(study.summary())
-    click.echo(task.output / "index.html")
+    shared.echo(study.summary())
+    shared.echo(task.output / "index.html")
 
 
 _OPTIONS = {
@@ -405,7 +405,7 @@ Example: feel321 published park-means.csv --manifest my-study/stimuli/manifest.c
 @click.option("--level", help="Of means: the stimuli's level, where the manifest has several.")
 @click.option(
     "--dimensions",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 100),
     default=2,
     show_default=True,
     help="For dissimilarities: number of map dimensions.",
@@ -443,4 +443,4 @@ def published(
         found = papers.correlate_published(table, manifest, metrics=metrics or None, level=level)
         notes = [found.comparisons.to_string(index=False), *found.notes]
     lines = [found.to_frame().to_string(index=False), *notes]
-    click.echo(shared.dump_json(found.to_dict()) if as_json else "\n".join(lines))
+    shared.echo(shared.dump_json(found.to_dict()) if as_json else "\n".join(lines))

@@ -39,15 +39,15 @@ def inventory(*, study: Study, participant: str, due: bool, tighten: bool, as_js
 
     if tighten:
         for path in inventories.tighten(study.folder):
-            click.echo(f"{path}: closed", err=True)
+            shared.echo(f"{path}: closed", err=True)
     today = datetime.now(UTC).date()
     found = inventories.read_inventory(study.folder, today=today, participant=participant)
     if as_json:
         shared.print_json(found.to_dict())
     elif due:
-        click.echo("\n".join(found.due) or "nothing is due")
+        shared.echo("\n".join(found.due) or "nothing is due")
     else:
-        click.echo(found.summary())
+        shared.echo(found.summary())
 
 
 @click.command(
@@ -88,10 +88,10 @@ def withdraw(  # noqa: PLR0913 - one per option
     if not is_sure and not sys.stdin.isatty():
         raise click.UsageError("a terminal is needed to ask whether you are sure; else add --yes")
     if not tasks or (not is_sure and not click.confirm(question, err=True)):
-        click.echo(f"{study.folder.path}: nothing was removed")
+        shared.echo(f"{study.folder.path}: nothing was removed")
         context.exit(0 if not tasks else 1)
     for name, only_personal in tasks:
-        click.echo((_remove_personal if only_personal else _remove_all)(study, name, reason))
+        shared.echo((_remove_personal if only_personal else _remove_all)(study, name, reason))
 
 
 def _list_due(study: Study) -> list[tuple[str, bool]]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     Verb = Callable[..., None]
 
-MOST_STUDIES = 1_000_000
+MOST_STUDIES, MOST_OF_ANY = 1_000_000, 100_000
 
 
 def _split_numbers(
@@ -31,9 +31,9 @@ def _split_numbers(
         numbers = sorted({int(part) for part in text.split(",")})
     except ValueError:
         numbers = []
-    if not numbers or numbers[0] < 1:
+    if not numbers or numbers[0] < 1 or numbers[-1] > MOST_OF_ANY:
         raise click.BadParameter(
-            f"must be whole numbers of 1 or more with commas between them, such as 8,12,16; got {text!r}",
+            f"must be whole numbers from 1 to {MOST_OF_ANY} with commas between them, such as 8,12,16; got {text!r}",
             param=parameter,
         )
     return tuple(numbers)
@@ -49,7 +49,7 @@ def _read_effects(
             value = float(points)
         except ValueError:
             value = math.nan
-        if not mark or not name or not math.isfinite(value):
+        if not mark or not name or not abs(value) <= shared.MOST:
             raise click.BadParameter(
                 f"must be METRIC=POINTS, such as temporal_match=1.5; got {text!r}", param=parameter
             )
@@ -99,7 +99,7 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
     help="Leave out the participants whom this screening rule flags; repeatable.  [default: nobody, as analyze does]",
 )  # fmt: skip
 @click.option(
-    "--power", "wanted", type=click.FloatRange(0.05, 0.995, min_open=True), default=0.8, show_default=True,
+    "--power", "wanted", type=shared.BoundedNumber(0.05, 0.995, min_open=True), default=0.8, show_default=True,
     help="Target power.",
 )  # fmt: skip
 @click.option(
@@ -128,5 +128,5 @@ def power(
     if as_json:
         shared.print_results(target, as_json=True)
         return
-    click.echo(found.summary())
+    shared.echo(found.summary())
     shared.print_results(target, as_json=False)

@@ -63,7 +63,7 @@ def calibrate(
     study = require_study(folder)
     rig, rate_hz = _require_rig(study, device=device)
     if flip:
-        click.echo(_flip(rig, rate_hz=rate_hz))
+        shared.echo(_flip(rig, rate_hz=rate_hz))
         return
     made = datetime.now(UTC)
     certificate = (
@@ -77,7 +77,7 @@ def calibrate(
     if as_json:
         shared.print_json(_describe_certificate(certificate))
     else:
-        click.echo("\n".join(_list_lines(certificate)))
+        shared.echo("\n".join(_list_lines(certificate)))
     for failure in certificate.failures:
         shared.warn(failure)
     if not certificate.passed:
@@ -91,7 +91,7 @@ def _flip(rig: Rig, *, rate_hz: float) -> str:
     sensor = require_sensor(rig)
     rests = []
     for words in ("Lay the sensor down with one axis up", "Turn it over"):
-        click.echo(f"{words}, let it rest, then press Enter.", err=True)
+        shared.echo(f"{words}, let it rest, then press Enter.", err=True)
         sys.stdin.readline()
         rests.append(measure_rest(rig, rate_hz=rate_hz))
     scale = scale_by_flip(*rests, full_scale_m_s2=sensor.full_scale_m_s2)
@@ -223,7 +223,7 @@ RATE_HZ = 48000.0
 )
 @click.option(
     "--seconds",
-    type=click.FloatRange(0, 3600),
+    type=shared.BoundedNumber(0, 3600),
     default=5.0,
     show_default=True,
     help="Duration of the pulse train, in s.",
@@ -266,7 +266,7 @@ def doctor(
         })
     else:
         for one in devices:
-            click.echo(_describe_device(one))
+            shared.echo(_describe_device(one))
         _print_examination(found)
         _print_drifts(known)
     if found is not None and found.sensor is not None and found.sensor.fault:
@@ -308,7 +308,7 @@ def _print_drifts(known: _Comparison | None) -> None:
     for one in known.drifts if known else ():
         if not one.n_tones:
             continue
-        click.echo(
+        shared.echo(
             f"{one.coil}: {one.median_db:+.2f} dB from its certificate, {one.largest_db:+.2f} dB at most, "
             f"in {one.n_tones} tones"
         )
@@ -349,7 +349,7 @@ def _describe_times(found: Examination) -> str:
 
 def _print_examination(found: Examination | None) -> None:
     if found is None:
-        click.echo("nothing was played; name a device with --device, or in the study's rig.toml")
+        shared.echo("nothing was played; name a device with --device, or in the study's rig.toml")
         return
     lines = [
         f"{found.device} ({found.host_api}) played at {found.rate_hz:g} Hz; latency {found.latency_ms:.1f} ms",
@@ -372,7 +372,7 @@ def _print_examination(found: Examination | None) -> None:
         lines.append(
             f"a stop is silent after {found.stop_ms:.0f} ms at most; latency_s in rig.toml shortens it"
         )
-    click.echo("\n".join(lines))
+    shared.echo("\n".join(lines))
     if found.is_program:
         shared.warn(
             f"{found.device}: a program plays it (a sound server, say), which may convert the rate and copy channels "

@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext, suppress
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from feel321.doors import announcing, follow
+from feel321 import files
+from feel321.doors import announcing, clean_text, follow
 from feel321.jobs import Workers
 from feel321.study.folder import require_study
 from feel321.study.study import Study
@@ -38,7 +40,34 @@ class _GivenPath(click.Path):
         return super().convert(value, param, ctx)
 
 
+MOST = 1e9
+"""Beyond this no option means anything, whatever its unit."""
+
+MOST_WORKERS = 1024
+
+
+class BoundedNumber(click.FloatRange):
+    """A number in a range; NaN, which is in none, is refused too."""
+
+    def convert(
+        self,
+        value: Any,  # noqa: ANN401 - as click has it
+        param: click.Parameter | None,
+        ctx: click.Context | None,
+    ) -> float:
+        """Read a number."""
+        number: float = super().convert(value, param, ctx)
+        if number != number:  # noqa: PLR0124 - NaN alone differs from itself
+            self.fail(
+                f"{value!r} is not a number in the range {self._describe_range()}", param, ctx
+            )
+        return number
+
+
 LOUDNESS = "feel321.loudness"
+
+READING = {"audit", "check", "monitor", "published", "replay", "status", "stress", "texts"}
+"""Verbs that write nothing into a study, so that they leave it as it is."""
 
 FILE = _GivenPath(path_type=Path)
 
@@ -51,7 +80,7 @@ def flag(option: str, text: str, name: str = "") -> Callable[[Verb], Verb]:
 def number_option(option: str, text: str, default: str = "") -> Callable[[Verb], Verb]:
     """Give a verb a number that may be left out; the default stands in the help only."""
     shown = f"  [default: {default}]" if default else ""
-    return click.option(option, type=float, help=text + shown)
+    return click.option(option, type=BoundedNumber(-MOST, MOST), help=text + shown)
 
 
 json_option = flag("--json", "Print the numbers as JSON.", "as_json")
@@ -83,7 +112,7 @@ def workers_option(verb: Verb) -> Verb:
     @click.option(
         "--workers",
         "processes",
-        type=click.IntRange(min=1),
+        type=click.IntRange(1, MOST_WORKERS),
         default=1,
         show_default=True,
         help="Number of processes; each takes a second or two to start, too long for a few short recordings.",
@@ -115,7 +144,7 @@ def workers_option(verb: Verb) -> Verb:
 def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]:
     """Give a verb a random seed."""
     text = f"Random seed{of}.  [default: {default}]"
-    return click.option("--seed", type=click.IntRange(min=0), help=text)
+    return click.option("--seed", type=click.IntRange(0, 2**63 - 1), help=text)
 
 
 def add_loudness(verb: click.Command) -> click.Command:
@@ -145,7 +174,7 @@ def _log_steps() -> Callable[[str], None]:
     from time import monotonic
 
     begun = monotonic()
-    return lambda text: click.echo(f"feel321: {monotonic() - begun:.1f} s: {text}", err=True)
+    return lambda text: echo(f"feel321: {monotonic() - begun:.1f} s: {text}", err=True)
 
 
 def _is(loudness: str) -> bool:
@@ -154,8 +183,23 @@ def _is(loudness: str) -> bool:
 
 
 def open_study(folder: Path) -> Study:
-    """Open a study that is there, for a terminal."""
-    return Study(require_study(folder), wants_bar(), warn=warn)
+    """Open a study that is there, for a terminal; what killed processes left in it goes, unless it is only read."""
+    study = require_study(folder)
+    context = click.get_current_context(silent=True)
+    if context is None or context.info_name not in READING:
+        report_swept([*files.sweep(study.path), *files.sweep_temporary()])
+    return Study(study, wants_bar(), warn=warn)
+
+
+def report_swept(swept: Sequence[Path]) -> None:
+    """Print what was removed of killed processes, in one line."""
+    if swept:
+        more = f" and {len(swept) - MOST_SWEPT} more" if len(swept) > MOST_SWEPT else ""
+        names = ", ".join(map(str, swept[:MOST_SWEPT]))
+        warn(f"removed what an interrupted run left: {names}{more}")
+
+
+MOST_SWEPT = 5
 
 
 def study_argument(verb: Verb) -> Verb:
@@ -219,10 +263,20 @@ def recording_argument(verb: Verb) -> Verb:
     return read_then_do
 
 
+def echo(text: object = "", *, err: bool = False, over: bool = False) -> None:
+    """Print lines, of which no name, note or answer can move the terminal's cursor, or change its colours or order.
+
+    over: the next one is printed over it. A terminal that was closed is no error where only a person would read it.
+    """
+    line = clean_text(str(text), keep="\n\t")
+    with suppress(OSError) if err else nullcontext():
+        click.echo(f"\r{line}" if over else line, nl=not over, err=err)
+
+
 def warn(message: str) -> None:
-    """Print a warning to stderr."""
+    """Print a warning to stderr, in one line."""
     if not _is("quiet"):
-        click.echo(f"feel321: warning: {message}", err=True)
+        echo(f"feel321: warning: {clean_text(message)}", err=True)
 
 
 def report_warnings(recordings: Iterable[Recording | Facts]) -> None:
@@ -231,7 +285,7 @@ def report_warnings(recordings: Iterable[Recording | Facts]) -> None:
         warn(line)
 
 
-MOST_LINES = 50
+MOST_LINES = 20
 
 
 def cap(
@@ -245,7 +299,7 @@ def cap(
 
 def print_json(entry: object) -> None:
     """Print numbers as JSON."""
-    click.echo(dump_json(entry))
+    echo(dump_json(entry))
 
 
 def dump_json(entry: object) -> str:
@@ -272,7 +326,7 @@ def recording(study: StudyFolder, verb: str, path: Path) -> AbstractContextManag
 def print_results(folder: Path, *, as_json: bool) -> None:
     """Print where the page of results is, or all of its numbers."""
     results = folder / "results.json"
-    click.echo(results.read_text(encoding="utf-8") if as_json else folder / "index.html")
+    echo(results.read_text(encoding="utf-8") if as_json else folder / "index.html")
 
 
 def is_terminal() -> bool:

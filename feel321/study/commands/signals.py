@@ -122,7 +122,7 @@ def reduce(  # noqa: PLR0913 - one per option
     if as_json:
         shared.print_json(facts)
     else:
-        click.echo(
+        shared.echo(
             f"{output}: {recording.name} through {name_of(reducer)}, {recording.n_samples} samples, m/s^2"
         )
         _print_matches(facts)
@@ -174,7 +174,7 @@ def match(
     else:
         _print_matches(facts)
         for name, value in further.items():
-            click.echo(f"{name.replace('_', ' ')} {value:.4f}")
+            shared.echo(f"{name.replace('_', ' ')} {value:.4f}")
     if facts["reasons"]:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
         raise ValueError(f"{recording.name}: {reasons}")
@@ -225,7 +225,7 @@ def port(
     if as_json:
         shared.print_json(facts)
     else:
-        click.echo(text)
+        shared.echo(text)
 
 
 def _reduce(
@@ -410,7 +410,7 @@ def _print_matches(facts: dict[str, Any]) -> None:
 
     steps = ", ".join(facts["steps"]) or "none, as it was measured"
     source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
-    click.echo(f"conditioning of the recording: {steps}{source}")
+    shared.echo(f"conditioning of the recording: {steps}{source}")
     compared = (
         f"{facts['n_frequencies']} frequencies, {facts['lowest_hz']:.1f} to {facts['highest_hz']:.1f} Hz, "
         f"{facts['n_left_out']} left out"
@@ -424,7 +424,7 @@ def _print_matches(facts: dict[str, Any]) -> None:
             if name in facts["reasons"]
             else f"{facts[name]:.4f}{detail}"
         )
-        click.echo(f"{name.replace('_', ' ')} {value}")
+        shared.echo(f"{name.replace('_', ' ')} {value}")
     for name, value in facts.get("rivals", {}).items():
         _print_rival(name, value, reason=facts["rivals_reasons"].get(name))
 
@@ -435,4 +435,6 @@ def _print_rival(name: str, value: float, *, reason: str | None) -> None:
     info = METRIC_INFO[name]
     sense = "higher is better" if info.higher == "better" else "lower is better"
     unit = f" {info.unit}" if info.unit else ""
-    click.echo(f"{info.label} " + (f"none: {reason}" if reason else f"{value:.4f}{unit} ({sense})"))
+    shared.echo(
+        f"{info.label} " + (f"none: {reason}" if reason else f"{value:.4f}{unit} ({sense})")
+    )

@@ -42,7 +42,7 @@ def collect(
     if as_json:
         shared.print_json(asdict(found))
     else:
-        click.echo("\n".join(_describe(found, folder)))
+        shared.echo("\n".join(_describe(found, folder)))
     context.exit(1 if found.refused else 0)
 
 

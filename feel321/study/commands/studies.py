@@ -42,7 +42,7 @@ def new(folder: Path, *, bundled: str | None, extra: str | None) -> None:
     study = Study.create(folder, like=bundled).folder
     if extra:
         add_methods(study)
-    click.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
+    shared.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
 
 
 @click.command(
@@ -90,7 +90,7 @@ def check(
         count = len(found.warnings) + len(found.remarks)
         counted = f", {count} warning{'s' * (count > 1)}" if count else ""
         good = f"{study.folder.path}: no problems{counted}"
-        click.echo("\n".join([*(shared.cap(found.problems) or [good]), *found.notes]))
+        shared.echo("\n".join([*(shared.cap(found.problems) or [good]), *found.notes]))
     context.exit(1 if found.problems else 0)
 
 
@@ -107,9 +107,9 @@ def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -
             "kind": method.kind, "name": method.name, **method.to_json(), "checks": found, "failed": failed,
         })  # fmt: skip
     else:
-        click.echo(f"{method.kind} {method.name}: {failed or 'no'} of {len(found)} checks failed")
+        shared.echo(f"{method.kind} {method.name}: {failed or 'no'} of {len(found)} checks failed")
         for one in found:
-            click.echo(f"  {'ok    ' if one.passed else 'FAILED'}  {one.check}: {one.text}")
+            shared.echo(f"  {'ok    ' if one.passed else 'FAILED'}  {one.check}: {one.text}")
     return 1 if failed else 0
 
 
@@ -123,6 +123,7 @@ def build(*, study: Study, workers: Workers, no_page: bool, as_json: bool) -> No
 
     Open stimuli/index.html in a browser to see, measure and hear every stimulus.
     """
+    from feel321.stimuli.sets.build import find_copies
     from feel321.study.strength import describe_built
     from feel321.study.workflow import build_study
 
@@ -131,6 +132,8 @@ def build(*, study: Study, workers: Workers, no_page: bool, as_json: bool) -> No
             study.folder, workers=workers, page=not no_page, progress=progress
         )
     shared.report_warnings(facts)
+    for copies in find_copies(facts):
+        shared.warn(copies)
     notes = describe_built(study.settings, stimuli)
     count, sha256 = len(stimuli.stimuli), stimuli.sha256
     if as_json:
@@ -138,7 +141,7 @@ def build(*, study: Study, workers: Workers, no_page: bool, as_json: bool) -> No
         shared.print_json({"stimuli": count, "folder": folder, "sha256": sha256, "notes": notes})
     else:
         lines = [f"{stimuli.folder}: {count} stimuli, set {sha256[:12]}", *shared.cap(notes)]
-        click.echo("\n".join(lines))
+        shared.echo("\n".join(lines))
 
 
 @click.command(epilog="Example: feel321 demo --dir demo-study")
@@ -154,9 +157,9 @@ def demo(folder: Path) -> None:
     """Run a whole study with simulated participants."""
     study = Study(_open_demo(folder), shared.wants_bar(), warn=shared.warn)
     stimuli = study.build()
-    click.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
+    shared.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
     rows = _simulate(study, DEMO_PARTICIPANTS)
-    click.echo(
+    shared.echo(
         f"{study.folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants"
     )
     study.analyze()
@@ -231,8 +234,8 @@ def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool
         return
     terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.slopes.items()]
     terms += [f"{points:+.1f} for {reducer}" for reducer, points in planted.reducers.items()]
-    click.echo(f"{file}: {rows} ratings")
-    click.echo(
+    shared.echo(f"{file}: {rows} ratings")
+    shared.echo(
         f"planted in realism, in points: {', '.join(terms)}"
         if terms
         else "planted: more than the two matches"
@@ -253,7 +256,7 @@ def status(*, study: Study, with_notes: bool, rehearsals: bool, as_json: bool) -
     from feel321.study.persons.retention import describe_due
 
     due = describe_due(study.folder, today=study.now().date())
-    click.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else []), *due]))
+    shared.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else []), *due]))
 
 
 @click.command(
@@ -275,7 +278,7 @@ def note(*, study: Study, text: str, participant: str, rehearsals: bool) -> None
     folder = _choose(study, rehearsals=rehearsals).folder
     if notice := take_note(folder, participant, text, now=study.now):
         shared.warn(notice)
-    click.echo(f"{participant}: noted")
+    shared.echo(f"{participant}: noted")
 
 
 @click.command(epilog="Example: feel321 texts my-study --language de")
@@ -299,7 +302,7 @@ def texts(*, study: Study, language: str | None) -> None:
     check_name(language, list_languages(), "language")
     path = study.folder.path / COPY_FILE
     create_text(path, write_copy(language))
-    click.echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
+    shared.echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
 
 
 def _choose(study: Study, *, rehearsals: bool) -> Study:
@@ -317,7 +320,7 @@ def release(*, study: Study, participant: str) -> None:
     from feel321.study.persons.withdrawal import release_participant
 
     number = release_participant(study.folder, participant, now=study.now)
-    click.echo(f"{study.folder.path}: {participant} is released, number {number} is free")
+    shared.echo(f"{study.folder.path}: {participant} is released, number {number} is free")
 
 
 @click.command(epilog="Example: feel321 ledger my-study")
@@ -334,10 +337,10 @@ def ledger(*, study: Study, rebuild: bool, as_json: bool) -> None:
     if as_json:
         shared.print_json([asdict(entry) for entry in entries])
         return
-    click.echo(f"{'number':>6}  {'participant':<16}{'state':<12}{'done':>5} of")
+    shared.echo(f"{'number':>6}  {'participant':<16}{'state':<12}{'done':>5} of")
     for entry in entries:
         mark = " (simulated)" if entry.simulated else ""
-        click.echo(
+        shared.echo(
             f"{entry.number:>6}  {entry.participant:<16}{entry.state:<12}{entry.done:>5} {entry.total}{mark}"
         )
 

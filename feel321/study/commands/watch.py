@@ -48,7 +48,7 @@ def monitor(folders: Sequence[Path], *, port: int, host: str, rehearsals: bool) 
         replace(require_study(folder), is_rehearsal=rehearsals) for folder in folders or (Path(),)
     ]
     with _quiet_end("monitor"):
-        serve_monitor(studies, host=host, port=port, now=utc_now, announce=click.echo)
+        serve_monitor(studies, host=host, port=port, now=utc_now, announce=shared.echo)
 
 
 @click.command(
@@ -59,10 +59,10 @@ Example: feel321 replay my-study --participant p07 --speed 8
 )
 @shared.study_argument
 @shared.participant_option
-@click.option("--session", type=click.IntRange(min=1), help="Number.  [default: the newest]")
+@click.option("--session", type=click.IntRange(1, 10_000), help="Number.  [default: the newest]")
 @click.option(
     "--speed",
-    type=click.FloatRange(0.1, 1000),
+    type=shared.BoundedNumber(0.1, 1000),
     default=1.0,
     show_default=True,
     help="Speed in the window.",
@@ -98,17 +98,17 @@ def replay(  # noqa: PLR0913 - one parameter per option
         replays.check_out(folder, out)
     film = replays.read_film(folder, participant, session=session, while_running=while_running)
     for change in film.changes:
-        click.echo(f"replay: the study has changed since this session began: {change}", err=True)
+        shared.echo(f"replay: the study has changed since this session began: {change}", err=True)
     if out is not None:
         with shared.recording(folder, "replay", out):
             write_text(out, replays.write_page(film))
-        click.echo(out)
+        shared.echo(out)
     elif browser:
         from feel321.study.monitor.server import serve_pages
 
         pages = {"/": lambda nonce, _query: ("text/html", replays.write_page(film, nonce))}
         with _quiet_end("replay"):
-            serve_pages("127.0.0.1", 0, pages, announce=click.echo)
+            serve_pages("127.0.0.1", 0, pages, announce=shared.echo)
     else:
         from feel321.study.lab import start_clock
         from feel321.study.screen.window import open_screen
@@ -129,7 +129,7 @@ Example: feel321 rehearse my-study --out rehearsal.html
 @shared.flag("--by-hand", "Answer yourself, at an address of this machine.")
 @click.option(
     "--trials",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 10_000),
     default=2,
     show_default=True,
     help="Trials of each task in training, in practice and in the main phase.",
@@ -150,7 +150,7 @@ def rehearse(
         from feel321.study.monitor.hand import serve_rehearsal
 
         with _quiet_end("rehearse"):
-            serve_rehearsal(study.folder, trials=trials, now=study.now, announce=click.echo)
+            serve_rehearsal(study.folder, trials=trials, now=study.now, announce=shared.echo)
         return
     from feel321.study.monitor import replay as replays
 
@@ -158,7 +158,7 @@ def rehearse(
         replays.check_out(study.folder, out)
         film = replays.rehearse(study.folder, trials=trials, seed=seed, now=study.now)
         write_text(out, replays.write_page(film))
-        click.echo(out)
+        shared.echo(out)
 
 
 @contextmanager
@@ -167,4 +167,4 @@ def _quiet_end(verb: str) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        click.echo(f"{verb}: ended", err=True)
+        shared.echo(f"{verb}: ended", err=True)

@@ -66,7 +66,7 @@ def write_folder(folder: Path, files: Mapping[str, Content]) -> None:
 
 
 def _write(path: Path, content: Content) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     with path.open("wb") as file:
         if isinstance(content, bytes):
             file.write(content)

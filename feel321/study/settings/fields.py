@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationEr
 from pydantic_core import ErrorDetails, PydanticCustomError
 from pydantic_core.core_schema import ValidationInfo
 
+from feel321 import intake
 from feel321.extensions import is_given
 
 OFF = "off"
@@ -107,10 +108,17 @@ Distinct = AfterValidator(check_distinct)
 Some = AfterValidator(check_some)
 OrOff = WrapValidator(_take_off)
 Words = Annotated[str, AfterValidator(_check_words)]
-Count = Annotated[int, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+MOST = 1e9
+"""Beyond this no setting means anything, whatever its unit; what costs time or memory has a ceiling of its own."""
+
+Count = Annotated[int, Field(ge=0, le=10**6)]
+AtLeastOne = Annotated[int, Field(ge=1, le=10**6)]
+Seed = Annotated[int, Field(ge=0, lt=2**63)]
+Positive = Annotated[float, Field(gt=0, le=MOST, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
+Rate = Annotated[Positive, Field(le=10**6)]
+Seconds = Annotated[NotNegative, Field(le=86400)]
 Share = Annotated[float, Field(ge=0, le=1)]
 PositiveOrOff = Annotated[Positive | None, OrOff]
 
@@ -124,7 +132,7 @@ def parse_toml(path: Path, model: type[Whole]) -> Whole:
     """Read a TOML file into the table that it is to be."""
     try:
         # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
-        tables = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        tables = tomllib.loads(intake.read_small(path))
         content = json.dumps(tables, default=_refuse_time)
     except TypeError as error:
         raise ValueError(f"{path.name}: {error}") from None
@@ -167,7 +175,11 @@ def _translate(detail: ErrorDetails, model: type[TomlTable]) -> str:
         case _:  # What JSON calls an object is a table in TOML.
             reason = detail["msg"].replace("Input should", "must").replace("an object", "a table")
     # Whole tables are too long to repeat, and some reasons say themselves what was found.
-    got = "" if "{" in repr(detail["input"]) or "got " in reason else f"got {detail['input']!r}"
+    got = (
+        ""
+        if "{" in repr(detail["input"]) or "got " in reason
+        else f"got {intake.clip(repr(detail['input']))}"
+    )
     if not reason.startswith("must "):
         return f"{place}: {got}{', ' if got else ''}{reason}"
     rule, _, remedy = reason.partition("; ")

@@ -37,19 +37,19 @@ Names = Condition[tuple[kinds.Words, ...]]
 class ConditionsTable(kinds.TomlTable):
     """`[paper.conditions]`: what the paper's study was; what is left out is not compared."""
 
-    participants: Condition[Annotated[int, Field(ge=1)]] | None = None
+    participants: Condition[kinds.AtLeastOne] | None = None
     reducers: Names | None = None
     protocols: Names | None = None
     levels: Names | None = None
-    recordings: Condition[Annotated[int, Field(ge=1)]] | None = None
+    recordings: Condition[kinds.AtLeastOne] | None = None
     rate_hz: Condition[kinds.Positive] | None = None
     band_hz: Condition[tuple[kinds.Positive, kinds.Positive]] | None = None
     window_ms: Condition[kinds.Positive] | None = None
-    channels: Condition[Annotated[int, Field(ge=1)]] | None = None
+    channels: Condition[kinds.AtLeastOne] | None = None
     order: Condition[kinds.Words] | None = None
     gain: Condition[kinds.Positive] | None = None
     surface: Condition[bool] | None = None
-    repeats: Condition[Annotated[int, Field(ge=1)]] | None = None
+    repeats: Condition[kinds.AtLeastOne] | None = None
     anchors: Condition[bool] | None = None
 
 

@@ -4,6 +4,7 @@ Names of reducers, scenes, protocols, levels, units and languages are those of t
 stimuli or the protocols know under another name has that name as its `serialization_alias`.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from datetime import date
@@ -13,6 +14,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
+from feel321 import intake
 from feel321.doors import name_of
 from feel321.protocols.detection import ThresholdBlock, name_tone
 from feel321.protocols.matching import MatchingBlock
@@ -24,7 +26,7 @@ from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdPlan
 from feel321.protocols.trial import CHOOSING, FLAGS, Flow, Task
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
-from feel321.stimuli.recording import UNITS
+from feel321.stimuli.recording import AXES, UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
@@ -109,7 +111,7 @@ class RehearsalTable(kinds.TomlTable):
 class BreaksTable(kinds.TomlTable):
     """`[session.breaks]`: when the hand rests."""
 
-    every_trials: Annotated[Annotated[int, Field(ge=1)] | None, kinds.OrOff] = Field(
+    every_trials: Annotated[kinds.AtLeastOne | None, kinds.OrOff] = Field(
         default=_FLOW.break_trials, serialization_alias="break_trials"
     )
     every_min: Annotated[Annotated[kinds.Positive, Field(le=1440)] | None, kinds.OrOff] = Field(
@@ -220,7 +222,7 @@ class SessionTable(kinds.TomlTable):
         "similarity",
     )
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
-    recordings_per_participant: Annotated[int, Field(ge=1)] | None = None
+    recordings_per_participant: kinds.AtLeastOne | None = None
     order: Annotated[str, kinds.one_of(ORDERS)] = "williams"
     task_order: Annotated[str, kinds.one_of(TASK_ORDERS)] = TASK_ORDERS[0]
     language: Annotated[str, AfterValidator(_check_language)] = "en"
@@ -242,7 +244,7 @@ class TaskTable(kinds.TomlTable):
     timing: kinds.Words | None = None
     reference: kinds.Words | None = None
     surface: bool = False
-    pairs: Annotated[kinds.Count, Field(ge=1)] | None = None
+    pairs: kinds.AtLeastOne | None = None
     explore: Annotated[str, kinds.one_of(EXPLORERS)] | None = None
     scales: tuple[kinds.Words, ...] = ()
     gap_s: kinds.NotNegative | None = None
@@ -272,7 +274,7 @@ class StudyTable(kinds.TomlTable):
     """`[study]`: name and seed."""
 
     name: kinds.Words = server.UNNAMED
-    seed: kinds.Count = 321
+    seed: kinds.Seed = 321
 
 
 class SourceTable(kinds.TomlTable):
@@ -282,7 +284,7 @@ class SourceTable(kinds.TomlTable):
     sample: kinds.Words | None = None
     interaction: kinds.Words | None = None
     picture: kinds.Words | None = None
-    rotation: kinds.Count | None = None
+    rotation: kinds.Seed | None = None
 
     @property
     def title(self) -> str:
@@ -311,9 +313,15 @@ class SceneTable(SourceTable):
     """`[[recordings]]` with `scene`: a bundled synthetic scene."""
 
     scene: Annotated[str, AfterValidator(_check_scene)]
-    seed: kinds.Count = 0
-    rate_hz: kinds.Positive = 10000.0
-    duration_s: kinds.Positive = 4.0
+    seed: kinds.Seed = 0
+    rate_hz: kinds.Rate = 10000.0
+    duration_s: Annotated[kinds.Positive, Field(le=3600)] = 4.0
+
+    @model_validator(mode="after")
+    def _check_size(self) -> Self:
+        n_samples = math.ceil(self.duration_s * self.rate_hz)
+        intake.check_samples(n_samples, AXES, self.rate_hz)
+        return self
 
     def _find_source(self) -> str:
         return self.scene.replace("+", "-")
@@ -324,8 +332,8 @@ class FileTable(SourceTable):
 
     file: kinds.Words
     unit: Annotated[str, kinds.one_of(UNITS)] | None = None
-    rate_hz: kinds.Positive | None = None
-    columns: tuple[str | int, ...] | None = None
+    rate_hz: kinds.Rate | None = None
+    columns: tuple[str | kinds.Count, ...] | None = None
     full_scale: kinds.Positive | None = None
     resample: bool = False
 
@@ -395,7 +403,7 @@ class ConditioningTable(kinds.TomlTable):
     remove_offset: bool = _STEPS.remove_offset
     high_pass_hz: kinds.PositiveOrOff = _STEPS.high_pass_hz
     low_pass_hz: kinds.PositiveOrOff = _STEPS.low_pass_hz
-    crop_s: tuple[kinds.NotNegative, kinds.Positive] | None = _STEPS.crop_s
+    crop_s: tuple[kinds.Seconds, kinds.Seconds] | None = _STEPS.crop_s
 
 
 ACCEPT = "accept"
@@ -417,7 +425,7 @@ class StimuliTable(kinds.TomlTable):
     anchors: bool = _RECIPE.anchors
     reference: Annotated[str, _OWN_REFERENCE] = _RECIPE.reference
     gain: Annotated[float | str, kinds.number_or(GAINS, least=1e-6, most=1e6)] = _RECIPE.gain
-    fade_s: kinds.NotNegative = _RECIPE.fade_s
+    fade_s: kinds.Seconds = _RECIPE.fade_s
     threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = _RECIPE.threshold
     below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
     metrics: Annotated[tuple[kinds.Words, ...], kinds.Distinct] = ()
@@ -466,7 +474,7 @@ class MetricTable(MethodTable):
 class RigTable(kinds.TomlTable):
     """`[rig]`: what the stimuli are rendered for."""
 
-    rate_hz: kinds.Positive = _RECIPE.rate_hz
+    rate_hz: kinds.Rate = _RECIPE.rate_hz
     full_scale_m_s2: Annotated[kinds.Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
     headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
     certificate: Annotated[str, kinds.one_of(("warn", "require"))] = "warn"
@@ -533,7 +541,7 @@ class AnalysisTable(kinds.TomlTable):
 
     metrics: Annotated[tuple[kinds.Words, ...], kinds.Some] = PLANNED
     screening: tuple[kinds.Words, ...] = ()
-    draws: Annotated[int, Field(ge=100)] = 2000
+    draws: Annotated[int, Field(ge=100, le=100_000)] = 2000
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
     hypotheses: tuple[kinds.Words, ...] = ()
 
@@ -551,8 +559,8 @@ class LedgerTable(kinds.TomlTable):
     """`[ledger]`: where it is kept who takes part, if several stations run the study."""
 
     url: str | None = None
-    station: int | None = None
-    of: int | None = None
+    station: kinds.AtLeastOne | None = None
+    of: kinds.AtLeastOne | None = None
 
     @model_validator(mode="before")
     @classmethod

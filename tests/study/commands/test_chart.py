@@ -133,7 +133,7 @@ def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path)
             1,
             "nothing.csv: there is no such file",
         ),
-        (["{folder}", "--seed", "-1"], 2, "-1 is not in the range x>=0"),
+        (["{folder}", "--seed", "-1"], 2, "-1 is not in the range 0<=x"),
         (["{folder}", "--recordings", ""], 2, "a name must not be empty"),
     ],
 )
