@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING
 from feel321.doors import announce
 from feel321.files import hold_lock, sync_folder, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.audit import list_files
+from feel321.study.auditing.journals import list_files
 from feel321.study.folder import require_study
-from feel321.study.ledger import database, progress, slots, withdrawal
+from feel321.study.ledger import database, progress, slots
+from feel321.study.persons import withdrawal
 from feel321.study.session import journal as journals
 from feel321.study.session.identity import find_differences
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan

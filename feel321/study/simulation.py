@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.answers import write_answers
 from feel321.study.ledger.progress import write_roster
 from feel321.study.matches import write_matches
+from feel321.study.persons.answers import write_answers
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import Clock
 from feel321.study.sessions import Room, lead_session, open_room, plan_sessions, require_current_set

@@ -179,7 +179,7 @@ class Contents:
         """
         import pandas as pd
 
-        from feel321.study.answers import COLUMNS, write_answers
+        from feel321.study.persons.answers import COLUMNS, write_answers
 
         return pd.DataFrame(write_answers(self.folder), columns=list(COLUMNS))
 
@@ -453,7 +453,9 @@ class Study(Plannable):
         Audit
             Every change, and the seal.
         """
-        from feel321.study.audit import audit_study, list_remarks, make_seal
+        from feel321.study.auditing.entries import list_remarks
+        from feel321.study.auditing.seal import make_seal
+        from feel321.study.auditing.study import audit_study
         from feel321.study.findings import Audit
         from feel321.study.freezing.record import describe_frozen, find_faults
 

@@ -14,9 +14,9 @@ from feel321.analysis.tradeoff.benchmark import leaderboard
 from feel321.analysis.tradeoff.chart import points
 from feel321.analysis.tradeoff.stress.diagnosis import SIGNS
 from feel321.names import METRIC_INFO
-from feel321.study.answers import COLUMNS as ANSWERS
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.matches import COLUMNS as MATCHES
+from feel321.study.persons.answers import COLUMNS as ANSWERS
 from feel321.types import MetricInfo
 
 KINDS = {

@@ -18,7 +18,7 @@ from feel321.study.actuator.certificate import Certificate, make_manual, write_c
 from feel321.study.actuator.coil import Coil, SimulatedCoil
 from feel321.study.actuator.render import find_rig_problems, render_stimulus
 from feel321.study.actuator.rig import Rig, read_rig, take_device
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.lab import Visit, run_participant
 from feel321.study.session.journal import read_journal
 from feel321.study.workflow import check_study

@@ -12,7 +12,7 @@ import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import lab
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.lab import Visit, run_participant
 from feel321.study.ratings import write_ratings
 

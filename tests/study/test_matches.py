@@ -20,11 +20,12 @@ from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import MATCHING, Flow
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import analyze, metrics
-from feel321.study.audit import audit_steps, audit_study
+from feel321.study.auditing.steps import audit_steps
+from feel321.study.auditing.study import audit_study
 from feel321.study.folder import create_study
-from feel321.study.ledger.withdrawal import withdraw_participant
 from feel321.study.matches import MATCHES_FILE, describe_matches, summarise_matches, write_matches
 from feel321.study.observer.participant import ObserverModel, Participant
+from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session.engine import run_session
 from feel321.study.session.plan import (
     Design,

@@ -13,12 +13,14 @@ import pytest
 from feel321.files import hold_lock
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import lab
-from feel321.study.audit import audit_steps, audit_study, make_seal
+from feel321.study.auditing.seal import make_seal
+from feel321.study.auditing.steps import audit_steps
+from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.lab import Visit, run_participant
-from feel321.study.ledger.notes import take_note
 from feel321.study.ledger.progress import write_roster
-from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.persons.notes import take_note
+from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import NOTE_LETTERS, NoteTaken
 from feel321.study.session.journal import read_journal

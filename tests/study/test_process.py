@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.analysis.report import association
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.status import read_status

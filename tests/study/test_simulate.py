@@ -13,7 +13,7 @@ import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import analyze_study
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import list_forgotten
 from feel321.study.ratings import write_ratings

@@ -10,7 +10,7 @@ import pytest
 
 from feel321 import study as face
 from feel321.study import Study
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import read_template
 from feel321.study.settings.edit import change_settings

@@ -17,7 +17,7 @@ from feel321.protocols.threshold import PROCEDURES, USUAL, estimate_threshold, r
 from feel321.stimuli.sets.anchors import sensation_level_db
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.thresholds import acceleration_threshold
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.folder import create_study
 from feel321.study.ledger.progress import ROSTER_FILE
 from feel321.study.observer.participant import ObserverModel

@@ -268,7 +268,7 @@ def note(*, study: Study, text: str, participant: str, rehearsals: bool) -> None
     recorded: never edited, removed only by withdraw, and it changes the seal of audit. Write no names. Shown by
     status --notes.
     """
-    from feel321.study.ledger.notes import take_note
+    from feel321.study.persons.notes import take_note
 
     folder = _choose(study, rehearsals=rehearsals).folder
     if notice := take_note(folder, participant, text, now=study.now):
@@ -349,7 +349,7 @@ def withdraw(
 
     The code is not used again; the design slot is free.
     """
-    from feel321.study.ledger.withdrawal import withdraw_participant
+    from feel321.study.persons.withdrawal import withdraw_participant
 
     folder = study.folder
     if not is_sure and not sys.stdin.isatty():
@@ -375,7 +375,7 @@ def release(*, study: Study, participant: str) -> None:
 
     What was recorded is kept; the next participant gets the design slot.
     """
-    from feel321.study.ledger.withdrawal import release_participant
+    from feel321.study.persons.withdrawal import release_participant
 
     number = release_participant(study.folder, participant, now=study.now)
     click.echo(f"{study.folder.path}: {participant} is released, number {number} is free")

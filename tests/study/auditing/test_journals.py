@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.audit import audit_journals
+from feel321.study.auditing.journals import audit_journals
 from feel321.study.session.journal import START, create_journal, digest, read_journal, write_line
 from feel321.study.session.plan import POLICIES, Stale, require_plan
 

@@ -15,7 +15,7 @@ from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.output import FileOutput
 from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.exploration.explorer import make_explorer
 from feel321.study.exploration.motion import STILL_S, Pointer, Strokes, check_track, open_tracker
 from feel321.study.exploration.track import (

@@ -13,7 +13,7 @@ import pytest
 from feel321.protocols.texts import read_scales, read_texts
 from feel321.protocols.trial import Judgement, Part, Trial
 from feel321.study.analyze import analyze_study
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.screen.layout import compose

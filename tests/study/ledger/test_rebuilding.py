@@ -14,7 +14,7 @@ import feel321.study.ledger.slots
 from feel321.study.ledger.database import read_ledger, rewrite_ledger
 from feel321.study.ledger.progress import REMOVING, check_anchors, read_tombstone, write_tombstone
 from feel321.study.ledger.slots import find_lost, open_study_ledger, rebuild_ledger
-from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import digest
 
 if TYPE_CHECKING:

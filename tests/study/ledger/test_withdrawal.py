@@ -14,7 +14,7 @@ from feel321.files import hold_lock
 from feel321.study.ledger.database import read_ledger
 from feel321.study.ledger.progress import find_leftovers, read_tombstone, write_roster
 from feel321.study.ledger.slots import find_lost, open_study_ledger
-from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.plan import PLAN_FILE
 
@@ -31,7 +31,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.slots import find_lost
-from feel321.study.ledger.withdrawal import withdraw_participant
+from feel321.study.persons.withdrawal import withdraw_participant
 import feel321.analysis.report.folder, feel321.files, feel321.stimuli.sets.manifest, feel321.study.ratings, filelock
 root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
 def now():
@@ -220,9 +220,9 @@ def test_derived_tables_are_written_anew_and_the_report_goes(
     two.study.ratings.write_text("participant\np01\np02\n")
     write_report_files(two.study.report)
     (two.study.path / "rehearsals" / "p01").mkdir(parents=True)
-    monkeypatch.setattr("feel321.study.ledger.withdrawal.read_stimuli", lambda folder: folder)
+    monkeypatch.setattr("feel321.study.persons.withdrawal.read_stimuli", lambda folder: folder)
     monkeypatch.setattr(
-        "feel321.study.ledger.withdrawal.write_ratings",
+        "feel321.study.persons.withdrawal.write_ratings",
         lambda study, _stimuli: study.ratings.write_text(
             "\n".join(path.parent.name for path in study.journals)
         ),

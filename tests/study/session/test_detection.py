@@ -16,7 +16,7 @@ from feel321.protocols.detection import THRESHOLD, ThresholdBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL
 from feel321.protocols.trial import Flow, Page
-from feel321.study.audit import audit_steps
+from feel321.study.auditing.steps import audit_steps
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session

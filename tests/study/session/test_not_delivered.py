@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.trial import Flow
-from feel321.study.audit import audit_journals
+from feel321.study.auditing.journals import audit_journals
 from feel321.study.session.events import find_loss
 from feel321.study.session.plan import require_plan
 from feel321.study.session.ports import Playback

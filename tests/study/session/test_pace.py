@@ -11,7 +11,7 @@ import pytest
 from feel321.protocols.options import refine_task
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import Flow
-from feel321.study.audit import audit_steps
+from feel321.study.auditing.steps import audit_steps
 from feel321.study.minutes import Sitting
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver

@@ -10,8 +10,8 @@ import pytest
 
 from feel321.protocols.questions import Question, label_points
 from feel321.protocols.tasks import make_task
-from feel321.study.answers import read_answers
-from feel321.study.audit import audit_steps
+from feel321.study.auditing.steps import audit_steps
+from feel321.study.persons.answers import read_answers
 from feel321.study.session.plan import create_plan, make_plan, require_plan
 from feel321.study.session.ports import Abort, Confirm, Pause
 

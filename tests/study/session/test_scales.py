@@ -11,7 +11,7 @@ import pytest
 from feel321.protocols.options import refine_task
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import make_scales, read_texts
-from feel321.study.audit import audit_steps
+from feel321.study.auditing.steps import audit_steps
 from feel321.study.ratings import _judge
 from feel321.study.session.engine import find_scale
 from feel321.study.session.events import TrialRated

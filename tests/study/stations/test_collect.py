@@ -20,11 +20,11 @@ import pytest
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import cli
 from feel321.study import collect as collecting
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.collect import Collected, collect_sessions
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import slots
-from feel321.study.ledger.withdrawal import release_participant, withdraw_participant
+from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import Record, list_journals, read_chain, write_line
 from feel321.study.session.plan import PLAN_FILE, create_plan, require_plan

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.ledger import database, slots
 from feel321.study.ledger.keeper import Keeper
 from feel321.study.session.journal import create_journal, list_journals, read_journal

@@ -23,7 +23,7 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.threshold import USUAL
 from feel321.protocols.trial import Flow, Scale
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.progress import write_roster
 from feel321.study.ledger.slots import claim_slots, list_forgotten, open_study_ledger

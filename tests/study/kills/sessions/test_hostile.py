@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.files import hold_lock
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.session.journal import read_journal
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.audit import audit_study
+from feel321.study.auditing.study import audit_study
 from feel321.study.ledger.slots import rebuild_ledger
 from feel321.study.session.journal import read_journal
 

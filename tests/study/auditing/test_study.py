@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.audit import audit_study, make_seal
+from feel321.study.auditing.seal import make_seal
+from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.database import open_ledger, rewrite_ledger
 from feel321.study.ledger.slots import rebuild_ledger
-from feel321.study.ledger.withdrawal import withdraw_participant
+from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session.journal import (
     START,
     create_journal,

@@ -6,7 +6,7 @@ session fresh, and is in no table of ratings.
 
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import progress, slots
-from feel321.study.ledger.withdrawal import hold_folder, require_entry
+from feel321.study.persons.withdrawal import hold_folder, require_entry
 from feel321.study.session.events import NoteTaken
 from feel321.study.session.journal import Clock, list_journals, require_journal
 

@@ -14,11 +14,11 @@ from sqlalchemy import Engine
 from feel321.files import hold_lock, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import server
-from feel321.study.answers import ANSWERS_FILE, write_answers
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import progress, slots
 from feel321.study.ledger.database import Entry, read_ledger
 from feel321.study.matches import MATCHES_FILE, write_matches
+from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
 from feel321.study.session.journal import (

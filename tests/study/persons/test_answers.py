@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from feel321.protocols.questions import READY
-from feel321.study.answers import ANSWERS_FILE, write_answers
-from feel321.study.audit import audit_study
-from feel321.study.ledger.withdrawal import withdraw_participant
+from feel321.study.auditing.study import audit_study
+from feel321.study.persons.answers import ANSWERS_FILE, write_answers
+from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.simulation import simulate_study
 from feel321.study.study import Study
 

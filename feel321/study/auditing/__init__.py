@@ -1,0 +1,1 @@
+"""Audit: whether what a study holds is what was recorded."""

@@ -1,0 +1,95 @@
+"""The journals of one participant: each chain, its header and times, and how one session follows another."""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+
+from feel321.study.auditing.steps import audit_steps
+from feel321.study.exploration.track import MOTION, name_track
+from feel321.study.folder import DELIVERED, name_delivered
+from feel321.study.ratings import find_misplaced
+from feel321.study.session import events
+from feel321.study.session.journal import Chain, Record, list_journals, name_journal, read_journal
+from feel321.study.session.plan import Plan
+
+
+def audit_journals(folder: Path, plan: Plan) -> Iterator[str]:
+    """Verify all journals of a participant."""
+    chains = {}
+    for path in sorted(folder.glob("session-*.jsonl")):  # Copies under other names too.
+        try:
+            chains[path] = read_journal(path)
+        except (OSError, ValueError) as error:
+            yield str(error)
+        else:
+            yield from (f"{path}{finding}" for finding in _audit_journal(chains[path], plan, path))
+    yield from _audit_succession(list_journals(folder), chains)
+
+
+def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
+    if chain.torn:
+        yield f": ends in {len(chain.torn)} bytes of an unfinished line; resuming moves them aside"
+    try:
+        header = chain.records.find_header()
+    except ValueError as error:
+        yield f", {error}"
+        return
+    if header is None:
+        # A crash may have come before it, and nobody come back.
+        allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
+        if not {record.event for record in chain.records} <= allowed:
+            yield ": has no header"
+        return
+    yield from find_misplaced(path, header, plan)
+    for before, record in pairwise(chain.records):
+        is_older = datetime.fromisoformat(record.utc) < datetime.fromisoformat(before.utc)
+        if is_older and record.event != events.ClockStepped.event:
+            yield f", line {record.sequence + 1}: is older than the line before, and nothing says why"
+    steps = list(audit_steps(chain.records, plan))
+    yield from steps
+    if not steps:  # else records need not be as they should
+        yield from _audit_files(chain.records, path.parent)
+
+
+def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
+    """List the files of what was rendered, measured or explored: who names them, where they are, their digest."""
+    for record in records:
+        played = record.content if record.event == events.PartPlayed.event else None
+        if not isinstance(played, events.PartPlayed):
+            continue
+        delivered = name_delivered(int(played.measured.get("file_number", 0)))
+        track = name_track(int(played.motion.get("file_number", 0)))
+        for path, sha256 in (
+            (folder / DELIVERED / delivered, played.delivered_sha256),
+            (folder / MOTION / track, played.motion_sha256),
+        ):
+            if sha256:
+                yield record, path, sha256
+
+
+def _audit_files(records: Sequence[Record], folder: Path) -> Iterator[str]:
+    for record, path, sha256 in list_files(records, folder):
+        name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
+        if not path.is_file():
+            yield f"{name} is gone; restore it from a copy"
+        elif hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+            yield f"{name} was changed since it was written; restore it from a copy"
+
+
+def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) -> Iterator[str]:
+    """Check that sessions are numbered on, and that each but the newest says which one took its place."""
+    for session, path in enumerate(journals, start=1):
+        if path.name != name_journal(session):
+            yield f"{path}: is there without {name_journal(session)} before it"
+            return
+    for session, path in enumerate(journals[:-1], start=2):
+        if path not in chains:
+            continue
+        try:
+            by = [e.by for e in chains[path].records.find(events.SessionSuperseded)]
+        except ValueError:
+            by = []
+        if session not in by:
+            yield f"{path}: does not mention {name_journal(session)}, which stands beside it"

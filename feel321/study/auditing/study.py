@@ -1,0 +1,93 @@
+"""Audit: verify every journal, plan, seal and ledger entry of a study.
+
+Every finding names the file, and the line where there is one. The digest that plans and journals keep of the
+stimulus set covers `manifest.csv`, and by it every WAV. Of `manifest.json` the rows are compared with that; its
+recipe, units and versions stand under no digest but the seal (`make_seal`), and `check` compares the recipe with the
+settings.
+"""
+
+import json
+from collections.abc import Callable, Iterator
+from itertools import zip_longest
+from pathlib import Path
+
+from feel321.doors import announce
+from feel321.stimuli.sets.details import iterate_rows
+from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
+from feel321.study.auditing.entries import audit_entry
+from feel321.study.auditing.journals import audit_journals
+from feel321.study.folder import StudyFolder, reading_origin
+from feel321.study.ledger.progress import find_leftovers
+from feel321.study.ledger.slots import find_lost, read_study_ledger
+from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_plan
+
+
+def audit_study(
+    study: StudyFolder, *, progress: Callable[[int, int], None] | None = None
+) -> list[str]:
+    """Verify all plans, journals and stimuli of a study, and the ledger."""
+    findings = [
+        f"{path}: not a participant's folder; move it out of {study.sessions}"
+        for path in study.strangers
+    ]
+    folders = study.participants
+    stimuli_sha256 = None
+    if folders or study.stimuli.exists():
+        problems, stimuli_sha256 = _audit_stimuli(study.stimuli)
+        findings += problems
+    try:
+        entries = {entry.participant: entry for entry in read_study_ledger(study)}
+    except (OSError, ValueError):
+        entries = {}  # `find_lost` reports it.
+    for done, folder in enumerate(folders, start=1):
+        announce(folder.name)
+        findings += _audit_participant(folder, stimuli_sha256)
+        if folder.name in entries:
+            findings += audit_entry(study, folder, entries[folder.name])
+        if progress is not None:
+            progress(done, len(folders))
+    return findings + find_lost(study)
+
+
+def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
+    """Verify the set; its digest comes too, where the manifest can be read."""
+    findings = check_stimuli(folder)
+    try:
+        stimuli = read_stimuli(folder)
+    except (OSError, ValueError):
+        return findings, None  # Among the findings already.
+    try:
+        with reading_origin(folder):
+            # An earlier version wrote fewer columns.
+            listed = ({**dict.fromkeys(FURTHER), **row} for row in iterate_rows(folder))
+            pairs = zip_longest(listed, map(describe_row, stimuli))
+            is_same = all(_digest_row(one) == _digest_row(other) for one, other in pairs)
+    except ValueError as error:
+        return [*findings, str(error)], stimuli.sha256
+    if not is_same:
+        findings.append(
+            f"{folder}: manifest.csv and manifest.json differ; one was changed, build the set again"
+        )
+    return findings, stimuli.sha256
+
+
+def _digest_row(row: object) -> str:
+    return json.dumps(row, sort_keys=True)
+
+
+def _audit_participant(folder: Path, stimuli_sha256: str | None) -> Iterator[str]:
+    if (folder / TOMBSTONE_FILE).exists():
+        # The ledger shows whether the withdrawal was finished.
+        yield from find_leftovers(folder)
+        return
+    path = folder / PLAN_FILE
+    try:
+        plan = require_plan(path)
+    except (OSError, ValueError) as error:
+        yield str(error)
+        return
+    if plan.participant != folder.name:
+        yield f"{path}: is the plan of {plan.participant!r}, it was copied here"
+    if stimuli_sha256 not in {None, plan.stimuli_sha256}:
+        yield f"{path}: names another stimulus set than the one that is built"
+    yield from audit_journals(folder, plan)

@@ -1,0 +1,77 @@
+"""`outputs.jsonl`: what verbs wrote of a study besides its own tables, to be found when somebody withdraws."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from feel321.files import digest_file, write_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from feel321.study.folder import StudyFolder
+    from feel321.study.session.journal import Clock
+
+OUTPUTS_FILE = "outputs.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenOutput:
+    """What a verb wrote: where, when, and the digest of each file by its name in that folder."""
+
+    verb: str
+    path: Path
+    utc: str
+    files: dict[str, str]
+
+
+def record_output(
+    study: StudyFolder, verb: str, path: Path, *, files: Iterable[Path], now: Clock
+) -> None:
+    """Record the files that a verb has written in a folder; an earlier entry of the same verb and folder is replaced.
+
+    Where there is no study, such as with ratings from elsewhere, nothing is recorded.
+    """
+    if not study.settings.is_file():
+        return
+    path = path.resolve()
+    named = {_name(file, path): digest_file(file) for file in files}
+    utc = now().isoformat(timespec="seconds")
+    others = [one for one in read_outputs(study) if (one.verb, one.path) != (verb, path)]
+    _write(study, [*others, WrittenOutput(verb, path, utc, named)])
+
+
+def read_outputs(study: StudyFolder) -> list[WrittenOutput]:
+    """Read what was recorded; a file that cannot be read is refused."""
+    path = study.path / OUTPUTS_FILE
+    if not path.is_file():
+        return []
+    try:
+        lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        return [
+            WrittenOutput(o["verb"], Path(o["path"]), o["utc"], dict(o["files"])) for o in lines
+        ]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path}: not as feel321 wrote it ({error}); restore it from a copy"
+        ) from None
+
+
+def forget_outputs(study: StudyFolder, gone: Iterable[WrittenOutput]) -> None:
+    """Take out of the record what was removed."""
+    left = list(gone)
+    _write(study, [one for one in read_outputs(study) if one not in left])
+
+
+def _name(file: Path, folder: Path) -> str:
+    return file.resolve().relative_to(folder).as_posix() if file.resolve() != folder else "."
+
+
+def _write(study: StudyFolder, outputs: Iterable[WrittenOutput]) -> None:
+    lines = [
+        json.dumps(asdict(one) | {"path": str(one.path)}, ensure_ascii=False) for one in outputs
+    ]
+    write_text(study.path / OUTPUTS_FILE, "".join(f"{line}\n" for line in lines))
