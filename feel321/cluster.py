@@ -28,12 +28,11 @@ from functools import cache
 from itertools import islice
 from pathlib import Path, PurePath
 from queue import Empty, SimpleQueue
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from feel321.doors import announce
 from feel321.extensions import Method, find_method
-from feel321.files import write_bytes
+from feel321.files import make_folder, replace_bytes, temporary_folder, write_bytes
 
 if TYPE_CHECKING:
     Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
@@ -516,7 +515,8 @@ def _check_method(kind: str, place: str, sha256: str, *, where: str) -> None:
 
 def _do(parcel: Parcel, where: str) -> tuple[Any, dict[str, str]]:
     """Do a job in a folder of its own, to which its files are brought; also returns what it wrote."""
-    with TemporaryDirectory(prefix="feel321-") as home:
+    with temporary_folder() as folder:
+        home = str(folder)
         token = _HOME.set(home)
         try:
             _bring(parcel, home, where)
@@ -536,10 +536,10 @@ def _bring(parcel: Parcel, home: str, where: str) -> None:
     for name in parcel.paths:
         path = Path(home + name)
         if name in parcel.files:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(_take_content(parcel.share, parcel.files[name], where=where))
+            make_folder(path.parent)
+            replace_bytes(path, _take_content(parcel.share, parcel.files[name], where=where))
         else:
-            path.mkdir(parents=True, exist_ok=True)
+            make_folder(path)
 
 
 def _hide(url: str) -> str:

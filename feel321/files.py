@@ -4,11 +4,14 @@ import csv
 import hashlib
 import io
 import os
+import re
+import secrets
+import shutil
 import sys
-import uuid
+import tempfile
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from filecmp import cmp
 from itertools import chain, count
 from pathlib import Path
@@ -18,14 +21,23 @@ LOOK_S = 0.2
 """How long a lock is waited for: `is_held` takes it for an instant, which must refuse nobody."""
 
 
-def write_text(path: Path, text: str) -> None:
+UNFINISHED = re.compile(r"\..+\.\d+(\.\w+)?\.part")
+"""Names of files while they are written: `.NAME.PID.TOKEN.part`."""
+
+TEMPORARY = re.compile(r"feel321-\d+-\w+")
+"""Names of temporary folders: `feel321-PID-TOKEN`."""
+
+
+def write_text(path: Path, text: str, *, private: bool = False) -> None:
     """Write a text file in one step, replacing the one that is there unless it holds just that."""
-    write_bytes(path, text.encode())
+    write_bytes(path, text.encode(), private=private)
 
 
-def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> int:
+def write_table(
+    path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], *, private: bool = False
+) -> int:
     """Write a CSV table in one step, and count its rows; what a row holds besides the columns is left out."""
-    return write_chunks(path, list_csv(columns, rows)) - 1
+    return write_chunks(path, list_csv(columns, rows), private=private) - 1
 
 
 def list_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Iterator[str]:
@@ -39,7 +51,7 @@ def list_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Itera
         text.truncate()
 
 
-def write_chunks(path: Path, chunks: Iterable[str]) -> int:
+def write_chunks(path: Path, chunks: Iterable[str], *, private: bool = False) -> int:
     """Write a text file as `write_text` does, but piece by piece, never in memory as a whole; counts the pieces."""
     written = count()
 
@@ -48,7 +60,7 @@ def write_chunks(path: Path, chunks: Iterable[str]) -> int:
             file.write(chunk.encode())
 
     with _naming(path):
-        _replace(path, write)
+        _replace(path, write, private=private)
     return next(written)
 
 
@@ -83,7 +95,8 @@ def write_twin(path: Path, rows: int, *, text: Collection[str]) -> None:
             table = table.set_column(place, column.name, empty)
     table = table.replace_schema_metadata({TWIN_OF: digest_file(path)})
     with _naming(twin):
-        _replace(twin, lambda file: parquet.write_table(table, file))
+        private = not path.stat().st_mode & 0o077
+        _replace(twin, lambda file: parquet.write_table(table, file), private=private)
 
 
 TWIN_OF = b"feel321.csv_sha256"
@@ -96,21 +109,22 @@ def digest_file(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file in one step, replacing the one that is there unless it holds just that."""
+def write_bytes(path: Path, content: bytes, *, private: bool = False) -> None:
+    """Write a file in one step, replacing the one that is there unless it holds just that.
+
+    private: nobody but its owner may read it, from its first byte (mode 0600; Windows knows no modes).
+    """
     with _naming(path):
-        if not (path.is_file() and path.read_bytes() == content):
-            _replace(path, lambda file: file.write(content))
+        if not (path.is_file() and path.read_bytes() == content and _is_kept(path, private)):
+            _replace(path, lambda file: file.write(content), private=private)
 
 
 def replace_bytes(path: Path, content: bytes) -> None:
     """Write a file in one step, whoever else writes it; after a power cut it may be damaged."""
-    unfinished = path.with_name(f".{path.name}.{uuid.uuid4().hex}.part")
-    try:
-        unfinished.write_bytes(content)
+    with _unfinished(path) as (file, unfinished):
+        file.write(content)
+        file.close()
         unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -122,13 +136,84 @@ def _naming(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-def create_text(path: Path, text: str) -> None:
+def create_text(path: Path, text: str, *, private: bool = False) -> None:
     """Write a text file where none is yet."""
     if path.exists():
         raise FileExistsError(
             f"{path}: already exists and is not overwritten; move it away or use it"
         )
-    write_text(path, text)
+    write_text(path, text, private=private)
+
+
+def create_file(path: Path, *, private: bool = False) -> None:
+    """Begin an empty file whose name survives a power cut; one that is there is refused."""
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600 if private else 0o666))
+    sync_folder(path.parent)
+
+
+def make_folder(path: Path, *, private: bool = False) -> None:
+    """Make a folder and those above it that are missing; each new name survives a power cut.
+
+    private: nobody but their owner may enter the new ones (mode 0700). A folder that is there stays as it is.
+    """
+    missing = [one for one in (path, *path.parents) if not one.is_dir()]
+    for folder in reversed(missing):
+        folder.mkdir(mode=0o700 if private else 0o777, exist_ok=True)
+        sync_folder(folder.parent)
+
+
+def move_files(moves: Mapping[Path, Path]) -> None:
+    """Move files to other places of the same file system, in this order; contents and names survive a power cut."""
+    for path in moves:
+        with path.open("r+b") as file:
+            os.fsync(file.fileno())
+    for path, target in moves.items():
+        path.replace(target)
+    for folder in {target.parent for target in moves.values()}:
+        sync_folder(folder)
+
+
+@contextmanager
+def temporary_folder(beside: Path | None = None) -> Iterator[Path]:
+    """Give a folder of its owner alone, which ends with the block: in the system's place, or beside a path.
+
+    It is held by its process: `sweep` removes one whose process was killed.
+    """
+    while True:
+        place = None if beside is None else beside.parent
+        folder = Path(tempfile.mkdtemp(prefix=f"feel321-{os.getpid()}-", dir=place))
+        hold = _hold(folder)
+        _lock(hold, wait=True)
+        if folder.is_dir():
+            break
+        _let_go(hold)  # pragma: no cover - swept between its making and its hold
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _let_go(hold)
+
+
+def sweep(folder: Path) -> list[Path]:
+    """Remove the unfinished files and temporary folders that killed processes left below a folder, and name them.
+
+    What a live process holds stays, on whichever machine that shares the folder; links are not followed. Temporary
+    folders are not swept on Windows, where nothing can hold them.
+    """
+    swept = []
+    for name, folders, files in os.walk(folder):
+        place = Path(name)
+        swept += [place / one for one in files if UNFINISHED.fullmatch(one) and _end(place / one)]
+        left = [one for one in folders if TEMPORARY.fullmatch(one)]
+        swept += [place / one for one in left if _end(place / one)]
+        folders[:] = [one for one in folders if one not in left]
+    return sorted(swept)
+
+
+def sweep_temporary() -> list[Path]:
+    """Do as `sweep`, with our folders in the system's place for temporary ones."""
+    found = Path(tempfile.gettempdir()).glob("feel321-*")
+    return sorted(one for one in found if TEMPORARY.fullmatch(one.name) and _end(one))
 
 
 def sync_folder(folder: Path) -> None:
@@ -192,17 +277,86 @@ def file_named(path: Path) -> Iterator[None]:
         raise type(error)(f"{prefix}{error.strerror or str(error).removeprefix(prefix)}") from error
 
 
-def _replace(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    # Beside the target, so that the replacement stays on one file system and is atomic.
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with unfinished.open("wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        if path.is_file() and cmp(unfinished, path, shallow=False):
+def _is_kept(path: Path, private: bool) -> bool:  # noqa: FBT001 - of one caller
+    return not private or os.name == "nt" or not path.stat().st_mode & 0o077
+
+
+def _replace(path: Path, write: Callable[[BinaryIO], object], *, private: bool = False) -> None:
+    with _unfinished(path, private=private) as (file, unfinished):
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+        if path.is_file() and _is_kept(path, private) and cmp(unfinished, path, shallow=False):
             return
+        if os.name == "nt":  # pragma: no cover - an open file is not moved there
+            file.close()
         unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
     sync_folder(path.parent)
+
+
+@contextmanager
+def _unfinished(path: Path, *, private: bool = False) -> Iterator[tuple[BinaryIO, Path]]:
+    """Open a file beside its target, so that the replacement stays on one file system and is atomic; it is held."""
+    while True:
+        place = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
+        flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(place, flags, 0o600 if private else 0o666)
+        _lock(descriptor, wait=True)
+        if os.fstat(descriptor).st_nlink:
+            break
+        os.close(descriptor)  # pragma: no cover - swept between its making and its hold
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            yield file, place
+    finally:
+        place.unlink(missing_ok=True)
+
+
+def _hold(path: Path) -> int:
+    """Open a file or folder that is there, for a lock; less than 0 if that cannot be."""
+    if (
+        os.name == "nt"
+    ):  # pragma: no cover - an open file cannot be removed there, a folder cannot be held
+        return -1
+    try:
+        return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return -1
+
+
+def _let_go(descriptor: int) -> None:
+    if descriptor >= 0:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, *, wait: bool = False) -> bool:
+    """Lock an open file for this process, however that ends; a disk that knows no locks says no."""
+    if sys.platform == "win32":  # pragma: no cover - an open file is safe there anyway
+        return True
+    import fcntl
+
+    with suppress(OSError):
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        return True
+    return False
+
+
+def _end(path: Path) -> bool:
+    """Remove what its process has left, and say whether it is gone; what is held, or not ours, stays."""
+    if os.name == "nt":  # pragma: no cover - an open file is not removed there, a folder stays
+        with suppress(OSError):
+            path.unlink()
+        return not path.exists()
+    if path.is_symlink() or (hold := _hold(path)) < 0:
+        return False
+    try:
+        is_ours = os.fstat(hold).st_uid == os.getuid()
+        if not (is_ours and _lock(hold)):
+            return False
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+        return not path.exists()
+    finally:
+        os.close(hold)

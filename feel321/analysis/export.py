@@ -21,7 +21,7 @@ from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import ROLE, STIMULUS, Table, recast_pairs
 from feel321.analysis.table.schema import APART
 from feel321.doors import as_path, as_seed, describe
-from feel321.files import write_text
+from feel321.files import make_folder, write_text
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -128,7 +128,7 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
         frames, {names[key]: table.info[key] for key in names if key in table.info}
     )
     _remove_earlier(place)
-    place.mkdir(parents=True, exist_ok=True)
+    make_folder(place)
     write_text(
         place / README, _write_readme(models, files)
     )  # first: the folder is ours from here on
@@ -162,7 +162,7 @@ def _remove_earlier(place: Path) -> None:
 
 def write_csv(path: Path, frame: DataFrame) -> None:
     """Write a table as R reads it without options."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     text = write_flags(frame).to_csv(
         index=False, na_rep=MISSING, float_format="%.12g", lineterminator="\n"
     )

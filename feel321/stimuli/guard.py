@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-import tempfile
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from feel321.doors import describe
 from feel321.extensions import RECORDING, Method, call, find_method, split_command
+from feel321.files import temporary_folder
 from feel321.stimuli.recording import check_acceleration, coerce_real
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.types import MetricInfo, Samples
@@ -233,8 +233,8 @@ def run_reducer(method: Method, samples: Samples, rate_hz: float) -> Samples:
     """Run a program from WAV to WAV."""
     if samples.ndim != 2:  # noqa: PLR2004 - axes x samples
         raise ValueError(f"{method}: a command takes one signal at a time; leave out batches")
-    with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder) / "input.wav", Path(folder) / "output.wav"
+    with temporary_folder() as folder:
+        source, target = folder / "input.wav", folder / "output.wav"
         write_wav(source, samples, round(rate_hz))
         _run(method, {"{input}": str(source), "{output}": str(target)})
         if not target.is_file():
@@ -277,8 +277,8 @@ def run_metric(
     method: Method, samples: Samples, reduced: Samples, *, rate_hz: float
 ) -> str | float:
     """Run a program that prints a number."""
-    with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder) / "input.wav", Path(folder) / "reduced.wav"
+    with temporary_folder() as folder:
+        source, target = folder / "input.wav", folder / "reduced.wav"
         write_wav(source, samples, round(rate_hz))
         write_wav(target, reduced, round(rate_hz))
         printed = _run(method, {"{input}": str(source), "{reduced}": str(target)})

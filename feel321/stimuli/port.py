@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from feel321.doors import check_name
-from feel321.files import write_text
+from feel321.files import make_folder, write_text
 from feel321.stimuli import conform
 from feel321.stimuli import conform_stream as streams
 from feel321.stimuli.conform import FILE_TOLERANCE, RATE_HZ, Conformity, Judged
@@ -64,7 +64,7 @@ def write_port(
     """Write the inputs, their list and how to answer them; returns the WAV files."""
     check_name(form, FORMS, "form")
     place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
+    make_folder(place)
     vectors = list(_list_vectors(form, reducer))
     paths = [_write_input(place, vector) for vector in vectors]
     kind = {"form": form, "reducer": reducer} if form == STREAMING else {"form": form}

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from feel321.doors import announce
-from feel321.files import hold_lock, sync_folder, write_bytes
+from feel321.files import hold_lock, make_folder, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.auditing.journals import list_files
 from feel321.study.folder import require_study
@@ -106,7 +106,7 @@ def collect_sessions(
         raise ValueError(f"{study.path}: is the study itself; name the folders of other stations")
     for other in others:
         _check_alike(study, other)
-    study.sessions.mkdir(exist_ok=True)
+    make_folder(study.sessions)
     busy = "sessions are being collected here; let that finish"
     with hold_lock(study.sessions / COLLECT_LOCK, busy=busy):
         collected = Collected()
@@ -360,9 +360,7 @@ def _read_verified(piece: Piece, *, before: Path) -> bytes:
 
 def _write_verified(path: Path, content: bytes) -> None:
     """Write a file whole or not at all, and read it back."""
-    if not path.parent.is_dir():
-        path.parent.mkdir()
-        sync_folder(path.parent.parent)
+    make_folder(path.parent)
     write_bytes(path, content)
     if (written := path.read_bytes()) != content:
         raise OSError(f"{path}: reads back as {len(written)} different bytes; check the disk")

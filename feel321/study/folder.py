@@ -10,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321.files import create_text, write_text
+from feel321.files import create_text, make_folder, write_text
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PARTICIPANT_ID
 
@@ -152,10 +152,10 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     """
     text = read_template() if bundled is None else read_bundled(bundled)
     study = StudyFolder(path)
-    (path / "recordings").mkdir(parents=True, exist_ok=True)
+    make_folder(path / "recordings")
     create_text(study.settings, text)
     for name in sorted(set(re.findall(r"methods/(\w+\.py)", text if bundled else ""))):
-        (path / "methods").mkdir(exist_ok=True)
+        make_folder(path / "methods")
         code = BUNDLED / "methods" / f"{name}.txt"
         create_text(path / "methods" / name, code.read_text(encoding="utf-8"))
     if not study.rig.exists():
@@ -166,7 +166,7 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
 def add_methods(study: StudyFolder) -> None:
     """Add an example of every kind of method of a lab's own to a study that was just begun."""
     home = study.path / "methods"
-    home.mkdir(exist_ok=True)
+    make_folder(home)
     for entry in (TEMPLATES / "methods").iterdir():
         if entry.name.endswith(".py.txt"):
             create_text(home / entry.name.removesuffix(".txt"), entry.read_text(encoding="utf-8"))

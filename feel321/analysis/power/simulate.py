@@ -20,7 +20,7 @@ from feel321.analysis.mixed import optimum
 from feel321.analysis.power import draw, engine
 from feel321.analysis.power.design import HIGH, LOW
 from feel321.analysis.screening.screen import screen_raters
-from feel321.files import write_text
+from feel321.files import make_folder, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -165,7 +165,7 @@ def _read_chunk(file: Path, count: int) -> list[dict[str, Any]] | None:
 def _name_files(
     spans: list[tuple[int, int]], digest: str, folder: Path
 ) -> dict[tuple[int, int], Path]:
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     return {span: folder / f"studies-{digest}-{span[0]:06d}-{span[1]:06d}.json" for span in spans}
 
 

@@ -35,7 +35,7 @@ from feel321.analysis.primary.plan import (
 )
 from feel321.analysis.table.items import Table, choose_arms, choose_metrics, open_ratings
 from feel321.doors import as_path
-from feel321.files import write_text
+from feel321.files import make_folder, write_text
 from feel321.records import Result
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ class Primary(Result):
         ])
         if folder is not None:
             place = as_path(folder, "folder")
-            place.mkdir(parents=True, exist_ok=True)
+            make_folder(place)
             write_text(place / "model.csv", self.model_frame.to_csv(index=False, na_rep="NA"))
             write_text(place / "model.R", text)
         return text

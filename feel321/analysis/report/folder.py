@@ -12,8 +12,7 @@ import pickle
 import re
 import subprocess
 import sys
-import tempfile
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,7 @@ from feel321.analysis.figures.style import save_figure
 from feel321.analysis.page import inline_svg
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.doors import as_path
+from feel321.files import make_folder, move_files, temporary_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -75,6 +75,7 @@ class ResultsFolder:
 
     Examples
     --------
+    >>> import tempfile
     >>> import pandas as pd
     >>> rows = pd.DataFrame({"reducer": ["dft321"], "r": [0.5]})
     >>> with tempfile.TemporaryDirectory() as place, ResultsFolder(f"{place}/report") as folder:
@@ -88,7 +89,8 @@ class ResultsFolder:
         """Refuse a folder that holds other results; in the background: let a second process draw, if a core is free."""
         self.path = as_path(path, "folder")
         self.pictures: list[Picture] = []
-        self._place: tempfile.TemporaryDirectory[str] | None = None
+        self._place: Path | None = None
+        self._closing = ExitStack()
         self._artist: subprocess.Popen[str] | None = None
         self._background = background and BACKGROUND
         check_target(self.path)
@@ -116,8 +118,7 @@ class ResultsFolder:
         if self._artist is not None:
             self._artist.kill()
             self._artist.communicate()
-        if self._place is not None:
-            self._place.cleanup()
+        self._closing.close()
 
     def draw(self, pictures: Iterable[Picture]) -> None:
         """Draw and save figures, each as SVG and PNG under its name."""
@@ -167,12 +168,10 @@ class ResultsFolder:
     def _stage(self, part: str = "") -> Path:
         """Find where files wait, beside their place so that moving them is quick; made when it is needed."""
         if self._place is None:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._place = tempfile.TemporaryDirectory(
-                dir=self.path.parent, prefix=f".{self.path.name}-"
-            )
-        stage = Path(self._place.name) / part
-        stage.mkdir(exist_ok=True)
+            make_folder(self.path.parent)
+            self._place = self._closing.enter_context(temporary_folder(self.path))
+        stage = self._place / part
+        make_folder(stage)
         return stage
 
     def _hand_over(self, picture: Picture) -> bool:
@@ -247,9 +246,9 @@ def _replace(place: Path, target: Path, *, files: Iterable[str]) -> None:
     for name in former - set(wanted):
         (target / name).unlink(missing_ok=True)
     for name in wanted:
-        (target / name).parent.mkdir(parents=True, exist_ok=True)
-        # The list goes first: a run that is interrupted here leaves files that the next one knows for its own.
-        (place / name).replace(target / name)
+        make_folder((target / name).parent)
+    # The list goes first: a run that is interrupted here leaves files that the next one knows for its own.
+    move_files({place / name: target / name for name in wanted})
 
 
 def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:

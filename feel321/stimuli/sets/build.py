@@ -21,7 +21,7 @@ import numpy as np
 
 from feel321 import __version__
 from feel321.doors import announce, as_path, describe, follow
-from feel321.files import hold_lock, replace_bytes
+from feel321.files import hold_lock, make_folder, move_files, replace_bytes, sweep
 from feel321.jobs import Job, Workers, as_workers, run_jobs
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.recording import Recording, largest
@@ -219,7 +219,7 @@ def build_set(
     """Build a stimulus set as `build_stimuli` does; also gives the facts of the recordings."""
     check_names([recording.name for recording in recordings])
     folder = as_path(folder, "folder")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     busy = "another build is running here; let it finish or stop it first"
     with hold_lock(folder / ".lock", busy=busy):
         crew = _Crew(recipe, folder, read_history(folder), as_workers(workers), move)
@@ -344,8 +344,7 @@ def _move(rows: Sequence[Stimulus], crew: _Crew, write_again: Callable[[str], No
         moved = [row for row in rows if row.file in there]
         if moved:
             (folder / "manifest.csv").unlink(missing_ok=True)
-        for row in moved:
-            (finished / row.file).replace(folder / row.file)
+        move_files({finished / row.file: folder / row.file for row in moved})
         changed = {row.recording for row in moved if not _holds(folder / row.file, row.sha256)}
         if not changed:
             return
@@ -373,10 +372,8 @@ def _publish(rows: Sequence[Stimulus], crew: _Crew, described: tuple[Any, Any]) 
 def _make_parts_folder(folder: Path) -> Path:
     """Make the folder of unfinished work; what a killed build had done is kept, half-written files are not."""
     parts = folder / PARTS
-    (parts / FINISHED).mkdir(parents=True, exist_ok=True)
-    for place in (folder, parts, parts / FINISHED):
-        for unfinished in place.glob(".*.part"):
-            unfinished.unlink(missing_ok=True)
+    make_folder(parts / FINISHED)
+    sweep(folder)
     return parts
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, signal
 
-from feel321.files import create_text, file_named, write_bytes
+from feel321.files import create_text, file_named, make_folder, write_bytes
 from feel321.records import to_json_value
 from feel321.study.actuator.calibration import Band, Spectrum
 from feel321.study.actuator.rig import ActuatorTable, CalibrationTable, Rig, SensorTable, digest
@@ -220,7 +220,7 @@ def _read_sensor(sensor: Mapping[str, Any]) -> SensorTable:
 def write_certificate(certificate: Certificate, folder: Path) -> Certificate:
     """Write a certificate into a study's folder, where none of that name may be, and return it with its seal."""
     place = folder / FOLDER
-    place.mkdir(parents=True, exist_ok=True)
+    make_folder(place)
     path = place / f"{certificate.id}.json"
     arrays = path.with_suffix(".npz")
     for file in (path, arrays):

@@ -4,7 +4,6 @@ A sensor is trusted only if it shows the pulses: above the noise before them, in
 about as strong as they were sent.
 """
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321.files import temporary_folder
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import StreamOutput, open_stream
@@ -124,8 +124,7 @@ def examine_rig(
         PULSE: make_pulse(rig, rate_hz=rate_hz, seconds=min(PULSE_S, longest_s)),
         TONE: make_pulse(rig, rate_hz=rate_hz, seconds=tone_s),
     }
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with temporary_folder() as folder:
         with open_stream(rig, sounds, rate_hz=rate_hz, folder=folder, clock=perf_counter) as output:
             played = _play_train(output, seconds=seconds, on_step=on_step)
             stops_ms = try_stops(output, lead_s=rig.masking.lead_s if rig.masking else 0.0)

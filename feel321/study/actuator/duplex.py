@@ -1,7 +1,6 @@
 """Measurements with the rig: sounds through the stream of sessions, and what the sensor records of them."""
 
 import math
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from time import perf_counter, sleep
 
 import numpy as np
 
+from feel321.files import temporary_folder
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import StreamOutput, open_stream
@@ -114,15 +114,16 @@ def open_session(
 ) -> Iterator[Session]:
     """Open the stream; n_longest: samples of the longest sound, which decides how much can be recorded."""
     sounds: dict[str, Frames] = {"": np.zeros((n_longest, rig.n_channels), dtype=np.float32)}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        with open_stream(rig, sounds, rate_hz=rate_hz, folder=folder, clock=perf_counter) as output:
-            yield Session(
-                rig=rig,
-                rate_hz=rate_hz,
-                output=output,
-                sounds=sounds,
-                folder=folder,
-                advance=advance,
-                is_stopping=is_stopping,
-            )
+    with (
+        temporary_folder() as folder,
+        open_stream(rig, sounds, rate_hz=rate_hz, folder=folder, clock=perf_counter) as output,
+    ):
+        yield Session(
+            rig=rig,
+            rate_hz=rate_hz,
+            output=output,
+            sounds=sounds,
+            folder=folder,
+            advance=advance,
+            is_stopping=is_stopping,
+        )

@@ -19,6 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from feel321.files import make_folder
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.wav import write_wav
 from feel321.study.actuator import stream as portaudio
@@ -84,7 +85,7 @@ def write_delivered(folder: Path, samples: ArrayLike, *, rate_hz: float) -> tupl
 
     A name would tell the experimenter what was played.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     numbers = [int(path.stem) for path in folder.glob("*.wav") if path.stem.isdecimal()]
     number = max(numbers, default=0) + 1
     path = folder / name_delivered(number)

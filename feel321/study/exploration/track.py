@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.files import write_text
+from feel321.files import make_folder, write_text
 from feel321.study.exploration.explorer import Explorer, make_explorer
 from feel321.study.exploration.motion import MotionSource, check_track
 from feel321.types import Samples
@@ -37,7 +37,7 @@ def name_track(number: int) -> str:
 
 def write_track(folder: Path, track: Samples) -> tuple[int, str]:
     """Write a track, (k, 4), with the next free number, and return that and the file's digest."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     numbers = [int(path.stem) for path in folder.glob("*.csv") if path.stem.isdecimal()]
     path = folder / name_track(number := max(numbers, default=0) + 1)
     rows = (",".join(f"{value:.6f}" for value in row) for row in track.tolist())

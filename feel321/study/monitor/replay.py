@@ -10,12 +10,11 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.page import render_template, write_script_data
 from feel321.analysis.words import capitalise, format_name
-from feel321.files import is_held
+from feel321.files import is_held, temporary_folder
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import read_stimuli
@@ -184,8 +183,8 @@ def prepare_rehearsal(study: StudyFolder, *, trials: int) -> Rehearsal:
 def run_rehearsal(rehearsal: Rehearsal, presenter: Presenter, *, now: Clock) -> Records:
     """Run a rehearsal; its journal is kept nowhere."""
     cast = rehearsal.cast
-    with TemporaryDirectory() as folder:
-        journal = create_journal(Path(folder) / "session-01.jsonl", now=now)
+    with temporary_folder() as folder:
+        journal = create_journal(folder / "session-01.jsonl", now=now)
         run_session(
             cast.plan, presenter, stimuli=rehearsal.stimuli, journal=journal, scales=cast.scales
         )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sqlalchemy import Engine
 
-from feel321.files import hold_lock, sync_folder
+from feel321.files import hold_lock, make_folder, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import server
 from feel321.study.folder import StudyFolder
@@ -117,7 +117,7 @@ def require_entry(ledger: Engine, participant: str, *, study: StudyFolder, verb:
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[None]:
     """Keep sessions from writing to a participant's folder."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     busy = "a session is running here; let it finish or stop it first"
     with hold_lock(folder / progress.LOCK_FILE, busy=busy):
         yield

@@ -17,6 +17,7 @@ from feel321.analysis.report import parts
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table import reading
 from feel321.doors import announce, check_name
+from feel321.files import make_folder
 from feel321.protocols import trial
 from feel321.stimuli.sets import build, manifest
 from feel321.study import minutes, ratings, sessions
@@ -389,7 +390,7 @@ def plan_study(
     """Compute the power of all designs, and run whole studies where they are asked for."""
     factors = sizes.list_factors(task.share)
     near = min(factors["participants"] or (PEOPLE,), key=lambda number: abs(number - PEOPLE))
-    keep.mkdir(parents=True, exist_ok=True)
+    make_folder(keep)
     how: dict[str, Any] = {"seed": sizes.seed, "workers": workers, "keep": keep}
     known: dict[str, Any] = {**factors, **how}
     plan = planning.plan_power(

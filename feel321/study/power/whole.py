@@ -23,7 +23,7 @@ from feel321.analysis.primary import model as primary
 from feel321.analysis.report import parts
 from feel321.analysis.screening import screen
 from feel321.analysis.table import reading
-from feel321.files import write_text
+from feel321.files import make_folder, write_text
 from feel321.jobs import Job, run_jobs
 from feel321.protocols.texts import make_scales
 from feel321.protocols.trial import RATING_RANGE
@@ -265,7 +265,7 @@ def run_wholes(
 ) -> Wholes:
     """Run whole studies, each with a seed of its own; those that an interrupted call had run are kept."""
     place = keep / f"whole-{_digest(paper, seed)}"
-    place.mkdir(parents=True, exist_ok=True)
+    make_folder(place)
     chunks = [range(first, min(first + CHUNK, studies)) for first in range(0, studies, CHUNK)]
     files = [place / f"{chunk.start}-{chunk.stop}.json" for chunk in chunks]
     left = [place for place, file in enumerate(files) if not file.is_file()]

@@ -21,7 +21,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from feel321.files import sync_folder
+from feel321.files import create_file, write_bytes
 from feel321.study.session import events
 from feel321.study.session.events import SessionEvent
 
@@ -228,10 +228,9 @@ def utc_now() -> datetime:
 def create_journal(path: Path, *, now: Clock) -> Journal:
     """Begin a journal, of which the folder must exist; a file that is there is refused and left alone."""
     try:
-        os.close(os.open(path, os.O_CREAT | os.O_EXCL | _APPEND, 0o644))
+        create_file(path)
     except FileExistsError:
         raise FileExistsError(f"{path}: already exists; not overwritten, resume it") from None
-    sync_folder(path.parent)
     return Journal(path, now)
 
 
@@ -297,12 +296,10 @@ def _cut_torn_line(path: Path, torn: bytes) -> Path:
     while (target := path.with_name(f"{path.name}.torn{number}")).exists():
         number += 1
     # The piece is safe beside the journal before the journal loses it.
-    target.write_bytes(torn)
-    for file, size in {target: len(torn), path: path.stat().st_size - len(torn)}.items():
-        with file.open("r+b") as open_file:
-            open_file.truncate(size)
-            os.fsync(open_file.fileno())
-    sync_folder(path.parent)
+    write_bytes(target, torn)
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size - len(torn))
+        os.fsync(file.fileno())
     return target
 
 

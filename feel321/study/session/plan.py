@@ -16,7 +16,7 @@ from importlib.metadata import version
 from platform import platform, python_version
 from typing import TYPE_CHECKING, Any
 
-from feel321.files import create_text, hold_lock
+from feel321.files import create_text, hold_lock, make_folder
 from feel321.protocols import order as orders
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import THRESHOLD, Detection, ThresholdBlock, draw_block, make_block
@@ -411,7 +411,7 @@ def open_session(
     presenter may take over where nobody has done anything yet, in a journal of its own. With accept_rig, another rig or
     certificate is recorded and goes on with the session.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     busy = "another session is writing here; let it finish or stop it first"
     with hold_lock(folder / ".lock", busy=busy):
         if (folder / TOMBSTONE_FILE).exists():

@@ -5,11 +5,10 @@ import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from feel321.doors import describe
-from feel321.files import write_text
+from feel321.files import temporary_folder, write_text
 from feel321.study.settings.read import read_settings
 
 
@@ -114,8 +113,8 @@ def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
     except tomllib.TOMLDecodeError:
         read_settings(path)  # which names the file and the line
         raise
-    with TemporaryDirectory() as folder:
-        trial = Path(folder) / path.name
-        trial.write_bytes(text.encode())
+    with temporary_folder() as folder:
+        trial = folder / path.name
+        write_text(trial, text)
         read_settings(trial, path.parent)
     write_text(path, text)

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from feel321.analysis.tradeoff.benchmark.measure import summarise_recordings, summarise_stress
 from feel321.analysis.tradeoff.chart.points import MEASURES as ACCURACIES
-from feel321.files import write_text
+from feel321.files import make_folder, write_text
 
 FORM = "feel321 benchmark card"
 LARGEST = 10**7
@@ -105,7 +105,7 @@ def format_card(card: Card) -> str:
 
 def write_card(card: Card, folder: Path) -> Path:
     """Write a card into a folder, under its method's name."""
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]+', '-', card.name)}.card.json"
     write_text(path, format_card(card))
     return path
