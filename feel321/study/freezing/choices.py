@@ -140,6 +140,9 @@ def find_changes(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str,
     # A setting that came with a later version of feel321, and is at its default, is no change.
     before = {name: usual.get(name) for name in now} | dict(frozen)
     names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+    # What a metric declares says nothing new where the metric itself came or went.
+    both = set(before["analysis.metrics"]) & set(now["analysis.metrics"])
+    names = [one for one in names if one.split(".")[0] != "metrics" or one.split(".")[1] in both]
     return {
         name: f"{name}: was {describe_value(before.get(name))}, now {describe_value(now.get(name))}"
         for name in names
