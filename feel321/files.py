@@ -95,7 +95,7 @@ def write_twin(path: Path, rows: int, *, text: Collection[str]) -> None:
             table = table.set_column(place, column.name, empty)
     table = table.replace_schema_metadata({TWIN_OF: digest_file(path)})
     with _naming(twin):
-        private = not path.stat().st_mode & 0o077
+        private = not path.stat().st_mode & 0o007
         _replace(twin, lambda file: parquet.write_table(table, file), private=private)
 
 
@@ -112,7 +112,7 @@ def digest_file(path: Path) -> str:
 def write_bytes(path: Path, content: bytes, *, private: bool = False) -> None:
     """Write a file in one step, replacing the one that is there unless it holds just that.
 
-    private: nobody but its owner may read it, from its first byte (mode 0600; Windows knows no modes).
+    private: nobody but its owner may read it, from its first byte (see `find_mode`).
     """
     with _naming(path):
         if not (path.is_file() and path.read_bytes() == content and _is_kept(path, private)):
@@ -125,6 +125,25 @@ def replace_bytes(path: Path, content: bytes) -> None:
         file.write(content)
         file.close()
         unfinished.replace(path)
+
+
+def find_mode(path: Path, *, private: bool) -> int:
+    """Find the mode of a new file: of a private one 0600, or 0640 in a folder that is its group's and nobody else's.
+
+    So a folder that a lab opens to its group hands that on. Windows knows no modes.
+    """
+    if not private:
+        return 0o666
+    return 0o640 if is_of_group(path.parent) else 0o600
+
+
+GROUP = 0o050
+"""Bits of a folder that its group may read and enter."""
+
+
+def is_of_group(folder: Path) -> bool:
+    """Check whether its group may read a folder, and nobody else besides its owner."""
+    return folder.stat().st_mode & (GROUP | 0o007) == GROUP
 
 
 @contextmanager
@@ -147,18 +166,22 @@ def create_text(path: Path, text: str, *, private: bool = False) -> None:
 
 def create_file(path: Path, *, private: bool = False) -> None:
     """Begin an empty file whose name survives a power cut; one that is there is refused."""
-    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600 if private else 0o666))
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, find_mode(path, private=private)))
     sync_folder(path.parent)
 
 
 def make_folder(path: Path, *, private: bool = False) -> None:
     """Make a folder and those above it that are missing; each new name survives a power cut.
 
-    private: nobody but their owner may enter the new ones (mode 0700). A folder that is there stays as it is.
+    private: nobody but their owner may enter the new ones (mode 0700; 0750 in a folder that is so). A folder that is
+    there stays as it is.
     """
     missing = [one for one in (path, *path.parents) if not one.is_dir()]
     for folder in reversed(missing):
-        folder.mkdir(mode=0o700 if private else 0o777, exist_ok=True)
+        mode = find_mode(folder, private=private)
+        folder.mkdir(
+            mode=mode | (mode & 0o444) >> 2, exist_ok=True
+        )  # who may read a folder may enter it
         sync_folder(folder.parent)
 
 
@@ -232,7 +255,7 @@ def hold_lock(path: Path, *, busy: str) -> Iterator[None]:
     """Hold the lock that a file stands for, or refuse; it ends with its process, however that ends."""
     from filelock import FileLock, Timeout
 
-    lock = FileLock(path, timeout=LOOK_S)
+    lock = FileLock(path, timeout=LOOK_S, mode=find_mode(path, private=True))
     try:
         lock.acquire()
     except Timeout:
@@ -270,15 +293,24 @@ def file_named(path: Path) -> Iterator[None]:
         yield
     except ValueError as error:
         text = str(error).removeprefix(prefix)
-        # Spell out what cannot be printed: a file's own names may hold line feeds and worse.
-        line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-        raise ValueError(prefix + line) from error
+        raise ValueError(prefix + as_line(text)) from error
     except OSError as error:
         raise type(error)(f"{prefix}{error.strerror or str(error).removeprefix(prefix)}") from error
 
 
+LONGEST_LINE = 1000
+"""Characters of a refusal: a file may hold anything, and be long."""
+
+
+def as_line(text: str) -> str:
+    """Put a refusal on one line that can be printed: a file's own names may hold line feeds, or be endless."""
+    if len(text) > LONGEST_LINE:
+        text = f"{text[: LONGEST_LINE // 2]} ... {text[-LONGEST_LINE // 2 :]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
 def _is_kept(path: Path, private: bool) -> bool:  # noqa: FBT001 - of one caller
-    return not private or os.name == "nt" or not path.stat().st_mode & 0o077
+    return not private or os.name == "nt" or not path.stat().st_mode & 0o027
 
 
 def _replace(path: Path, write: Callable[[BinaryIO], object], *, private: bool = False) -> None:
@@ -300,7 +332,7 @@ def _unfinished(path: Path, *, private: bool = False) -> Iterator[tuple[BinaryIO
     while True:
         place = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
         flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-        descriptor = os.open(place, flags, 0o600 if private else 0o666)
+        descriptor = os.open(place, flags, find_mode(path, private=private))
         _lock(descriptor, wait=True)
         if os.fstat(descriptor).st_nlink:
             break

@@ -12,6 +12,7 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from feel321 import intake
 from feel321.doors import as_path
 from feel321.files import file_named, write_bytes
 from feel321.stimuli.recording import check_finite, check_rate, coerce_real
@@ -138,7 +139,7 @@ def read_wav(path: PathLike) -> tuple[Samples, int]:
 
 def read_wav_header(path: Path) -> WavHeader:
     """Read and check a WAV file's header, without reading samples."""
-    with path.open("rb") as file, file_named(path):
+    with file_named(path), intake.open_regular(path) as file:
         try:
             header = _scan_chunks(file, path.stat().st_size)
         except struct.error:
@@ -153,6 +154,7 @@ def read_wav_header(path: Path) -> WavHeader:
                 f"the header promises {promised} samples, the file holds {present}; "
                 "it is truncated or its header is wrong, copy or export it again"
             )
+        intake.check_samples(promised, header.channels, header.rate_hz)
     return header
 
 

@@ -23,7 +23,7 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.manifest import find_methods, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.folder import StudyFolder, require_study
-from feel321.study.freezing.standing import ELSEWHERE, make_standing
+from feel321.study.freezing.standing import make_standing
 from feel321.study.ledger.progress import Progress as Participant
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches
@@ -31,7 +31,6 @@ from feel321.study.metrics import add_rivals, measure_declared, measure_rotation
 from feel321.study.paper import make_paper
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.ratings import write_ratings
-from feel321.study.session.identity import FROZEN_FILE
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings
 from feel321.types import MetricInfo
@@ -59,10 +58,9 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     chosen = settings.analysis if settings else AnalysisTable()
     further, about = Further(pd.DataFrame(), ()), About()
     if settings:
-        further, about = _gather(study, settings, metrics, own=ratings is None)
-        standing = ELSEWHERE if (study.path / FROZEN_FILE).exists() else about.standing
-        if ratings is None and manifest is None:
-            standing = make_standing(study, settings, metrics=metrics or (), draws=draws)
+        further, about = gather_study(study, settings, metrics, own=ratings is None)
+        own = ratings is None and manifest is None
+        standing = make_standing(study, settings, metrics=metrics or (), draws=draws, own=own)
         about = replace(about, standing=standing)
     if rivals:
         listed = manifest or study.manifest
@@ -114,8 +112,12 @@ def read_study_table(
     return table, settings.study.seed if settings else 0
 
 
-def _gather(
-    study: StudyFolder, settings: Settings, metrics: Sequence[str] | None, *, own: bool
+def gather_study(
+    study: StudyFolder,
+    settings: Settings,
+    metrics: Sequence[str] | None = None,
+    *,
+    own: bool = True,
 ) -> tuple[Further, About]:
     """Gather what the report needs beside the tables; of the study's own ratings, derive these and find their day."""
     further, day, declared = Further(pd.DataFrame(), ()), "", settings.analysis.metrics

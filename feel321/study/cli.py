@@ -21,6 +21,7 @@ VERBS = {
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
+    "persons": ("inventory", "withdraw"),
     "planning": ("power",),
     "signals": ("match", "port", "reduce"),
     "stations": ("collect",),
@@ -37,7 +38,6 @@ VERBS = {
         "simulate",
         "status",
         "texts",
-        "withdraw",
     ),
     "watch": ("monitor", "rehearse", "replay"),
 }

@@ -106,7 +106,7 @@ def collect_sessions(
         raise ValueError(f"{study.path}: is the study itself; name the folders of other stations")
     for other in others:
         _check_alike(study, other)
-    make_folder(study.sessions)
+    study.make_sessions()
     busy = "sessions are being collected here; let that finish"
     with hold_lock(study.sessions / COLLECT_LOCK, busy=busy):
         collected = Collected()
@@ -360,8 +360,8 @@ def _read_verified(piece: Piece, *, before: Path) -> bytes:
 
 def _write_verified(path: Path, content: bytes) -> None:
     """Write a file whole or not at all, and read it back."""
-    make_folder(path.parent)
-    write_bytes(path, content)
+    make_folder(path.parent, private=True)
+    write_bytes(path, content, private=True)
     if (written := path.read_bytes()) != content:
         raise OSError(f"{path}: reads back as {len(written)} different bytes; check the disk")
 
@@ -408,6 +408,9 @@ def _withdraw_all(
 ) -> None:
     """Remove the data of those who withdrew elsewhere: a tombstone wins over what a copy still holds."""
     for participant, one in gathered.items():
+        if TOMBSTONE_FILE in one.take and (study.sessions / participant).is_dir():
+            stone = progress.read_tombstone(study.sessions / participant)
+            collected.notes += withdrawal.clear_derived(study, stone) if stone else ()
         if one.withdrew is not None:
             removed = withdrawal.withdraw_participant(
                 study,

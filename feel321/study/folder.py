@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
@@ -10,7 +11,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321.files import create_text, make_folder, write_text
+from feel321.files import create_text, is_of_group, make_folder, write_text
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PARTICIPANT_ID
 
@@ -121,6 +122,32 @@ class StudyFolder:
     def journals(self) -> list[Path]:
         """All journals, sorted by participant, then session, without copies under other names."""
         return [journal for folder in self.participants for journal in list_journals(folder)]
+
+    def make_sessions(self) -> None:
+        """Make the folder of the sessions: its owner's alone, or its group's too where `[data] group_readable` says so.
+
+        Whatever is private and lies in it takes that over.
+        """
+        if not self.sessions.is_dir():
+            make_folder(self.sessions, private=True)
+            if self.is_group_readable:
+                self.sessions.chmod(0o750)
+
+    def share(self, path: Path) -> None:
+        """Let the group read a table that was derived from sessions which it may read."""
+        twin = path.with_suffix(".parquet")
+        if self.sessions.is_dir() and is_of_group(self.sessions):
+            for one in filter(Path.is_file, (path, twin)):
+                one.chmod(0o640)
+
+    @property
+    def is_group_readable(self) -> bool:
+        """Whether `[data]` lets the group read; whoever plans sessions reads the settings in full."""
+        try:
+            tables = tomllib.loads(self.settings.read_text(encoding="utf-8-sig"))
+        except (OSError, ValueError, RecursionError):
+            return False
+        return isinstance(own := tables.get("data"), dict) and own.get("group_readable") is True
 
     @property
     def _entries(self) -> list[Path]:

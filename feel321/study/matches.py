@@ -48,7 +48,8 @@ def write_matches(study: StudyFolder, stimuli: StimulusSet) -> list[dict[str, An
     rows = [row for folder in study.participants for row in read_matches(folder, stimuli)]
     path = study.path / MATCHES_FILE
     if rows or path.exists():
-        write_table(path, COLUMNS, rows)
+        write_table(path, COLUMNS, rows, private=True)
+        study.share(path)
     return rows
 
 

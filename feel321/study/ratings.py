@@ -35,8 +35,9 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     was begun anew, is there and marked as rejected.
     """
     rows = (row for folder in study.participants for row in read_judgements(folder, stimuli))
-    count = write_table(study.ratings, RATING_COLUMNS, rows)
+    count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
     write_twin(study.ratings, count, text=TEXT_COLUMNS)
+    study.share(study.ratings)
     return count
 
 

@@ -344,7 +344,7 @@ def _split_effects(effects: str) -> list[str]:
 
     try:
         terms = [":".join(map(quote, term.factors)) for term in Parser(_write_python(effects))]
-    except (FormulaicError, SyntaxError) as error:
+    except (FormulaicError, SyntaxError, AttributeError) as error:  # the last at a part with sides
         raise ValueError(
             f"formula must have effects such as 1 + x; cannot read {effects!r}: {str(error).splitlines()[0]}"
         ) from error

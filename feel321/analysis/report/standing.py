@@ -7,8 +7,10 @@ which is no fault: it says that the data may have suggested the question.
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
@@ -19,8 +21,8 @@ if TYPE_CHECKING:
 
     from feel321.analysis.report.section import Section
 
-STATUS, SLOPES = "status", "slopes"
-"""Column that marks a row of a table, and the table of the declared tests."""
+STATUS, SLOPES, PAPER = "status", "slopes", "paper_claims"
+"""Column that marks a row of a table, the table of the declared tests, and one that has verdicts of its own."""
 
 MODEL: Mapping[str, Any] = {
     "model": (
@@ -175,7 +177,7 @@ def mark_section(section: Section, standing: Standing) -> Section:
 
 def _mark_rows(name: str, rows: DataFrame, standing: Standing) -> DataFrame:
     """Add a column that says of each row whether it was declared; only slopes can have been."""
-    if rows.empty or STATUS in rows:
+    if rows.empty or STATUS in rows or name == PAPER:
         return rows
     declared = (
         set()
@@ -197,3 +199,14 @@ def mark_number(number: words.Number, standing: Standing) -> words.Number:
     is_test = number.name.startswith("slope.") and number.statistic in TESTED
     status = standing.judge(*place)[0] if is_test and None not in place else EXPLORATORY
     return replace(number, status=status) if status == CONFIRMATORY else number
+
+
+COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
+
+
+def list_versions() -> dict[str, str]:
+    """List the software that computed a report."""
+    from feel321 import __version__
+
+    libraries = {name: version(name) for name in COMPUTED_WITH}
+    return {"feel321": __version__, "python": platform.python_version(), **libraries}

@@ -6,12 +6,10 @@ import hashlib
 import json
 import math
 import os
-import platform
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from importlib.metadata import version
 from itertools import chain, groupby
 from operator import attrgetter
 from pathlib import Path
@@ -40,7 +38,7 @@ from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.front import About
 from feel321.analysis.report.section import Picture, Section, name_pictures
-from feel321.analysis.report.standing import Standing, mark_number, mark_section
+from feel321.analysis.report.standing import Standing, list_versions, mark_number, mark_section
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES, find_rules
 from feel321.analysis.table.items import find_sources, format_recordings
@@ -59,8 +57,6 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION = 1
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
-
-COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -252,14 +248,6 @@ def _digest_rows(rows: DataFrame, *, index: bool = False) -> str:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-def list_versions() -> dict[str, str]:
-    """List the software that computed a report."""
-    from feel321 import __version__
-
-    libraries = {name: version(name) for name in COMPUTED_WITH}
-    return {"feel321": __version__, "python": platform.python_version(), **libraries}
 
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (

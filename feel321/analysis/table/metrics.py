@@ -148,7 +148,7 @@ def _read_declared(manifest: Path | DataFrame) -> dict[str, MetricInfo]:
     try:
         listed = json.loads(path.read_text(encoding="utf-8")).get("metrics", {})
         return {str(name): make_info(str(name), facts) for name, facts in listed.items()}
-    except (AttributeError, TypeError, ValueError) as error:
+    except (AttributeError, RecursionError, TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: 'metrics' must describe metrics by name; {error}") from None
 
 

@@ -34,10 +34,10 @@ def join_labels(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, 
     )
     sheet, _ = schema.read_sheet(path, path.name, columns)
     schema.refuse_doubled(sheet, "participant", path.name)
-    labels = sheet.set_index("participant")
+    labels = sheet.set_index("participant")  # without columns that are empty throughout
     joined = rows.join(labels, on="participant").fillna(dict.fromkeys(labels, ""))
     notes = []
-    for name in names:
+    for name in map(str, labels):
         groups = joined.groupby(name)["participant"].nunique()
         sizes = ", ".join(
             f"{remarks.list_names([str(group)]) if group else 'unknown'} {count}"

@@ -9,17 +9,21 @@ start of Python per file.
 import io
 import json
 import math
+import os
+import re
 import struct
 import tomllib
+import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321 import intake
 from feel321.stimuli.formats import common, tables
 from feel321.stimuli.recording import AXES, check_rate
 from feel321.types import Samples
@@ -28,23 +32,137 @@ ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
 """Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""
 
 
+@dataclass(frozen=True, slots=True)
+class Head:
+    """What an array's header promises."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return math.prod(self.shape)
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of the values in the file."""
+        return self.size * self.dtype.itemsize
+
+
 def read_npz(path: Path, request: common.ReadingOptions) -> common.Decoded:
-    """Read an NPZ archive by the names of its arrays."""
-    # Opened here, because numpy leaves it open when the archive is damaged.
-    with (
-        common.foreign_errors("an NPZ archive"),
-        path.open("rb") as file,
-        np.load(file, allow_pickle=False) as archive,
-    ):
-        arrays = {name: archive[name] for name in archive.files}
+    """Read an NPZ archive by the names of its arrays: their headers first, then those arrays that are wanted."""
+    with intake.open_regular(path) as file:
+        intake.check_bytes(path.stat().st_size, path.name)
+        with common.foreign_errors("an NPZ archive"):
+            check_directory(file)
+            with zipfile.ZipFile(file) as archive:
+                heads = {name: _peek(archive, name) for name in list_members(archive)}
+        wanted = choose_wanted(heads, request)
+        with common.foreign_errors("an NPZ archive"), zipfile.ZipFile(file) as archive:
+            arrays = {name: _extract(archive, name) for name in wanted}
     return decode_arrays(arrays, request)
+
+
+FORMAT: Any = np.lib.format
+
+
+DIRECTORY = struct.Struct("<4s4H2IH")
+MOST_MEMBERS = 1000
+"""The end of an archive's directory, and as many files as it may list."""
+
+
+def check_directory(file: BinaryIO) -> None:
+    """Refuse a directory of more files than any recording has, before it is read."""
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - DIRECTORY.size - 2**16))
+    tail = file.read()
+    at = tail.rfind(b"PK\x05\x06")
+    if at < 0 or at + DIRECTORY.size > len(tail):
+        raise ValueError("it has no directory")
+    _, _, _, _, n_members, n_bytes, _, _ = DIRECTORY.unpack_from(tail, at)
+    is_larger = tail[max(0, at - 20) : at].startswith(
+        b"PK\x06\x07"
+    )  # which says so in another place
+    if is_larger or n_members > MOST_MEMBERS or n_bytes > 2**20:
+        raise ValueError(f"its directory lists more than {MOST_MEMBERS} files")
+    file.seek(0)
+
+
+def list_members(archive: zipfile.ZipFile) -> list[str]:
+    """List the names of the arrays; two of one name are refused, and names of places."""
+    names = [entry.filename for entry in archive.infolist()]
+    if doubled := {name for name in names if names.count(name) > 1}:
+        raise ValueError(f"several files are called {intake.clip(min(doubled))!r}")
+    if paths := [name for name in names if re.search(r"[/\\:]|^\.\.", name)]:
+        raise ValueError(f"a file's name is a path, {intake.clip(paths[0])!r}")
+    return [name.removesuffix(".npy") for name in names if name.endswith(".npy")]
+
+
+def read_head(stream: IO[bytes]) -> Head:
+    """Read an array's header, which is short; only numbers and texts are arrays here."""
+    major, _ = FORMAT.read_magic(stream)
+    place = stream.tell()
+    length = int.from_bytes(stream.read(2 if major == 1 else 4), "little")
+    if major not in {1, 2} or length > LONGEST_HEAD:
+        raise ValueError(f"a header of version {major} and {length} bytes")
+    stream.seek(place)
+    read = FORMAT.read_array_header_1_0 if major == 1 else FORMAT.read_array_header_2_0
+    shape, _, dtype = read(stream)
+    if dtype.hasobject:
+        raise ValueError("it holds Python objects, which are never loaded")
+    return Head(shape, dtype)
+
+
+LONGEST_HEAD = 10_000
+
+
+def _peek(archive: zipfile.ZipFile, name: str) -> Head:
+    with archive.open(f"{name}.npy") as stream:
+        head, begun = read_head(stream), stream.tell()
+    promised = archive.getinfo(f"{name}.npy").file_size - begun
+    if head.n_bytes != promised:
+        raise ValueError(
+            f"{name}: its header promises {head.n_bytes} bytes, the archive {promised}"
+        )
+    return head
+
+
+def choose_wanted(heads: Mapping[str, Head], request: common.ReadingOptions) -> list[str]:
+    """Choose what is read of an archive, by name and size alone: samples, time, and single values."""
+    columns = {name: head for name, head in heads.items() if head.size != 1}
+    place = choose_arrays(columns, request, found=tuple(heads))
+    names = tuple(columns)
+    wanted = [names[i] for i in (*place.axes, *([] if place.time is None else [place.time]))]
+    promised = max(heads[name].size for name in wanted)
+    intake.check_samples(promised, len(wanted))
+    intake.check_bytes(sum(heads[name].n_bytes for name in wanted), "its arrays")
+    return [name for name, head in heads.items() if name in wanted or _is_fact(name, head)]
+
+
+def _is_fact(name: str, head: Head) -> bool:
+    is_asked = name.casefold() in {*common.RATE_KEYS, *common.UNIT_KEYS}
+    return is_asked and head.n_bytes <= LONGEST_HEAD
+
+
+def _extract(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    with archive.open(f"{name}.npy") as stream:
+        array: NDArray[Any] = FORMAT.read_array(stream, allow_pickle=False)
+        stream.read(1)  # at the end the checksum is compared
+    return array
 
 
 def read_npy(path: Path, _: common.ReadingOptions) -> common.Decoded:
     """Read a single array."""
-    # Mapped first: a header that promises more than the file holds is refused before anything is allocated.
-    with common.foreign_errors("an NPY array"):
-        array = np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+    with intake.open_regular(path) as file:
+        intake.check_bytes(path.stat().st_size, path.name)
+        with common.foreign_errors("an NPY array"):
+            head = read_head(file)
+            # A header that promises more than the file holds is refused before anything is allocated.
+            if head.n_bytes != path.stat().st_size - file.tell():
+                raise ValueError(f"its header promises {head.n_bytes} bytes of values")
+    intake.check_samples(head.size, 1)
+    array = np.load(path, mmap_mode="r", allow_pickle=False)
     return common.Decoded(common.as_three_axes(as_numbers(array, "the array")))
 
 
@@ -81,7 +199,7 @@ def decode_arrays(
 
 
 def choose_arrays(
-    columns: Mapping[str, NDArray[Any]], request: common.ReadingOptions, *, found: Sequence[str]
+    columns: Mapping[str, object], request: common.ReadingOptions, *, found: Sequence[str]
 ) -> tables.Columns:
     """Choose the arrays of samples and time: as asked for, else by their names."""
     labels = tuple(columns)
@@ -118,6 +236,7 @@ def as_numbers(array: NDArray[Any], what: str) -> Samples:
     """Convert real numbers to float64; refuse texts, objects and complex numbers."""
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{what} must be real numbers, got values of type {array.dtype}")
+    intake.check_bytes(8 * array.size, what)
     # What is not finite is refused where its place is known.
     with np.errstate(over="ignore", invalid="ignore"):
         return array.astype(np.float64)
@@ -165,15 +284,12 @@ CHAR_CLASS, NUMBER_CLASSES = 4, range(6, 16)
 COMPLEX_FLAG = 0x0800
 """Types of elements, and classes and a flag of arrays, by their numbers in the MAT-file format."""
 
-LARGEST_BYTES = 2**30
-"""So much an array may inflate to: more than an hour of three axes at 10 kHz."""
-
 
 def read_mat(path: Path, request: common.ReadingOptions) -> common.Decoded:
     """Read a MATLAB file of version 4 to 7 by the names of its variables."""
     from scipy.io import loadmat
 
-    content = path.read_bytes()
+    content = intake.read_bytes(path)
     with common.foreign_errors("a MATLAB file"):
         if 0 not in content[:4]:  # the mark of version 4, which scipy reads in Python
             content = keep_plain_arrays(content)
@@ -188,8 +304,10 @@ def keep_plain_arrays(content: bytes) -> bytes:
     order = BYTE_ORDERS.get(content[126:HEADER_BYTES])
     if order is None or struct.unpack_from(f"{order}H", content, 124) != (VERSION,):
         raise ValueError("its header names no version 5")
-    kept, names = [content[:HEADER_BYTES]], set[bytes]()
+    kept, names, inflated = [content[:HEADER_BYTES]], set[bytes](), 0
     for matrix in _matrices(content, order):
+        inflated += len(matrix)
+        intake.check_bytes(inflated, "its variables")
         name, plain = _check_matrix(matrix, order)
         if name in names:
             raise ValueError(f"two variables are called {name.decode('latin-1')}")
@@ -212,9 +330,11 @@ def _matrices(content: bytes, order: str) -> Iterator[bytes]:
 
 def _inflate(body: bytes) -> bytes:
     stream = zlib.decompressobj()
-    inflated = stream.decompress(body, LARGEST_BYTES)
+    inflated = stream.decompress(body, limit := intake.read_limit())
     if not stream.eof:
-        raise ValueError(f"a compressed variable that is cut short or above {LARGEST_BYTES} bytes")
+        raise ValueError(
+            f"a compressed variable that is cut short or above {limit} bytes ({intake.LIMIT} raises that)"
+        )
     return inflated
 
 
@@ -271,6 +391,7 @@ def _check_values(values: bytes, kind: int, shape: tuple[int, ...], *, is_text: 
     fits = len(values) >= count * size if is_text else len(values) == count * size
     if min(shape) < 0 or not fits:
         raise ValueError(f"{len(values)} bytes of values for the shape {shape}")
+    intake.check_bytes(8 * count, "a variable")
 
 
 KEYS = ("unit", "rate_hz", "axes", "full_scale", *common.UNIT_KEYS, *common.RATE_KEYS)
@@ -301,14 +422,15 @@ def read_sidecar(path: Path) -> Sidecar:
     try:
         return _parse_sidecar(present[0])
     except ValueError as error:
-        raise ValueError(f"sidecar {present[0].name}: {error}") from None
+        name = present[0].name
+        raise ValueError(f"sidecar {name}: {str(error).removeprefix(f'{name}: ')}") from None
 
 
 def _parse_sidecar(path: Path) -> Sidecar:
     load = json.loads if path.suffix == ".json" else tomllib.loads
-    content = path.read_bytes()
+    text = intake.read_small(path)
     with common.foreign_errors(path.suffix[1:].upper()):
-        entries: Any = load(content.decode("utf-8-sig"))
+        entries: Any = load(text)
     if not isinstance(entries, dict):
         raise ValueError(f"must be a table with {ALLOWED}, got a {type(entries).__name__}")  # noqa: TRY004 - a file's fault, not a caller's
     if unknown := [key for key in entries if key not in KEYS]:

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from feel321 import intake
 from feel321.stimuli.recording import AXES, UNITS
 from feel321.types import Samples
 
@@ -110,7 +111,7 @@ def foreign_errors(what: str) -> Iterator[None]:
         yield
     except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
         # The system's own; libraries raise theirs without a number.
-        if isinstance(error, OSError) and error.errno:
+        if isinstance(error, intake.TooLargeError) or (isinstance(error, OSError) and error.errno):
             raise
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise ValueError(

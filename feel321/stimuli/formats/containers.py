@@ -8,15 +8,18 @@
 """
 
 import io
+import logging
 import re
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from feel321 import intake
 from feel321.stimuli.formats import common, tables
 from feel321.stimuli.formats.arrays import Sidecar, read_sidecar
 from feel321.stimuli.recording import AXES, check_rate
@@ -89,13 +92,16 @@ UNIT = re.compile(rf"{SENSOR}_?units?")
 RATE = re.compile(rf"(?:{SENSOR}_?)?sampl(?:e|ing)_?(?:rate|frequency)")
 RATE_VALUE = re.compile(r"(\d+\.?\d*(?:e\+?\d+)?)\s*(k?)(?:hz)?", re.IGNORECASE | re.ASCII)
 
-DEEPEST = 64
-"""So deep may tags be nested: texts are collected at each depth, so that deeper ones cost the square."""
+DEEPEST, MOST_TAGS = 64, 10_000
+"""So deep may tags be nested, and so many be there."""
+
+LARGER = 8
+"""So many times the text of an XML file takes in memory."""
 
 
 def read_hatt(path: Path, _: common.ReadingOptions) -> common.Decoded:
     """Read the three axes, the rate and the unit that an XML recording names."""
-    content = path.read_bytes()
+    content = intake.read_bytes(path, most=intake.read_limit() // LARGER)
     # Entities can expand without end or name other files; a recording needs neither.
     if re.search(rb"<!\s*(doctype|entity)", content, re.IGNORECASE):
         raise ValueError(
@@ -124,20 +130,25 @@ def _parse(content: bytes) -> Element:
     with common.foreign_errors("XML"):
         steps = ET.iterparse(io.BytesIO(content), events=("start", "end"))  # noqa: S314 - entities were refused before
         root: Element = next(steps)[1]
-        depth = 1
+        depth = count = 1
         for event, _ in steps:
-            depth += 1 if event == "start" else -1
+            depth, count = (depth + 1, count + 1) if event == "start" else (depth - 1, count)
             if depth > DEEPEST:
                 raise ValueError(f"tags are nested deeper than {DEEPEST}")
+            if count > MOST_TAGS:
+                raise ValueError(f"there are more than {MOST_TAGS} tags")
     return root
 
 
 def _collect_tags(root: Element) -> Mapping[str, list[str]]:
     """Map each tag, small, without namespace, and once more with its parent's before it, to its texts."""
     tags: dict[str, list[str]] = defaultdict(list)
+    collected = 0
     for parent in root.iter():
         for child in parent:
             text = " ".join(child.itertext()).strip()
+            collected += len(text)  # once per depth, so that deep ones cost the square
+            intake.check_bytes(collected, "texts nested in each other")
             tags[_local(child)].append(text)
             tags[_local(parent) + _local(child)].append(text)
     return tags
@@ -161,11 +172,13 @@ def _numbers(text: str, axis: str) -> Samples:
         values = np.array(words, dtype=np.float64)
     except ValueError as error:
         raise ValueError(
-            f"a value of the {axis} axis is not a number ({error}); correct it"
+            f"a value of the {axis} axis is not a number ({intake.clip(str(error), 120)}); correct it"
         ) from None
     if not np.isfinite(values).all():
         i = int(np.argmin(np.isfinite(values)))
-        raise ValueError(f"value {i} of the {axis} axis must be a finite number, got {words[i]!r}")
+        raise ValueError(
+            f"value {i} of the {axis} axis must be a finite number, got {intake.clip(words[i])!r}"
+        )
     return values
 
 
@@ -232,6 +245,26 @@ def _read_axis(path: Path) -> Samples:
     return tables.read_numbers(table, (0,)).ravel()
 
 
+class _Content(io.BytesIO):
+    """What a file holds: idelib asks for as many bytes as the file promises, of a file they would be allocated."""
+
+    def __init__(self, path: Path) -> None:
+        """Read the file."""
+        super().__init__(intake.read_bytes(path))
+        self.name = str(path)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep idelib from logging what is wrong with a file, which is raised anyway."""
+    before = logging.root.manager.disable
+    logging.disable()
+    try:
+        yield
+    finally:
+        logging.disable(before)
+
+
 LOST_SAMPLE = 1.5
 """An interval of so many periods means that samples were lost; less is the coarse clock of the blocks."""
 
@@ -243,8 +276,8 @@ def read_ide(path: Path, _: common.ReadingOptions) -> common.Decoded:
     except ImportError:
         how = "install it from feel321's source folder: pip install -c constraints.txt '.[ide]'"
         raise ValueError(f"an enDAQ recording is read by idelib, which is missing; {how}") from None
-    # Opened here, because idelib leaves a file that it cannot read open.
-    with common.foreign_errors("an enDAQ recording"), path.open("rb") as stream:
+    intake.check_bytes(4 * path.stat().st_size, "its samples")  # of two bytes each
+    with common.foreign_errors("an enDAQ recording"), _silence(), _Content(path) as stream:
         dataset = importer.openFile(stream, quiet=True)
         importer.readData(dataset)
         triaxial = [c for c in dataset.channels.values() if c.sessions and len(_axes(c)) == AXES]

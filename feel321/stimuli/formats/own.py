@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from feel321 import intake
 from feel321.doors import describe
 from feel321.extensions import Method, call, find_method, list_entry_points
 from feel321.stimuli.recording import Recording
@@ -24,7 +25,7 @@ def find_format(
 
 def read_own(method: Method, path: Path) -> Recording:
     """Read a file by a lab's reader; the digest is that of the file and the reader."""
-    content = path.read_bytes()
+    content = intake.read_bytes(path)
     found = call(method, method.load(), path, doing=f"given {path.name}")
     if not isinstance(found, Recording):
         raise TypeError(

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321 import intake
 from feel321.doors import as_path
 from feel321.files import file_named
 from feel321.stimuli.formats.arrays import read_mat, read_npy, read_npz
@@ -49,7 +50,7 @@ HEAD_BYTES = 4096
 
 def detect_format(path: Path) -> str:
     """Find a file's format."""
-    with path.open("rb") as file:
+    with intake.open_regular(path) as file:
         head = file.read(HEAD_BYTES)
     if not head:
         raise ValueError("the file is empty (0 bytes); copy or export it again")
@@ -261,7 +262,9 @@ def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
         raise ValueError(f"resampling needs {SPLINE_POINTS} samples or more, got {time_s.size}")
     elapsed = time_s - time_s[0]
     period = float(np.median(np.diff(time_s)))
-    grid = np.arange(int(elapsed[-1] / period * (1 + 1e-12)) + 1) * period
+    n_even = int(elapsed[-1] / period * (1 + 1e-12)) + 1
+    intake.check_samples(n_even, len(acceleration), 1 / period)
+    grid = np.arange(n_even) * period
     even = make_interp_spline(elapsed, acceleration, k=3, axis=1)(np.minimum(grid, elapsed[-1]))
     return np.asarray(even, dtype=np.float64), 1 / period
 
@@ -419,7 +422,7 @@ def _list_files(folder: Path) -> list[Path]:
 def _decode(path: Path, request: ReadingOptions) -> Decoded:
     if path.is_dir():
         raise IsADirectoryError("is a folder; name a recording file in it")
-    if not path.exists():
+    if not os.path.lexists(path):
         raise FileNotFoundError(
             f"there is no such file in {path.parent}; check the name and the folder"
         )
@@ -434,5 +437,5 @@ def _decode(path: Path, request: ReadingOptions) -> Decoded:
 def _digest(paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
-        digest.update(path.read_bytes())
+        digest.update(intake.read_bytes(path))
     return digest.hexdigest()

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from feel321 import intake
 from feel321.stimuli.formats import common
 from feel321.stimuli.recording import AXES
 from feel321.types import Samples
@@ -26,6 +27,8 @@ COMMENT_MARKS = "#%"
 
 HEAD_LINES = 50
 """Within so many lines the numbers must begin."""
+
+MOST_COLUMNS = 1000
 
 SLOWEST_HZ = 40.0
 """Twice the 20 Hz where the match metrics begin: below, milliseconds were taken for seconds."""
@@ -45,15 +48,9 @@ class TextTable:
 
 def read_text(path: Path) -> str:
     """Read a file as UTF-8 with or without byte-order mark, line ends made one."""
-    content = path.read_bytes()
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise ValueError(
-            f"line {line} holds the byte 0x{content[error.start]:02x}, which is not UTF-8 (perhaps Latin-1); "
-            "save the file as UTF-8"
-        ) from None
+    content = intake.read_bytes(path, most=intake.read_limit() // intake.TEXT_SHARE)
+    intake.check_lines(content)
+    text = intake.decode(content, path.name)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -131,6 +128,10 @@ def _number(cell: str, decimal: str) -> float | None:
 def _make_table(text: str, row: str, *, line: int, above: list[str]) -> TextTable:
     delimiter, decimal = _sniff(row)
     n_columns = len(split_row(row, delimiter))
+    if n_columns > MOST_COLUMNS:
+        raise ValueError(
+            f"a table must have at most {MOST_COLUMNS} columns, got {n_columns}; one row is one sample"
+        )
     labels = _labels(above, delimiter, n_columns=n_columns)
     if labels is not None and len(labels) != n_columns:
         raise ValueError(
@@ -174,7 +175,7 @@ def _faults(row: str, *, table: TextTable, columns: Sequence[int]) -> Iterator[s
             number = _number(cells[i], table.decimal)
             if number is None or not math.isfinite(number):
                 label = f" {table.labels[i]!r}" if table.labels else ""
-                yield f"column {i}{label} must be a finite number, got {cells[i]!r}; correct the row"
+                yield f"column {i}{label} must be a finite number, got {intake.clip(cells[i])!r}; correct the row"
 
 
 SENSOR = r"(?:a|acc|accel|acceleration|accelerometer)"
@@ -205,7 +206,7 @@ def find_columns(labels: Sequence[str]) -> Columns:
     for axis, places in found.items():
         _refuse_several(labels, what=axis, places=places)
     present = [axis for axis, places in found.items() if places]
-    header = ", ".join(labels)
+    header = intake.clip(", ".join(labels), 200)
     if len(present) < AXES and len(labels) - (time is not None) == 1:
         raise common.refuse_reduced(f"a table with the columns {header}")
     if len(present) < AXES:
@@ -277,7 +278,7 @@ def _place(column: str | int, *, labels: Sequence[str] | None, n_columns: int) -
     # The command line knows text only, so a number may come as text.
     if str(column).isdecimal() and int(column) < n_columns:
         return int(column)
-    known = f"{', '.join(labels)}, or " if labels else ""
+    known = f"{intake.clip(', '.join(labels), 200)}, or " if labels else ""
     raise ValueError(f"a column must be {known}a number from 0 to {n_columns - 1}, got {column!r}")
 
 

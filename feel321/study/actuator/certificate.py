@@ -10,6 +10,7 @@ import io
 import json
 import math
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from datetime import datetime, timedelta
@@ -31,6 +32,9 @@ FORMAT = "feel321 calibration 1"
 MEASURED, MANUAL = "measured", "manual"
 TYPED = "typed"
 """A value that somebody typed; others are measured."""
+
+DAMAGED = (EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
+"""What reading a damaged archive raises."""
 
 FADED_DB = -80.0  # of a filter's energy: what comes after is cut off
 
@@ -240,7 +244,7 @@ def read_certificate(path: Path) -> Certificate:
         try:
             entry = json.loads(path.read_text(encoding="utf-8"))
             name, seal = entry.pop("format"), entry.pop("sha256")
-        except (ValueError, KeyError, AttributeError, TypeError):
+        except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
             raise ValueError(
                 "not a certificate as calibrate writes them; calibrate again"
             ) from None
@@ -251,7 +255,7 @@ def read_certificate(path: Path) -> Certificate:
         if _seal({"format": name} | entry) != seal:
             raise ValueError("was changed after it was written; restore it, or calibrate again")
         content = path.with_suffix(".npz").read_bytes()
-        if hashlib.sha256(content).hexdigest() != entry.pop("arrays_sha256"):
+        if hashlib.sha256(content).hexdigest() != entry.pop("arrays_sha256", None):
             raise ValueError(
                 f"its arrays in {path.stem}.npz were changed after they were written; restore them, or calibrate again"
             )
@@ -331,7 +335,7 @@ def _unpack(entry: dict[str, Any], content: bytes, *, seal: str) -> Certificate:
             ]
         entry["band_hz"], entry["failures"] = tuple(entry["band_hz"]), tuple(entry["failures"])
         return Certificate(coils={coil.name: coil for coil in coils}, sha256=seal, **entry)
-    except (KeyError, TypeError, ValueError, zipfile.BadZipFile):
+    except (*DAMAGED, KeyError, TypeError, ValueError):
         raise ValueError("lacks a part of a certificate; calibrate again") from None
 
 

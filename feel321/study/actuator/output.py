@@ -19,9 +19,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.files import make_folder
+from feel321.files import make_folder, write_bytes
 from feel321.stimuli.sets.manifest import Stimulus
-from feel321.stimuli.wav import write_wav
+from feel321.stimuli.wav import encode_wav
 from feel321.study.actuator import stream as portaudio
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify
@@ -85,12 +85,13 @@ def write_delivered(folder: Path, samples: ArrayLike, *, rate_hz: float) -> tupl
 
     A name would tell the experimenter what was played.
     """
-    make_folder(folder)
+    make_folder(folder, private=True)
     numbers = [int(path.stem) for path in folder.glob("*.wav") if path.stem.isdecimal()]
     number = max(numbers, default=0) + 1
     path = folder / name_delivered(number)
-    write_wav(path, samples, rate_hz)
-    return number, hashlib.sha256(path.read_bytes()).hexdigest()
+    content = encode_wav(samples, rate_hz)
+    write_bytes(path, content, private=True)
+    return number, hashlib.sha256(content).hexdigest()
 
 
 BLOCK_FRAMES = 512  # longest delay of a stop, as with a device

@@ -119,7 +119,10 @@ class SensorTable(fields.TomlTable):
             raise ValueError(
                 "must have full_scale_m_s2 alone, or sensitivity_mv_per_g and input_peak_v together; take one pair"
             )
-        sensitivity, peak = (float(one) for one in scale if one)
+        try:
+            sensitivity, peak = (float(one) for one in scale if one)
+        except OverflowError:
+            raise ValueError("got a whole number beyond every scale; correct it") from None
         return given | {"full_scale_m_s2": 1e3 * peak / sensitivity * STANDARD_GRAVITY}
 
     @model_validator(mode="after")

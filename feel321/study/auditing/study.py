@@ -19,6 +19,7 @@ from feel321.study.auditing.journals import audit_journals
 from feel321.study.folder import StudyFolder, reading_origin
 from feel321.study.ledger.progress import find_leftovers
 from feel321.study.ledger.slots import find_lost, read_study_ledger
+from feel321.study.persons.removal import find_data_left
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_plan
 
 
@@ -46,7 +47,7 @@ def audit_study(
             findings += audit_entry(study, folder, entries[folder.name])
         if progress is not None:
             progress(done, len(folders))
-    return findings + find_lost(study)
+    return [*findings, *find_data_left(study), *find_lost(study)]
 
 
 def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:

@@ -249,7 +249,8 @@ def _draw_chart(task: MethodTask, *, full: bool, as_json: bool) -> None:
             workers=task.workers,
             progress=progress,
         )
-    measured.write(task.output)
+    with shared.recording(task.study, "chart", task.output):
+        measured.write(task.output)
     shared.print_results(task.output, as_json=as_json)
 
 
@@ -346,7 +347,8 @@ def advise(  # noqa: PLR0913 - every option has a name of its own
             workers=task.workers,
             progress=progress,
         )
-        content = write_advice(study, task.output)
+        with shared.recording(task.study, "advise", task.output):
+            content = write_advice(study, task.output)
     if as_json:
         shared.print_json(content)
         return

@@ -123,7 +123,8 @@ def power(
     and JSON. After Ctrl-C the same command continues.
     """
     target = out or study.folder.path / "power"
-    found = study.power(folder=target, workers=workers, **given)  # type: ignore[arg-type]  # click checked them
+    with shared.recording(study.folder, "power", target):
+        found = study.power(folder=target, workers=workers, **given)  # type: ignore[arg-type]  # click checked them
     if as_json:
         shared.print_results(target, as_json=True)
         return

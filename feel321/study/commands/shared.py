@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.build import Facts
+    from feel321.study.folder import StudyFolder
 
     Verb = Callable[..., None]
 
@@ -258,6 +259,14 @@ def dump_json(entry: object) -> str:
     from feel321.records import to_json_value
 
     return json.dumps(to_json_value(entry), indent=2, ensure_ascii=False, allow_nan=False)
+
+
+def recording(study: StudyFolder, verb: str, path: Path) -> AbstractContextManager[None]:
+    """Record what a verb writes outside the study's own places, so that a withdrawal finds it."""
+    from feel321.study.persons.outputs import recording_output
+    from feel321.study.session.journal import utc_now
+
+    return recording_output(study, verb, path, now=utc_now)
 
 
 def print_results(folder: Path, *, as_json: bool) -> None:

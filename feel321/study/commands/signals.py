@@ -335,7 +335,7 @@ def _read_sidecar(path: Path) -> dict[str, Any] | None:
         return None
     try:
         facts = json.loads(path.read_bytes())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(
             f"{path.name}: not JSON ({error}); remove it, or reduce the recording again"
         ) from None

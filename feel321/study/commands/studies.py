@@ -1,8 +1,7 @@
-"""Verbs of a study: new, check, build, demo, simulate, status, note, audit, ledger, release, withdraw, analyze."""
+"""Verbs of a study: new, check, build, demo, simulate, status, note, audit, ledger, release, analyze."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from shlex import quote
@@ -336,37 +335,6 @@ def audit(
     context.exit(1 if findings else 0)
 
 
-@click.command(epilog="Example: feel321 withdraw my-study --participant p07 --yes")
-@shared.study_argument
-@shared.participant_option
-@click.option("--reason", default="", help="The reason, for the tombstone.")
-@shared.flag("--yes", "Do not ask.", "is_sure")
-@click.pass_context
-def withdraw(
-    context: click.Context, *, study: Study, participant: str, reason: str, is_sure: bool
-) -> None:
-    """Remove the data of a participant for good.
-
-    The code is not used again; the design slot is free.
-    """
-    from feel321.study.persons.withdrawal import withdraw_participant
-
-    folder = study.folder
-    if not is_sure and not sys.stdin.isatty():
-        raise click.UsageError("a terminal is needed to ask whether you are sure; else add --yes")
-    question = f"Remove all data of {participant} in {folder.path} for good?"
-    if not is_sure and not click.confirm(question, err=True):
-        click.echo(f"{folder.path}: nothing was removed")
-        context.exit(1)
-    removed = withdraw_participant(
-        folder, participant, now=study.now, reason=reason, warn=shared.warn
-    )
-    click.echo(
-        f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
-        "Exports and other copies are yours to remove"
-    )
-
-
 @click.command(epilog="Example: feel321 release my-study --participant p07")
 @shared.study_argument
 @shared.participant_option
@@ -453,7 +421,8 @@ def analyze(  # noqa: PLR0913 - one per option
         )
     from feel321.study.analyze import analyze_study
 
-    with shared.show_progress("analyze") as progress:
+    recording = shared.recording(study, "analyze", out or study.report)
+    with shared.show_progress("analyze") as progress, recording:
         analyze_study(
             study,
             ratings=ratings,

@@ -100,7 +100,8 @@ def replay(  # noqa: PLR0913 - one parameter per option
     for change in film.changes:
         click.echo(f"replay: the study has changed since this session began: {change}", err=True)
     if out is not None:
-        write_text(out, replays.write_page(film))
+        with shared.recording(folder, "replay", out):
+            write_text(out, replays.write_page(film))
         click.echo(out)
     elif browser:
         from feel321.study.monitor.server import serve_pages

@@ -37,11 +37,11 @@ def name_track(number: int) -> str:
 
 def write_track(folder: Path, track: Samples) -> tuple[int, str]:
     """Write a track, (k, 4), with the next free number, and return that and the file's digest."""
-    make_folder(folder)
+    make_folder(folder, private=True)
     numbers = [int(path.stem) for path in folder.glob("*.csv") if path.stem.isdecimal()]
     path = folder / name_track(number := max(numbers, default=0) + 1)
     rows = (",".join(f"{value:.6f}" for value in row) for row in track.tolist())
-    write_text(path, "\n".join([HEAD, *rows]) + "\n")
+    write_text(path, "\n".join([HEAD, *rows]) + "\n", private=True)
     return number, hashlib.sha256(path.read_bytes()).hexdigest()
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from feel321.analysis.report.standing import Standing
 from feel321.study.freezing import choices, record
+from feel321.study.session.identity import FROZEN_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -22,9 +23,19 @@ ELSEWHERE = Standing(
 
 
 def make_standing(
-    study: StudyFolder, settings: Settings, *, metrics: Sequence[str] = (), draws: int | None = None
+    study: StudyFolder,
+    settings: Settings,
+    *,
+    metrics: Sequence[str] = (),
+    draws: int | None = None,
+    own: bool = True,
 ) -> Standing:
-    """Compare what is about to be analysed with the frozen file; metrics, draws: where they are not the settings'."""
+    """Compare what is about to be analysed with the frozen file.
+
+    metrics, draws: where they are not the settings'; own: whether the ratings are those of the study.
+    """
+    if not own:
+        return ELSEWHERE if (study.path / FROZEN_FILE).exists() else Standing()
     if faults := record.find_faults(study):
         said = faults[0].partition(": ")[2].partition(";")[0]
         verb = "was " if said.startswith("changed") else ""
@@ -38,8 +49,8 @@ def make_standing(
     if frozen is None:
         return Standing()
     given = {"metrics": tuple(metrics) or None, "draws": draws}
-    own = {name: value for name, value in given.items() if value is not None}
-    asked = settings.model_copy(update={"analysis": settings.analysis.model_copy(update=own)})
+    named = {name: value for name, value in given.items() if value is not None}
+    asked = settings.model_copy(update={"analysis": settings.analysis.model_copy(update=named)})
     return _judge(study, frozen, _find_changes(study, frozen, asked))
 
 
@@ -105,7 +116,7 @@ def _describe_aside(aside: Sequence[str], software: Sequence[str]) -> Iterator[s
 
 
 def _compare_software(frozen: Frozen) -> Iterator[str]:
-    from feel321.analysis.report.write import list_versions
+    from feel321.analysis.report.standing import list_versions
 
     for name, number in list_versions().items():
         if (former := frozen.versions.get(name)) != number:
@@ -115,6 +126,6 @@ def _compare_software(frozen: Frozen) -> Iterator[str]:
 def _describe_people(study: StudyFolder, frozen: Frozen) -> Iterator[str]:
     if frozen.participants is None:
         return
-    rated = record.count_ratings(study).participants
+    rated = record.find_first(study).participants
     if rated and rated != frozen.participants:
         yield f"{frozen.participants} participants were planned, {rated} have rated."

@@ -11,10 +11,13 @@ This module imports SQLAlchemy; import it where it is used, so that the command 
 import hashlib
 import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import Field, asdict, dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from sqlite3 import Connection as SqliteConnection
+from sqlite3 import Error as SqliteError
+from sqlite3 import connect
 from threading import Timer
 from typing import Any
 
@@ -22,6 +25,7 @@ import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
 from sqlalchemy.pool import NullPool
 
+from feel321.files import as_line, create_file
 from feel321.study.server import Server, scrub
 from feel321.study.session.journal import Anchor
 
@@ -109,6 +113,20 @@ TERMS = sa.Table(
 )
 
 
+def compact(ledger: sa.Engine) -> None:
+    """Write the file of a ledger anew, without what was deleted; a server does so when it pleases (VACUUM FULL)."""
+    if is_shared(ledger):
+        return
+    try:
+        with closing(connect(str(ledger.url.database), PATIENCE_S, isolation_level=None)) as file:
+            file.execute("PRAGMA secure_delete = ON")
+            file.execute("VACUUM")
+    except SqliteError as error:
+        raise OSError(
+            f"{name_ledger(ledger)}: could not be compacted ({error}); run again"
+        ) from error
+
+
 def is_shared(ledger: sa.Engine | sa.Connection) -> bool:
     """Check whether a ledger is on a server."""
     return ledger.dialect.name == "postgresql"
@@ -132,6 +150,7 @@ def connect_ledger(place: Path | Server) -> sa.Engine:
             poolclass=NullPool,
             connect_args={"timeout": PATIENCE_S},
         )
+        sa.event.listen(ledger, "do_connect", partial(_begin_file, place))
         sa.event.listen(ledger, "connect", _leave_transactions_alone)
     else:
         ledger = _connect_server(place)
@@ -139,6 +158,12 @@ def connect_ledger(place: Path | Server) -> sa.Engine:
         sa.event.listen(ledger, "close", _lift_limit)
     sa.event.listen(ledger, "begin", _begin)
     return ledger
+
+
+def _begin_file(path: Path, *_: object) -> None:
+    """Begin the file of a ledger with the mode that it, its journal and all pieces of it are to have."""
+    with suppress(OSError):  # what is wrong with its place SQLite says
+        create_file(path, private=True)
 
 
 def _connect_server(server: Server) -> sa.Engine:
@@ -232,13 +257,14 @@ def name_ledger(ledger: sa.Engine) -> str:
 
 def _describe_file(ledger: sa.Engine, error: DBAPIError) -> Exception:
     path, reason = name_ledger(ledger), error.orig
+    words = as_line(" ".join(str(reason).split()))
     if getattr(reason, "sqlite_errorname", "") in _DAMAGED:
         return ValueError(
-            f"{path}: got a damaged file ({reason}); move it away, then rebuild it from the journals: "
+            f"{path}: got a damaged file ({words}); move it away, then rebuild it from the journals: "
             "feel321 ledger --rebuild"
         )
     return OSError(
-        f"{path}: could not be used ({reason}); check that the folder may be written to, the disk has room "
+        f"{path}: could not be used ({words}); check that the folder may be written to, the disk has room "
         "and no other program holds the file, then run again"
     )
 
@@ -258,6 +284,7 @@ def _describe_server(ledger: sa.Engine, error: DBAPIError) -> Exception:
 def _leave_transactions_alone(connection: SqliteConnection, _record: object) -> None:
     # Python's sqlite3 would begin transactions by itself, and late.
     connection.isolation_level = None
+    connection.execute("PRAGMA secure_delete = ON")  # what is deleted is overwritten
 
 
 def _begin(connection: sa.Connection) -> None:
@@ -320,10 +347,27 @@ def read_entries(connection: sa.Connection, participant: str | None = None) -> l
         )
         for row in connection.execute(people).mappings()
     ]
+    for entry in entries:
+        _check_cells([entry, *entry.anchors], connection)
     return sorted(
         entries,
         key=lambda entry: (entry.simulated, entry.number, entry.state in LIVE, entry.participant),
     )
+
+
+def _check_cells(rows: Iterable[Entry | Anchor], connection: sa.Connection) -> None:
+    """Refuse what no column of ours holds: SQLite keeps whatever it is given, of any type."""
+    cells = ((one, getattr(row, one.name)) for row in rows for one in fields(row))
+    for cell, value in cells:
+        if cell.type not in _TYPES:
+            continue
+        known = STATES if cell.name == "state" else None
+        is_ours = type(value) is cell.type and (known is None or value in known)
+        if not is_ours or (isinstance(value, int) and value < 0):
+            raise ValueError(
+                f"{name_ledger(connection.engine)}: got a damaged cell ({cell.name} is {as_line(repr(value))}); move "
+                "it away, then rebuild it from the journals: feel321 ledger --rebuild"
+            )
 
 
 def write_entries(

@@ -70,9 +70,8 @@ def write_tombstone(folder: Path, tombstone: Tombstone) -> None:
     """Write a tombstone and seal it with its digest, replacing the one that is there."""
     entry = asdict(tombstone)
     sealed = entry | {"sha256": _digest(entry)}
-    write_text(
-        folder / plans.TOMBSTONE_FILE, json.dumps(sealed, indent=1, ensure_ascii=False) + "\n"
-    )
+    text = json.dumps(sealed, indent=1, ensure_ascii=False) + "\n"
+    write_text(folder / plans.TOMBSTONE_FILE, text, private=True)
 
 
 def read_tombstone(folder: Path) -> Tombstone | None:
@@ -245,5 +244,6 @@ def write_roster(study: StudyFolder, everybody: Sequence[Progress] | None = None
         row["sessions"] = len(progress.anchors)
         row |= {name: flags[row[name]] for name in ("simulated", "training_passed")}
         rows.append(row)
-    write_table(study.path / ROSTER_FILE, columns, rows)
+    write_table(study.path / ROSTER_FILE, columns, rows, private=True)
+    study.share(study.path / ROSTER_FILE)
     return study.path / ROSTER_FILE

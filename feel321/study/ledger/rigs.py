@@ -68,7 +68,7 @@ def digest_settings(text: str) -> str:
         if rig.sensor and sheet:
             rig = rig.model_copy(update={"sensor": rig.sensor.model_copy(update=sheet)})
         return digest(rig)
-    except ValueError:  # of another version
+    except (ValueError, OverflowError):  # of another version
         return digest_text(text)
 
 

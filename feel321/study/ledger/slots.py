@@ -20,7 +20,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from feel321.files import is_held, make_folder
+from feel321.files import is_held
 from feel321.study import server
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import database, progress, stations
@@ -387,7 +387,7 @@ def _write_rebuild(study: StudyFolder) -> str:
 
 
 def _connect(study: StudyFolder) -> sa.Engine:
-    make_folder(study.sessions)
+    study.make_sessions()
     return database.connect_ledger(find_place(study))
 
 

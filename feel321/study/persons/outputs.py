@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,12 +11,15 @@ from typing import TYPE_CHECKING
 from feel321.files import digest_file, write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Clock
 
 OUTPUTS_FILE = "outputs.jsonl"
+
+RESULTS = ("report", "chart", "advice", "power")
+"""Folders of results in a study that ratings may be in, unless another name was given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,20 +32,43 @@ class WrittenOutput:
     files: dict[str, str]
 
 
+@contextmanager
+def recording_output(study: StudyFolder, verb: str, path: Path, *, now: Clock) -> Iterator[None]:
+    """Record what a verb writes in a folder, or the one file: that it begins, and in the end the digest of each file.
+
+    Neither the study's own folders of results need it, nor ratings from elsewhere, for which there is no study.
+    """
+    path = path.resolve()
+    is_own = path.parent == study.path.resolve() and path.name in RESULTS
+    if not study.settings.is_file() or is_own:
+        yield
+        return
+    record_output(study, verb, path, files=(), now=now)
+    yield
+    record_output(study, verb, path, files=list_written(path), now=now)
+
+
 def record_output(
     study: StudyFolder, verb: str, path: Path, *, files: Iterable[Path], now: Clock
 ) -> None:
-    """Record the files that a verb has written in a folder; an earlier entry of the same verb and folder is replaced.
-
-    Where there is no study, such as with ratings from elsewhere, nothing is recorded.
-    """
-    if not study.settings.is_file():
-        return
+    """Record the files that a verb has written in a folder; in place of an earlier entry of both."""
     path = path.resolve()
     named = {_name(file, path): digest_file(file) for file in files}
     utc = now().isoformat(timespec="seconds")
     others = [one for one in read_outputs(study) if (one.verb, one.path) != (verb, path)]
     _write(study, [*others, WrittenOutput(verb, path, utc, named)])
+
+
+def list_written(path: Path) -> list[Path]:
+    """List what was written in a folder: what its `results.json` names, or all that is in it."""
+    if not path.is_dir():
+        return [path] if path.is_file() else []
+    try:
+        named = json.loads((path / "results.json").read_bytes())["files"]
+        found = [path / name for name in named]
+    except (OSError, KeyError, TypeError, ValueError):
+        found = sorted(path.rglob("*"))
+    return [file for file in found if file.is_file() and not file.is_symlink()]
 
 
 def read_outputs(study: StudyFolder) -> list[WrittenOutput]:
@@ -74,4 +101,4 @@ def _write(study: StudyFolder, outputs: Iterable[WrittenOutput]) -> None:
     lines = [
         json.dumps(asdict(one) | {"path": str(one.path)}, ensure_ascii=False) for one in outputs
     ]
-    write_text(study.path / OUTPUTS_FILE, "".join(f"{line}\n" for line in lines))
+    write_text(study.path / OUTPUTS_FILE, "".join(f"{line}\n" for line in lines), private=True)

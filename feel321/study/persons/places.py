@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321.files import TEMPORARY, UNFINISHED
 from feel321.study.folder import LEDGER_FILES
-from feel321.study.persons.outputs import OUTPUTS_FILE, read_outputs
+from feel321.study.persons.outputs import OUTPUTS_FILE, RESULTS, read_outputs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -57,27 +58,21 @@ KINDS: dict[str, DataKind] = {
     "matches": DataKind("matches.csv", "every match of strength, by code", DERIVED, REWRITTEN),
     "results": DataKind("report/, chart/, advice/, ...", "figures and tables of ratings, by code", DERIVED, REMOVED),
     "output": DataKind("named in outputs.jsonl", "what export, analyze --out and others wrote", DERIVED, REMOVED),
+    "key": DataKind(".export.key", "what numbers of exported participants are drawn with", SOURCE, KEPT),
     "backup": DataKind("named in outputs.jsonl", "a copy of the study", SOURCE, NAMED),
     "checkpoints": DataKind("checkpoints.jsonl", "codes and digests, no answer", SOURCE, KEPT),
     "outputs": DataKind(OUTPUTS_FILE, "where outputs went; no code", SOURCE, KEPT),
-    "unfinished": DataKind(".NAME.*.part, .NAME-*/", "what a killed run was writing", DERIVED, REMOVED),
-    "temporary": DataKind("feel321-*/ of the system", "what a killed run was working on", DERIVED, NAMED),
+    "unfinished": DataKind(".NAME.PID.*.part, feel321-PID-*/", "what a killed run was writing", DERIVED, REMOVED),
+    "temporary": DataKind("feel321-PID-*/ of the system", "what a killed run worked on", DERIVED, REMOVED),
 }  # fmt: skip
 """Kind of place -> what is to be known of it."""
-
-RESULTS = ("report", "chart", "stress", "advice", "power", "benchmark")
-"""Folders of results in a study, unless told otherwise."""
 
 TABLES = {
     "ratings.csv": "ratings", "ratings.parquet": "ratings", "participants.csv": "roster", "answers.csv": "answers",
     "matches.csv": "matches", "checkpoints.jsonl": "checkpoints", OUTPUTS_FILE: "outputs",
+    ".export.key": "key",
 }  # fmt: skip
 """Files in the study's folder itself, and their kinds."""
-
-UNFINISHED = re.compile(
-    r"\..+\.(?:\d+|[0-9a-f]{32})\.part|\.(?:report|chart|stress|advice|power|benchmark)-\w{8}"
-)
-"""Names of what a killed run was writing: a file, or the stage of a folder of results."""
 
 _PERSONAL = (
     (re.compile(r"plan\.json"), "plan"),
@@ -128,11 +123,12 @@ def list_places(study: StudyFolder) -> Iterator[DataPlace]:
             yield DataPlace(path, TABLES[path.name])
         elif path.name in RESULTS:
             yield from (DataPlace(file, "results") for file in walk(path))
-        elif UNFINISHED.fullmatch(path.name):
+        elif _is_unfinished(path):
             yield from (DataPlace(file, "unfinished") for file in walk(path))
     yield from list_outputs(study)
     for path in sorted(Path(tempfile.gettempdir()).glob("feel321-*")):
-        yield from (DataPlace(file, "temporary") for file in walk(path))
+        if TEMPORARY.fullmatch(path.name):  # also of other studies; a live process removes its own
+            yield from (DataPlace(file, "temporary") for file in walk(path))
 
 
 def list_folder(sessions: Path) -> Iterator[DataPlace]:
@@ -140,7 +136,7 @@ def list_folder(sessions: Path) -> Iterator[DataPlace]:
     for path in sorted(sessions.glob("*")) if sessions.is_dir() else ():
         if path.is_dir() or path.is_symlink():
             yield from (_sort(file, path) for file in walk(path))
-        elif UNFINISHED.fullmatch(path.name):
+        elif _is_unfinished(path):
             yield DataPlace(path, "unfinished")
         elif path.name == "ledger.log":
             yield DataPlace(path, "log")
@@ -168,9 +164,13 @@ def walk(path: Path) -> Iterator[Path]:
         yield from walk(entry)
 
 
+def _is_unfinished(path: Path) -> bool:
+    return bool(UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name))
+
+
 def _sort(path: Path, folder: Path) -> DataPlace:
     name = "" if path == folder else path.relative_to(folder).as_posix()
-    if UNFINISHED.fullmatch(path.name):
+    if _is_unfinished(path):
         return DataPlace(path, "unfinished", (folder.name,))
     kind = next((kind for names, kind in _PERSONAL if names.fullmatch(name)), "other")
     return DataPlace(path, kind, (folder.name,))

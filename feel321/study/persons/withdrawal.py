@@ -4,20 +4,21 @@ Either way the slot is free for the next. A withdrawal that is interrupted at an
 was, or a tombstone that says so; the same call finishes it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from sqlalchemy import Engine
 
-from feel321.files import hold_lock, make_folder, sync_folder
+from feel321.files import hold_lock, make_folder
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import server
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger import progress, slots
+from feel321.study.ledger import database, progress, slots
 from feel321.study.ledger.database import Entry, read_ledger
 from feel321.study.matches import MATCHES_FILE, write_matches
+from feel321.study.persons import removal
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
@@ -28,7 +29,7 @@ from feel321.study.session.journal import (
     read_anchor,
     require_journal,
 )
-from feel321.study.session.plan import TOMBSTONE_FILE
+from feel321.study.session.plan import PARTICIPANT_ID, TOMBSTONE_FILE
 
 
 def withdraw_participant(
@@ -40,33 +41,80 @@ def withdraw_participant(
     warn: Callable[[str], None] | None = None,
 ) -> list[str]:
     """Remove the data of a participant for good; a tombstone keeps the code from being used again."""
+    say: Callable[[str], None] = warn or (lambda _: None)
     ledger, notice = slots.open_study_ledger(study, now=now)
+    removed = _withdraw_rehearsals(study, participant, say=say)
+    if removed and participant not in {entry.participant for entry in read_ledger(ledger)}:
+        return removed
     entry = require_entry(ledger, participant, study=study, verb="withdraw")
     folder = study.sessions / participant
-    if (
-        (found := progress.read_tombstone(folder))
-        and found.state == progress.REMOVED
-        and entry.state == "withdrawn"
-    ):
+    found = progress.read_tombstone(folder)
+    if _is_over(study, entry, found):
+        if removed or found is None:
+            return removed
         raise ValueError(f"participant {participant}: withdrew at {found.utc}, all data are gone")
+    if folder.is_symlink():  # what it leads to is left, but looked at
+        found = found or _make_tombstone(folder, entry, reason=reason, now=now)
+        _announce(removal.drop_link(folder), say)
     with hold_folder(folder):
-        # Or the one of a withdrawal that was interrupted.
+        # Or the tombstone of a withdrawal that was interrupted.
         tombstone = found or _make_tombstone(folder, entry, reason=reason, now=now)
-        removed = _remove_data(folder)
-        warnings = [notice, *_renew_tables(study)]
-        if tombstone.journals:
-            warnings += _remove_report(study)
-        rehearsal = replace(study, is_rehearsal=True).sessions / participant
-        if rehearsal.exists() and rehearsal != folder:
-            warnings.append(f"{rehearsal}: was rehearsed under the same code; remove the folder")
-        slots.enter(
-            ledger, participant, Entry(participant, entry.simulated, entry.number, "withdrawn")
-        )
+        progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVING))
+        removed += _remove_data(folder, say)
+        _announce([notice, *clear_derived(study, tombstone)], say)
+        gone = Entry(participant, entry.simulated, entry.number, "withdrawn")
+        slots.enter(ledger, participant, gone)
+        database.compact(ledger)
         progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVED))
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
-    if warn is not None:
-        for warning in filter(None, warnings):
-            warn(warning)
+    return removed
+
+
+def _is_over(study: StudyFolder, entry: Entry, found: progress.Tombstone | None) -> bool:
+    """Whether a withdrawal was finished, and nothing of the participant has come back with a copy."""
+    if found is None or (found.state, entry.state) != (progress.REMOVED, "withdrawn"):
+        return False
+    left = progress.find_leftovers(study.sessions / entry.participant)
+    return not any((left, *removal.find_data_left(study)))
+
+
+def _announce(lines: Iterable[str], say: Callable[[str], None]) -> None:
+    for line in filter(None, lines):
+        say(line)
+
+
+def clear_derived(study: StudyFolder, tombstone: progress.Tombstone) -> Iterator[str]:
+    """Remove the participant from all that was derived, whatever a kill left of it included."""
+    yield from removal.clear_unfinished(study)
+    yield from _renew_tables(study)
+    if tombstone.journals:
+        yield from removal.clear_results(study)
+        yield from removal.clear_outputs(study)
+
+
+def _withdraw_rehearsals(
+    study: StudyFolder, participant: str, *, say: Callable[[str], None]
+) -> list[str]:
+    """Remove what was rehearsed under the participant's code, and its entry in the ledger of rehearsals."""
+    own = replace(study, is_rehearsal=True)
+    folder = own.sessions / participant
+    if study.is_rehearsal or not PARTICIPANT_ID.fullmatch(participant):
+        return []
+    removed = []
+    if folder.is_symlink() or folder.is_dir():
+        _announce(removal.drop_link(folder), say)
+        with hold_folder(folder):
+            removed = [
+                f"{own.sessions.name}/{participant}/{name}" for name in _remove_data(folder, say)
+            ]
+        (folder / progress.LOCK_FILE).unlink(missing_ok=True)
+        folder.rmdir()
+    if own.ledger.is_file() and not own.ledger.is_symlink():
+        ledger = database.open_ledger(own.ledger)
+        if read_ledger(ledger, participant):
+            slots.enter(ledger, participant, None)
+            removed = removed or [f"{own.sessions.name}/{participant}"]
+        database.compact(ledger)
     return removed
 
 
@@ -91,7 +139,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
             _write_release(journal, participant)
             slots.enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
             return entry.number
-        _remove_data(folder)
+        removal.clear_folder(folder, keep={folder / progress.LOCK_FILE})
         slots.enter(ledger, participant, None)
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
@@ -117,37 +165,30 @@ def require_entry(ledger: Engine, participant: str, *, study: StudyFolder, verb:
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[None]:
     """Keep sessions from writing to a participant's folder."""
-    make_folder(folder)
+    make_folder(folder, private=True)
     busy = "a session is running here; let it finish or stop it first"
     with hold_lock(folder / progress.LOCK_FILE, busy=busy):
         yield
 
 
 def _make_tombstone(folder: Path, entry: Entry, *, reason: str, now: Clock) -> progress.Tombstone:
-    tombstone = progress.Tombstone(
+    return progress.Tombstone(
         participant=entry.participant,
         number=entry.number,
         simulated=entry.simulated,
         utc=now().isoformat(timespec="seconds"),
         reason=reason,
-        journals=tuple(read_anchor(path) for path in list_journals(folder)),
+        journals=tuple(read_anchor(path) for path in list_journals(folder)) or entry.anchors,
         state=progress.REMOVING,
     )
-    progress.write_tombstone(folder, tombstone)
-    return tombstone
 
 
-def _remove_data(folder: Path) -> list[str]:
+def _remove_data(folder: Path, say: Callable[[str], None]) -> list[str]:
     """Remove everything in a folder but its tombstone and the lock that is held."""
     kept = {folder / TOMBSTONE_FILE, folder / progress.LOCK_FILE}
-    found = [path for path in sorted(folder.rglob("*"), reverse=True) if path not in kept]
-    for path in found:
-        if path.is_dir() and not path.is_symlink():
-            path.rmdir()
-        else:
-            path.unlink()
-    sync_folder(folder)
-    return sorted(str(path.relative_to(folder)) for path in found)
+    removed, said = removal.clear_folder(folder, keep=kept)
+    _announce(said, say)
+    return removed
 
 
 def _renew_tables(study: StudyFolder) -> Iterator[str]:
@@ -160,29 +201,18 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
     }
     # The Parquet twin of the ratings is made with the CSV; where that fails, or is missing, no twin may stay.
     twin = study.ratings.with_suffix(".parquet")
+    yield from removal.drop_link(twin)
     twin.unlink(missing_ok=True)
-    for path in (twin, *tables):
-        # What a kill may have left of an earlier writing.
-        for unfinished in path.parent.glob(f".{path.name}.*.part"):
-            unfinished.unlink()
     for path, write in tables.items():
-        if path.exists():
+        is_there = path.exists()
+        yield from removal.drop_link(path)
+        if is_there:
             try:
                 write()
             except (OSError, ValueError) as error:
                 # A derived table can be made again; the data of someone who withdrew may not stay.
-                path.unlink()
+                path.unlink(missing_ok=True)
                 yield f"{path}: was removed, because it could not be rewritten ({error})"
-
-
-def _remove_report(study: StudyFolder) -> Iterator[str]:
-    if study.report.is_dir():
-        from feel321.analysis.report.folder import remove_results
-
-        remove_results(study.report)
-        yield f"{study.report}: was removed, for it held the participant's data; write it anew: feel321 analyze"
-    if study.report.exists():
-        yield f"{study.report}: holds other files; remove those with the participant's data"
 
 
 def _open_newest(folder: Path, *, now: Clock) -> Journal | None:

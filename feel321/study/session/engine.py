@@ -7,6 +7,7 @@ Every event is in the journal before the next one may happen.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from math import isfinite
@@ -26,11 +27,14 @@ from feel321.study.session.plan import Plan, advance, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from feel321.protocols.agenda import Agenda
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
     from feel321.study.session.journal import Journal, Records
+
+KeepAnswer = Callable[[str, int, float | str | None], str]
+"""Keeps a personal answer (question, occasion, value) apart, and returns its salted digest."""
 
 DEVICE_ERRORS = 2
 """Failures of the device in a row after which the experimenter is called: trials must not be used up on a dead one."""
@@ -43,7 +47,8 @@ DEVICE_FLAGS = frozenset({"device_error", "not_delivered"})
 class Setup:
     """The setup of a session: the presenter, the stimuli by blind code, the scales, the journal and the rules.
 
-    detection, matching: the blocks of thresholds and of matched strength, where there are any.
+    detection, matching: the blocks of thresholds and of matched strength, where there are any. keep: keeps personal
+    answers apart from the journal.
     """
 
     presenter: Presenter
@@ -55,6 +60,7 @@ class Setup:
     matching: Matching | None = None
     questions: Sequence[Question] = ()
     pace: Schedule = field(default_factory=Schedule)
+    keep: KeepAnswer | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -92,7 +98,7 @@ class _Paused(Exception):  # noqa: N818 - nothing went wrong
     """The participant paused; the time is the argument."""
 
 
-def run_session(
+def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
     plan: Plan,
     presenter: Presenter,
     *,
@@ -100,6 +106,7 @@ def run_session(
     journal: Journal,
     scales: Mapping[str, Scale] | None = None,
     on_step: Callable[[Place], None] | None = None,
+    keep: Callable[[str, int, float | str | None], str] | None = None,
 ) -> Outcome:
     """Present all trials that are not done yet.
 
@@ -117,6 +124,8 @@ def run_session(
         The texts by name of scale; English by default.
     on_step : callable, optional
         Called with the progress of the session, at its opening and after every page and trial.
+    keep : callable, optional
+        Keeps personal answers apart from the journal: takes question, occasion and value, returns a salted digest.
 
     Returns
     -------
@@ -129,7 +138,7 @@ def run_session(
     matching = Matching(plan.matching, plan.trials) if plan.matching else None
     setup = Setup(
         presenter, by_code, scales, journal, plan.flow, detection, matching, plan.questions,
-        Schedule({task.protocol: task for task in plan.tasks}),
+        Schedule({task.protocol: task for task in plan.tasks}), keep,
     )  # fmt: skip
     agenda = replay(plan, journal.records)
     try:
@@ -252,10 +261,13 @@ def conduct_question(question: Question, place: Place, setup: Setup) -> None:
             break
         parts = (question.describe_range(),) if fault == "out_of_range" else ()
         setup.presenter.refuse(fault, parts)
-    time_s, stood_s = act.time_s, act.response_time_s
-    setup.journal.write(
-        events.QuestionAnswered(question.name, occasion, value, question.personal, time_s, stood_s)
+    answered = events.QuestionAnswered(
+        question.name, occasion, value, question.personal, act.time_s, act.response_time_s
     )
+    if question.personal and setup.keep:
+        sha256 = setup.keep(question.name, occasion, value)
+        answered = replace(answered, value=None, sha256=sha256)
+    setup.journal.write(answered)
 
 
 def conduct_trial(trial: Trial, place: Place, setup: Setup) -> None:

@@ -113,7 +113,7 @@ class PageRead(SessionEvent, event="page"):
 class QuestionAnswered(SessionEvent, event="answered"):
     """A question page was answered; value: None where it was left open, occasion: from 1, where it is asked again.
 
-    personal: whether the value is personal data.
+    personal: whether the value is personal data. sha256: salted digest of a value that is kept apart, in place of it.
     """
 
     question: str
@@ -122,6 +122,11 @@ class QuestionAnswered(SessionEvent, event="answered"):
     personal: bool
     time_s: float
     stood_s: float
+    sha256: str = ""
+
+    def to_data(self) -> dict[str, Any]:
+        """Return the fields; without the digest where the value itself is there."""
+        return {k: v for k, v in super().to_data().items() if v or k != "sha256"}
 
 
 class SessionFinished(SessionEvent, event="finished"):
@@ -174,6 +179,10 @@ class NoteTaken(SessionEvent, event="note"):
                 f"a note must be one line without control characters, got {odd!a} at character "
                 f"{text.index(odd) + 1}; take several notes instead of several lines"
             )
+
+
+class PersonalRemoved(NoteTaken, event="personal_removed"):
+    """The personal answers of the participant were removed on purpose; their digests stay."""
 
 
 class AttemptEvent(SessionEvent):
@@ -289,7 +298,7 @@ class TrialSpoiled(AttemptEvent, event="spoiled"):
 REPAIRS = (ClockStepped, LineRecovered)
 """May come anywhere in a journal."""
 
-OPENING = (*REPAIRS, NoteTaken, DeviceOpened, RigAccepted, SessionResumed)
+OPENING = (*REPAIRS, NoteTaken, PersonalRemoved, DeviceOpened, RigAccepted, SessionResumed)
 """May come before anybody has come back to work."""
 
 UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)

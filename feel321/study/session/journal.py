@@ -228,7 +228,7 @@ def utc_now() -> datetime:
 def create_journal(path: Path, *, now: Clock) -> Journal:
     """Begin a journal, of which the folder must exist; a file that is there is refused and left alone."""
     try:
-        create_file(path)
+        create_file(path, private=True)
     except FileExistsError:
         raise FileExistsError(f"{path}: already exists; not overwritten, resume it") from None
     return Journal(path, now)
@@ -296,7 +296,7 @@ def _cut_torn_line(path: Path, torn: bytes) -> Path:
     while (target := path.with_name(f"{path.name}.torn{number}")).exists():
         number += 1
     # The piece is safe beside the journal before the journal loses it.
-    write_bytes(target, torn)
+    write_bytes(target, torn, private=True)
     with path.open("r+b") as file:
         file.truncate(path.stat().st_size - len(torn))
         os.fsync(file.fileno())

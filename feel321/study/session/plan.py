@@ -241,7 +241,7 @@ def create_plan(path: Path, plan: Plan) -> None:
     _drop_unused(entry)
     if plan.task_order == orders.TASK_ORDERS[0]:
         del entry["task_order"]
-    create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode())
+    create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode(), private=True)
 
 
 def _drop_unused(entry: dict[str, Any]) -> None:
@@ -411,7 +411,7 @@ def open_session(
     presenter may take over where nobody has done anything yet, in a journal of its own. With accept_rig, another rig or
     certificate is recorded and goes on with the session.
     """
-    make_folder(folder)
+    make_folder(folder, private=True)
     busy = "another session is writing here; let it finish or stop it first"
     with hold_lock(folder / ".lock", busy=busy):
         if (folder / TOMBSTONE_FILE).exists():

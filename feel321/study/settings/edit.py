@@ -24,7 +24,10 @@ def change_settings(text: str, changes: Mapping[str, object]) -> str:
     for name, value in changes.items():
         if not re.fullmatch(r"[\w-]+(\.[\w-]+)+", name):
             raise ValueError(f"settings must have names such as 'session.repeats', got {name!r}")
-        wanted = tomllib.loads(text)
+        try:
+            wanted = tomllib.loads(text)
+        except RecursionError:
+            raise ValueError("study.toml: nested too deeply; use fewer levels") from None
         *tables, key = name.split(".")
         inner: Any = wanted
         try:
@@ -60,7 +63,7 @@ def _as_toml(name: str, value: object) -> Any:  # noqa: ANN401 - whatever TOML h
 def _holds(text: str, wanted: Mapping[str, Any]) -> bool:
     try:
         return tomllib.loads(text) == wanted
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         return False
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import struct
 import sys
 from pathlib import Path
@@ -130,7 +131,9 @@ def test_a_sidecar_may_spell_rate_and_unit_as_an_archive_may(
 def test_a_damaged_sidecar_is_refused(tmp_path: Path, signal: Signal, text: str) -> None:
     write_wav(tmp_path / "a.wav", signal, 8000)
     (tmp_path / "a.json").write_bytes(text.encode("latin-1"))
-    with pytest.raises(ValueError, match=r"^a\.wav: sidecar a\.json: cannot be read as JSON"):
+    with pytest.raises(
+        ValueError, match=r"^a\.wav: sidecar a\.json: (cannot be read as JSON|line 1)"
+    ):
         read_recording(tmp_path / "a.wav")
 
 
@@ -235,7 +238,7 @@ ARRAY_REFUSALS = {
     "short time": ({"acceleration": np.ones((3, 9)), "t": np.arange(8)}, "got 8 for 9 samples"),
     "clock stops": ({"acceleration": np.ones((3, 9)), "t": np.zeros(9)}, "must increase, got 0 after 0 s at sample 1"),
     "no unit": ({"acceleration": np.ones((3, 9)), "fs": 1, "unit": "ft"}, "unit must be .*got 'ft'"),
-    "pickled": ({"acceleration": np.array([None] * 9)}, "cannot be read as an NPZ archive .*allow_pickle"),
+    "pickled": ({"acceleration": np.array([None] * 9)}, "cannot be read as an NPZ archive .*Python objects"),
 }  # fmt: skip
 
 
@@ -507,6 +510,6 @@ def test_a_file_that_the_system_refuses_is_named(
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "open", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(PermissionError, match=r"^a\.csv: Permission denied$"):
         read_recording(tmp_path / "a.csv")

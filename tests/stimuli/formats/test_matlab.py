@@ -118,9 +118,9 @@ def test_damaged_elements_are_refused_before_scipy_sees_them(tmp_path: Path, cas
 
 
 def test_what_inflates_without_end_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("feel321.stimuli.formats.arrays.LARGEST_BYTES", 1000)
+    monkeypatch.setenv("FEEL321_LARGEST_MB", "1")
     bomb = HEADER + _element(15, zlib.compress(_element(14, bytes(10**6))))
-    with pytest.raises(ValueError, match="above 1000 bytes"):
+    with pytest.raises(ValueError, match="above 1000000 bytes"):
         keep_plain_arrays(bomb)
 
 

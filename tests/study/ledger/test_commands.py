@@ -129,7 +129,7 @@ def test_withdraw_says_what_was_removed_and_what_is_left_to_do(begun: Any, say: 
     assert code == 0
     assert out == (
         f"{begun.study.sessions / 'p01'}: removed 2 files; a tombstone keeps the code. "
-        "Exports and other copies are yours to remove\n"
+        "Copies that feel321 did not make are yours to remove\n"
     )
     assert err.startswith(f"feel321: warning: {begun.study.report}: was removed, for it held")
     assert (

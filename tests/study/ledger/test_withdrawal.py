@@ -235,9 +235,9 @@ def test_derived_tables_are_written_anew_and_the_report_goes(
     assert warnings == [
         f"{two.study.report}: was removed, for it held the participant's data; write it anew: feel321 analyze",
         f"{two.study.report}: holds other files; remove those with the participant's data",
-        f"{two.study.path / 'rehearsals' / 'p01'}: was rehearsed under the same code; remove the folder",
     ]
     assert read_files(two.study.report) == {"mine.csv": b"p01"}
+    assert not (two.study.path / "rehearsals" / "p01").exists()
 
 
 def test_a_report_without_the_participant_stays(two: Any, now: Any) -> None:

@@ -76,7 +76,7 @@ TERMS = "observer.reducers"
 
 def list_written(content: dict[str, Any], place: str = "") -> Iterator[str]:
     for name, value in content.items():
-        several = name in {"claims", "published"} and isinstance(value, list)
+        several = name in {"claims", "published", "authors"} and isinstance(value, list)
         entry = value[0] if several else value
         if name == "recordings" and isinstance(value, list):
             entry = {key: one for table in value for key, one in table.items()}

@@ -131,7 +131,7 @@ def read_card(path: Path) -> Card:
         raise ValueError(
             f"{path.name}: not JSON: {error.msg} in line {error.lineno}; was it copied whole?"
         ) from None
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, ArithmeticError, TypeError, KeyError, AttributeError) as error:
         text = str(error) if isinstance(error, ValueError) else f"its rows are damaged ({error!r})"
         raise ValueError(f"{path.name}: {text}; measure the method again") from None
     return card

@@ -1,0 +1,151 @@
+"""What is read from outside: regular files only, no more of them than a limit, and text that is UTF-8.
+
+A refusal is one line with the file's name, what was got, what is allowed and what to do.
+"""
+
+import codecs
+import errno
+import math
+import os
+import stat
+from contextlib import suppress
+from pathlib import Path
+from typing import BinaryIO
+
+LIMIT = "FEEL321_LARGEST_MB"
+LARGEST_MB = 512
+"""So much a file may hold, and its samples take as float64: half an hour of three axes at 10 kHz."""
+
+TEXT_SHARE = 4
+"""A text may be so many times smaller: it takes several times its size while it is read."""
+
+SMALL_BYTES = 2**22
+"""So large may settings, texts and facts beside recordings be."""
+
+LONGEST_LINE = 2**20
+"""So many bytes may stand in a line of a table: thousands of columns."""
+
+WIDE_TEXT = {codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16", codecs.BOM_UTF16_BE: "UTF-16"}  # fmt: skip
+KINDS = {
+    stat.S_IFIFO: "a named pipe (fifo)",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+class TooLargeError(ValueError):
+    """A file is above the limit, which is no sign of damage."""
+
+
+def read_limit() -> int:
+    """Read the bytes that a file may hold or its samples take, which a setting of the environment may change."""
+    text = os.environ.get(LIMIT, "")
+    with suppress(ValueError):
+        if not text or 1 <= float(text) <= 2**30:
+            return round(float(text or LARGEST_MB) * 1e6)
+    raise ValueError(f"{LIMIT} must be a number of megabytes from 1 to {2**30}, got {clip(text)!r}")
+
+
+def clip(text: str, most: int = 60) -> str:
+    """Cut a text that goes into a message."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def check_bytes(n_bytes: int, what: str, *, most: int | None = None) -> None:
+    """Refuse what would take more memory than the limit, before it is taken."""
+    limit = read_limit()
+    most = limit if most is None else min(most, limit)
+    if n_bytes > most:
+        how = "cut it into shorter ones"
+        if most == limit:
+            how += f", or set {LIMIT}={math.ceil(n_bytes / 1e6)} in the environment if it is right"
+        raise TooLargeError(
+            f"{what}: {n_bytes / 1e6:,.0f} MB, at most {most / 1e6:,.0f} MB are read; {how}"
+        )
+
+
+def check_samples(n_samples: int, n_axes: int, rate_hz: float | None = None) -> None:
+    """Refuse samples of a header that would take more memory than the limit, before they are read."""
+    seconds = f", {n_samples / rate_hz:,.0f} s" if rate_hz else ""
+    what = f"promises {n_samples:,} samples of {n_axes} channels{seconds}"
+    check_bytes(8 * n_samples * n_axes, what)
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file to read it; a pipe, device or socket is refused at once, never waited for."""
+    _check_kind(path, path.stat().st_mode)
+    flags = ("O_NONBLOCK", "O_NOCTTY", "O_BINARY", "O_CLOEXEC")
+    descriptor = os.open(path, os.O_RDONLY | sum(getattr(os, name, 0) for name in flags))
+    try:  # something else may have been put in the file's place just now
+        _check_kind(path, os.fstat(descriptor).st_mode)
+    except (OSError, ValueError):
+        os.close(descriptor)
+        raise
+    return open(path, "rb", opener=lambda *_: descriptor)
+
+
+def _check_kind(path: Path, mode: int) -> None:
+    if stat.S_ISREG(mode):
+        return
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(path))
+    got = KINDS.get(stat.S_IFMT(mode), "something else")
+    raise ValueError(
+        f"{path.name}: must be a regular file, got {got}; copy its content into a file"
+    )
+
+
+def read_bytes(path: Path, *, most: int | None = None) -> bytes:
+    """Read a regular file whole, if it is no larger than the limit; what it gains meanwhile is left."""
+    with open_regular(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        check_bytes(size, path.name, most=most)
+        return file.read(size)  # allocates as much as it is asked for
+
+
+def read_text(path: Path, *, most: int | None = None) -> str:
+    """Read a text in UTF-8, with or without byte-order mark; a wrong byte is named with its line."""
+    return decode(read_bytes(path, most=most), path.name)
+
+
+def read_small(path: Path) -> str:
+    """Read a text of settings or facts, which are never large."""
+    return read_text(path, most=SMALL_BYTES)
+
+
+def decode(content: bytes, name: str) -> str:
+    """Decode a text of a file of that name."""
+    for mark, kind in WIDE_TEXT.items():
+        if content.startswith(mark):
+            raise ValueError(f"{name}: the text is in {kind}; save the file as UTF-8")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        at = len(content) - len(error.object) + error.start  # the mark is left out
+        raise ValueError(_blame(content, at, name)) from None
+    if (at := content.find(b"\0")) >= 0:
+        raise ValueError(_blame(content, at, name))
+    return text
+
+
+def _blame(content: bytes, at: int, name: str) -> str:
+    line = content.count(b"\n", 0, at) + 1
+    if not content[at]:
+        return f"{name}: line {line} holds a zero byte (byte {at + 1} of the file), as no text does; is it damaged?"
+    what = f"the byte 0x{content[at]:02x}, which is not UTF-8 (perhaps Latin-1; byte {at + 1} of the file)"
+    return f"{name}: line {line} holds {what}; save the file as UTF-8"
+
+
+def check_lines(content: bytes) -> None:
+    """Refuse a text with a line that is longer than any table's."""
+    start = 0
+    while len(content) - start > LONGEST_LINE:
+        piece = content[start : start + LONGEST_LINE + 1]
+        end = max(piece.rfind(b"\n"), piece.rfind(b"\r"))
+        if end < 0:
+            line = content.count(b"\n", 0, start) + 1
+            raise ValueError(
+                f"line {line} is longer than {LONGEST_LINE} bytes; a table has a row per sample: is it one?"
+            )
+        start += end + 1

@@ -1,0 +1,1 @@
+"""A study for other people: a dataset that validators accept, and the methods section."""

@@ -1,0 +1,142 @@
+"""Doors with bounds: what a file promises is looked at before memory is taken, and only regular files are opened."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from feel321 import intake
+from feel321.stimuli import read_recording, write_wav
+from tests.stimuli.formats.hostile import FINE, HOSTILE, pack_npy, pack_zip
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PROMISES = [case for case in HOSTILE if "promises" in case or "century" in case]
+
+SLOW = {"npz: zeros that inflate to 1.2 GB", "mat: 40 variables of 60 MB"}
+"""Slow to write, not to refuse."""
+
+
+@pytest.mark.parametrize("case", sorted(HOSTILE.keys() - SLOW))
+def test_what_is_hostile_is_refused_in_one_line(case: str, tmp_path: Path) -> None:
+    name, make, message = HOSTILE[case]
+    if name.endswith("ide"):
+        pytest.importorskip("idelib")
+    path = tmp_path / name
+    path.write_bytes(make())
+    with pytest.raises(ValueError, match=message) as caught:
+        read_recording(path, resample=True)
+    assert str(caught.value).startswith(f"{name}: ")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("case", PROMISES)
+def test_nothing_is_allocated_for_a_promise(case: str, tmp_path: Path) -> None:
+    name, make, message = HOSTILE[case]
+    path = tmp_path / name
+    path.write_bytes(make())
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=message):
+            read_recording(path, resample=True)
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_only_the_arrays_that_are_wanted_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.npz"
+    monkeypatch.setenv(intake.LIMIT, "2")
+    rate = pack_npy((), body=np.float64(500).tobytes())
+    zeros = pack_npy((10**6,), body=bytes(8 * 10**6))
+    path.write_bytes(pack_zip(acceleration__npy=FINE, rate_hz__npy=rate, other__npy=zeros))
+    tracemalloc.start()
+    try:
+        assert read_recording(path).rate_hz == 500
+        assert tracemalloc.get_traced_memory()[1] < 4e6
+    finally:
+        tracemalloc.stop()
+    with pytest.raises(
+        ValueError, match=f"1,000,000 samples.*: 8 MB, at most 2 MB.*{intake.LIMIT}=8"
+    ):
+        read_recording(path, columns=["other"], rate_hz=500)
+
+
+def test_the_limit_can_be_raised_as_its_message_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_wav(tmp_path / "a.wav", np.random.default_rng(1).normal(size=(3, 100_000)), 10_000)
+    monkeypatch.setenv(intake.LIMIT, "1")
+    with pytest.raises(ValueError, match="at most 1 MB") as caught:
+        read_recording(tmp_path / "a.wav", unit="g")
+    setting = str(caught.value).partition(f"{intake.LIMIT}=")[2].split()[0]
+    monkeypatch.setenv(intake.LIMIT, setting)
+    assert read_recording(tmp_path / "a.wav", unit="g").acceleration.shape == (3, 100_000)
+    monkeypatch.setenv(intake.LIMIT, "much")
+    with pytest.raises(ValueError, match=f"{intake.LIMIT} must be a number .* got 'much'"):
+        read_recording(tmp_path / "a.wav", unit="g")
+
+
+def make_fifo(path: Path) -> None:
+    os.mkfifo(path)
+
+
+def make_socket(path: Path) -> None:
+    here = Path.cwd()
+    os.chdir(path.parent)  # a socket's name has at most 108 letters
+    try:
+        with socket.socket(socket.AF_UNIX) as one:
+            one.bind(path.name)
+    finally:
+        os.chdir(here)
+
+
+IRREGULAR: dict[str, tuple[Callable[[Path], object], str]] = {
+    "fifo": (make_fifo, "must be a regular file, got a named pipe"),
+    "socket": (make_socket, "must be a regular file, got a socket"),
+    "device": (lambda path: path.symlink_to("/dev/zero"), "must be a regular file, got a device"),
+    "terminal": (lambda path: path.symlink_to("/dev/tty"), "must be a regular file, got a device"),
+    "folder": (Path.mkdir, "is a folder"),
+    "broken link": (lambda path: path.symlink_to("nowhere"), "No such file"),
+    "circle": (lambda path: path.symlink_to(path), "Too many levels|too many levels"),
+    "process file": (lambda path: path.symlink_to("/proc/self/mem"), "Input/output|empty"),
+}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows: other kinds of files")
+@pytest.mark.parametrize("name", ["a.wav", "a.csv", "a.npz", "a.npy", "a.mat", "a.xml", "a.ide"])
+@pytest.mark.parametrize("kind", IRREGULAR)
+def test_only_regular_files_are_read_and_none_is_waited_for(
+    kind: str, name: str, tmp_path: Path
+) -> None:
+    make, message = IRREGULAR[kind]
+    make(tmp_path / name)
+    begun = time.process_time()
+    with pytest.raises((ValueError, OSError), match=message) as caught:
+        read_recording(tmp_path / name)
+    assert time.process_time() - begun < 1
+    assert str(caught.value).startswith(f"{name}: ")
+
+
+@pytest.mark.parametrize("kind", ["fifo", "device", "circle"])
+def test_a_sidecar_is_a_regular_file_too(kind: str, tmp_path: Path) -> None:
+    write_wav(tmp_path / "a.wav", np.ones((3, 10)), 1000)
+    IRREGULAR[kind][0](tmp_path / "a.json")
+    if kind == "circle":
+        (tmp_path / "a.json").unlink()
+        (tmp_path / "a.json").write_text(json.dumps({"unit": "g" * 5_000_000}))
+        with pytest.raises(ValueError, match=r"sidecar a\.json: 5 MB, at most 4 MB"):
+            read_recording(tmp_path / "a.wav")

@@ -1,0 +1,229 @@
+"""What an export holds and what it must not hold; the validators of the standards read it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+import pytest
+
+from feel321.study.export.dataset import ExportChoices, export_bids
+from feel321.study.export.people import KEY_FILE, band_age, name_people
+from feel321.study.folder import StudyFolder
+from feel321.study.settings.publication import PublicationTable, check_orcid
+from tests.study.export.conftest import PLANTED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+VALIDATOR = Path(sys.executable).with_name("bids-validator-deno")
+
+UNAVOIDABLE = {
+    ("JSON_KEY_RECOMMENDED", "HEDVersion"),  # nothing is tagged with HED
+    ("SIDECAR_KEY_RECOMMENDED", "CogAtlasID"),  # no such term for what is asked here
+    ("SIDECAR_KEY_RECOMMENDED", "CogPOID"),
+    ("JSON_KEY_RECOMMENDED", "License"),  # CITATION.cff has it, and BIDS wants it said once
+    ("TOO_FEW_AUTHORS", ""),  # the same, and an error otherwise
+    ("SUBJECT_FOLDERS", ""),  # of the derivative dataset, which is about all of them
+}
+"""Warnings that remain: what they ask for does not exist, or the standard forbids it in the same breath."""
+
+
+def validate(folder: Path) -> Counter[tuple[str, str, str]]:
+    """Count the issues that the standard's own validator finds, in the derivatives too."""
+    command = [str(VALIDATOR), str(folder), "--recursive", "--format", "json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    found: Counter[tuple[str, str, str]] = Counter()
+
+    def walk(entry: dict[str, Any]) -> None:
+        for issue in entry["issues"]["issues"]:
+            found[issue["severity"], issue["code"], issue.get("subCode", "")] += 1
+        for inner in entry.get("derivativesSummary", {}).values():
+            walk(inner)
+
+    walk(json.loads(done.stdout))
+    return found
+
+
+def read_all(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_the_validator_of_bids_finds_no_error_and_no_avoidable_warning(dataset: Path) -> None:
+    found = validate(dataset)
+    assert {key for key in found if key[0] == "error"} == set()
+    assert {key[1:] for key in found} <= UNAVOIDABLE
+
+
+def test_the_validator_sees_what_is_wrong(dataset: Path, tmp_path: Path) -> None:
+    shutil.copytree(dataset, tmp_path / "copy")
+    (tmp_path / "copy" / "sub-01" / "beh" / "notes.txt").write_text("hello")
+    (tmp_path / "copy" / "participants.json").write_text("{}")
+    codes = {key[:2] for key in validate(tmp_path / "copy")}
+    assert ("error", "NOT_INCLUDED") in codes
+    assert ("warning", "TSV_ADDITIONAL_COLUMNS_UNDEFINED") in codes
+
+
+def find_psych_faults(folder: Path) -> list[str]:
+    """Check a folder by the published rules of Psych-DS, whose validator is in no registry at hand."""
+    faults = []
+    about = json.loads((folder / "dataset_description.json").read_text(encoding="utf-8"))
+    faults += [name for name in ("name", "description", "variableMeasured") if not about.get(name)]
+    if (about.get("@context"), about.get("@type")) != ("https://schema.org/", "Dataset"):
+        faults.append("@context")
+    known = {one if isinstance(one, str) else one["name"] for one in about["variableMeasured"]}
+    files = [path for path in (folder / "data").rglob("*") if path.suffix == ".csv"]
+    faults += [] if files else ["no data file"]
+    for path in files:
+        if not re.fullmatch(r"([a-z]+-[a-zA-Z0-9]+)(_[a-z]+-[a-zA-Z0-9]+)*_data\.csv", path.name):
+            faults.append(path.name)
+        with path.open(encoding="utf-8", newline="") as file:
+            head, *rows = csv.reader(file)
+        faults += sorted(set(head) - known) + [path.name for row in rows if len(row) != len(head)]
+    return faults
+
+
+def test_the_rules_of_psych_ds_hold(dataset: Path, tmp_path: Path) -> None:
+    assert find_psych_faults(dataset) == []
+    shutil.copytree(dataset, tmp_path / "copy")
+    (tmp_path / "copy" / "data" / "mine.csv").write_text("strange\n1\n")
+    assert find_psych_faults(tmp_path / "copy") == ["mine.csv", "strange"]
+
+
+def test_a_crate_reader_finds_authors_licence_software_rig_and_actions(dataset: Path) -> None:
+    rocrate = pytest.importorskip("rocrate.rocrate")
+    crate = rocrate.ROCrate(dataset)
+    root = crate.root_dataset
+    assert [one["name"] for one in root["creator"]] == ["Ada Example"]
+    assert root["creator"][0].id == "https://orcid.org/0000-0002-1825-0097"
+    assert root["license"] == "https://spdx.org/licenses/CC-BY-4.0.html" or (
+        root["license"].id == "https://spdx.org/licenses/CC-BY-4.0.html"
+    )
+    names = {one.id for one in root["mentions"]}
+    assert names == {"#build", "#sessions", "#analyze"}
+    assert {one.id for one in crate.data_entities} == set(read_all(dataset)) - {
+        "ro-crate-metadata.json"
+    }
+    assert re.fullmatch("[0-9a-f]{64}", crate.dereference("#seal")["value"])
+    assert crate.dereference("#feel321")["softwareVersion"]
+
+
+def test_nothing_that_identifies_anybody_is_exported(studied: StudyFolder, dataset: Path) -> None:
+    journals = b"".join(path.read_bytes() for path in studied.journals)
+    for place, planted in PLANTED.items():
+        if place != "withdrawn":
+            assert planted.encode() in journals, f"{place} was not planted"
+    for name, content in read_all(dataset).items():
+        assert [p for p in PLANTED.values() if p.encode().lower() in content.lower()] == [], name
+        assert [p for p in PLANTED.values() if p.lower() in name.lower()] == []
+        assert str(studied.path).encode() not in content
+    assert (studied.path / KEY_FILE).read_text().strip().encode() not in b"".join(
+        read_all(dataset).values()
+    )
+
+
+def test_who_withdrew_and_who_is_a_program_stays_out(
+    dataset: Path, export: Callable[..., Path]
+) -> None:
+    people = pd.read_csv(dataset / "participants.tsv", sep="\t", dtype=str)
+    assert list(people["participant_id"]) == ["sub-01", "sub-02"]
+    assert set(people["simulated"]) == {"false"}
+    assert "age" not in people
+    assert "number" not in people
+    everybody = pd.read_csv(export(simulated=True) / "participants.tsv", sep="\t", dtype=str)
+    assert sorted(everybody["simulated"]) == ["false", "false", "true"]
+
+
+def test_answers_are_exported_unless_they_are_personal_or_typed(dataset: Path) -> None:
+    answers = pd.read_csv(dataset / "phenotype" / "questions.tsv", sep="\t")
+    assert list(answers) == ["participant_id", "tired"]
+    about = json.loads((dataset / "phenotype" / "questions.json").read_text())
+    assert about["tired"]["Levels"] == {"1": "not at all", "2": "point 2", "3": "very tired"}
+
+
+def test_codes_are_kept_where_that_is_asked_for(export: Callable[..., Path]) -> None:
+    people = pd.read_csv(export(keep_ids=True) / "participants.tsv", sep="\t")
+    assert sorted(people["participant_id"]) == ["sub-quux9", "sub-zorro7"]
+
+
+def test_the_same_study_gives_the_same_bytes(dataset: Path, export: Callable[..., Path]) -> None:
+    assert read_all(export()) == read_all(dataset)
+
+
+def test_another_key_gives_another_order(tmp_path: Path) -> None:
+    orders = set()
+    for _ in range(12):  # the same one twelve times has a chance of 1 in 2048
+        (tmp_path / KEY_FILE).unlink(missing_ok=True)
+        orders.add(name_people(StudyFolder(tmp_path), ["a", "b"], keep_ids=False)["a"])
+    assert orders == {"01", "02"}
+    assert (tmp_path / KEY_FILE).stat().st_mode & 0o777 == 0o600
+
+
+def test_only_an_earlier_export_is_replaced(
+    studied: StudyFolder, dataset: Path, tmp_path: Path
+) -> None:
+    target = tmp_path / "copy"
+    shutil.copytree(dataset, target)
+    export_bids(studied, target, ExportChoices(simulated=True))
+    assert (target / "sub-03").is_dir()
+    (target / "mine.txt").write_text("mine")
+    before = read_all(target)
+    with pytest.raises(FileExistsError, match=r"holds 'mine.txt', which no export wrote"):
+        export_bids(studied, target, ExportChoices())
+    assert read_all(target) == before
+    with pytest.raises(FileExistsError, match="which no export wrote"):
+        export_bids(studied, studied.path, ExportChoices())
+
+
+def test_every_column_has_a_meaning(dataset: Path) -> None:
+    for name in ("participants", "stimuli/stimuli"):
+        about = json.loads((dataset / f"{name}.json").read_text())
+        assert [key for key, one in about.items() if one["Description"].startswith("column ")] == []
+    about = json.loads((dataset / "task-realism_beh.json").read_text())
+    table = pd.read_csv(next(dataset.glob("sub-01/beh/*realism_beh.tsv")), sep="\t")
+    assert set(table) <= set(about)
+    assert about["rating"]["Units"] == "points"
+    assert "How real did this vibration feel?" in about["TaskDescription"]
+
+
+def test_what_nobody_said_is_named_and_not_invented(dataset: Path) -> None:
+    lines = PublicationTable().list_missing()
+    assert [line.split(":")[0] for line in lines] == [
+        f"publication.{name}"
+        for name in (
+            "title",
+            "description",
+            "authors",
+            "licence",
+            "ethics",
+            "institution",
+            "funding",
+            "released",
+        )
+    ]
+    assert "Not said" not in (dataset / "README").read_text()
+
+
+@pytest.mark.parametrize("orcid", ["0000-0002-1825-0098", "0000-0002-1825-009", "orcid"])
+def test_an_orcid_with_a_wrong_digit_is_refused(orcid: str) -> None:
+    assert check_orcid("0000-0002-1694-233X") == "0000-0002-1694-233X"
+    with pytest.raises(ValueError, match="must"):
+        check_orcid(orcid)
+
+
+def test_ages_are_bands() -> None:
+    assert [band_age(years) for years in (18, 24.9, 79, 80, 102)] == [
+        "15-19", "20-24", "75-79", "80+", "80+",
+    ]  # fmt: skip

@@ -1,0 +1,318 @@
+"""The registry is complete: marks planted in a study are in its places only, and nowhere once somebody withdrew."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import shutil
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import zipfile
+from contextlib import closing
+from dataclasses import replace
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from feel321.study.auditing.study import audit_study
+from feel321.study.cli import main
+from feel321.study.commands import shared
+from feel321.study.persons.places import KEPT, KINDS, NAMED, list_places
+from feel321.study.session import engine
+from feel321.study.workflow import build_study
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from feel321.study.folder import StudyFolder
+
+WHO, SECRET = "sim002", "Zwiebelturm-4711"
+
+ASKING = """
+[[session.questions]]
+name = "home"
+kind = "text"
+question = "Where do you live?"
+personal = true
+[[session.questions]]
+name = "remark"
+kind = "text"
+question = "Anything else?"
+when = "after"
+"""
+
+
+def grep(area: Path, mark: str) -> set[Path]:
+    """Find a mark in the names and bytes of all files below a folder, unpacked where they are packed."""
+    wanted = mark.encode()
+    named = {path for path in area.rglob("*") if mark in path.name and not path.is_dir()}
+    files = [path for path in area.rglob("*") if path.is_file() and not path.is_symlink()]
+    return named | {
+        path for path in files if any(wanted in one for one in unpack(path.read_bytes()))
+    }
+
+
+def unpack(content: bytes) -> Iterator[bytes]:
+    yield content
+    if content[:2] == b"\x1f\x8b":
+        yield from unpack(gzip.decompress(content))
+    elif content[:2] == b"PK":
+        with zipfile.ZipFile(BytesIO(content)) as archive:
+            for name in archive.namelist():
+                yield from unpack(archive.read(name))
+    elif content[:4] == b"PAR1":
+        from pyarrow import parquet
+
+        yield parquet.read_table(BytesIO(content)).to_pandas().to_csv().encode()
+
+
+def say(*arguments: object) -> None:
+    assert main([str(one) for one in arguments]) == 0, arguments
+
+
+class Confiding:
+    """A presenter whose participant answers each question with the secret."""
+
+    def __init__(self, presenter: Any) -> None:
+        self.presenter = presenter
+
+    def show_question(self, question: Any, place: Any) -> Any:
+        act = self.presenter.show_question(question, place)
+        return replace(act, values={question.name: SECRET})
+
+
+@pytest.fixture
+def planted(smallest: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
+    """Four sessions, of which the second holds the secret in a personal answer and in another one."""
+    text = smallest.settings.read_text(encoding="utf-8")
+    wider = text.replace('["sax321", "mag321"]', '["sax321", "mag321", "dft321"]')
+    smallest.settings.write_text(
+        f'{wider}{ASKING}[[recordings]]\nscene = "hard_taps"\nduration_s = 0.1\n[analysis]\ndraws = 200\n',
+        encoding="utf-8",
+    )  # fmt: skip
+    build_study(smallest)
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "cwd").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    monkeypatch.chdir(tmp_path / "cwd")
+    conduct = engine.conduct_question
+
+    def confide(question: Any, place: Any, setup: Any) -> None:
+        is_who = setup.journal.path.parent.name == WHO
+        presenter = Confiding(setup.presenter) if is_who else setup.presenter
+        conduct(question, place, replace(setup, presenter=presenter))
+
+    monkeypatch.setattr(engine, "conduct_question", confide)
+    say("simulate", smallest.path, "--participants", 4, "--seed", 3)
+    return smallest
+
+
+def plant_more(study: StudyFolder) -> None:
+    """Plant what crashes, copies and hands leave."""
+    folder = study.sessions / WHO
+    (folder / "session-01.jsonl.torn1").write_text(f'{{"{SECRET}')
+    (folder / ".personal.jsonl.1.ab12.part").write_text(SECRET)
+    (folder / "notes.txt").write_text(SECRET)
+    shutil.copytree(folder, study.path / "rehearsals" / WHO)
+    shutil.copyfile(study.ledger, study.path / "rehearsals" / "ledger.sqlite")
+    (study.path / ".ratings.csv.1.ab12.part").write_text(f"participant\n{WHO}\n")
+    (study.path / ".answers.csv.4711.part").write_text(SECRET)
+    stage = study.path / "feel321-1-dead"
+    stage.mkdir()
+    (stage / "index.html").write_text(SECRET)
+    temporary = study.path.parent / "tmp" / "feel321-1-dead"
+    temporary.mkdir()
+    (temporary / "order.pickle").write_bytes(SECRET.encode())
+    with (
+        closing(sqlite3.connect(study.ledger)) as file,
+        file,
+    ):  # an earlier version: deleted rows stayed in pages
+        file.execute("PRAGMA secure_delete = OFF")
+        file.execute("CREATE TABLE more (text)")
+        file.execute("INSERT INTO more VALUES (?)", [SECRET * 50])
+        file.execute("DELETE FROM more")
+        file.execute("DROP TABLE more")
+
+
+def make_report(folder: Path) -> None:
+    """Write a report's files, as far as a withdrawal looks at them."""
+    (folder / "tables").mkdir(parents=True)
+    files = ["results.json", "index.html", "tables/raters.csv"]
+    for name in files:
+        (folder / name).write_text(f"participant,rating\n{WHO},{SECRET}\n")
+    (folder / "results.json").write_text(json.dumps({"files": files, "raters": [WHO, SECRET]}))
+
+
+def write_everything(study: StudyFolder, out: Path, *, really: bool) -> None:
+    """Run the verbs that write something about participants; some take minutes."""
+    say("note", study.path, f"said {SECRET}", "--participant", WHO)
+    if really:
+        say("analyze", study.path)
+        say("analyze", study.path, "--out", out / "elsewhere")
+        say("chart", study.path, "--out", out / "chart")
+        say("advise", study.path)
+        say("power", study.path, "--participants", "4,6", "--studies", 0)
+    else:
+        make_report(study.report)
+        with shared.recording(study, "analyze", out / "elsewhere"):
+            make_report(out / "elsewhere")
+    say("export", study.path, "--r", out / "for-r")
+    say("replay", study.path, "--participant", WHO, "--out", out / "film.html")
+    say("status", study.path, "--notes")
+    say("inventory", study.path, "--json")
+
+
+@pytest.mark.parametrize("really", [False, pytest.param(True, marks=pytest.mark.soak)])
+def test_marks_are_in_named_places_only_and_gone_once_somebody_withdrew(
+    planted: StudyFolder, tmp_path: Path, *, really: bool
+) -> None:
+    write_everything(planted, tmp_path / "out", really=really)
+    plant_more(planted)
+    assert SECRET.encode() in planted.ledger.read_bytes()
+    places = {place.path.resolve(): place.kind for place in list_places(planted)}
+    for mark in (WHO, SECRET):
+        hits = {path.resolve() for path in grep(tmp_path, mark)}
+        assert len(hits) > 10
+        assert hits - places.keys() == set()
+    others = {path: path.read_bytes() for path in (planted.sessions / "sim001").iterdir()}
+    say("withdraw", planted.path, "--participant", WHO, "--yes")
+    assert grep(tmp_path, SECRET) == set()
+    kept = {place.path: place.kind for place in list_places(planted)}
+    left = {kept[path] for path in grep(tmp_path, WHO)}
+    assert left <= {kind for kind, facts in KINDS.items() if facts.at_withdrawal == KEPT} | {
+        "ledger"
+    }
+    assert "tombstone" in left
+    assert {path: path.read_bytes() for path in others} == others
+    assert audit_study(planted) == []
+
+
+def test_links_go_and_what_they_lead_to_is_named_and_left(
+    planted: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    make_report(planted.report)
+    away = tmp_path / "away"
+    away.mkdir()
+    folder = planted.sessions / WHO
+    moved = {
+        folder: away / "session",
+        planted.ratings: away / "ratings",
+        planted.report: away / "report",
+    }
+    for path, target in moved.items():
+        path.rename(target)
+        path.symlink_to(target)
+    (planted.path / "rehearsals").mkdir()
+    (planted.path / "rehearsals" / WHO).symlink_to(away / "session")
+    before = {path: path.read_bytes() for path in away.rglob("*") if path.is_file()}
+    say("withdraw", planted.path, "--participant", WHO, "--yes")
+    assert {path: path.read_bytes() for path in before} == before
+    told = capsys.readouterr().err
+    for path, target in moved.items():
+        assert f"{path}: was a link and is removed; {target} is left" in told
+        assert not path.is_symlink()
+    assert grep(planted.path, SECRET) == set()
+    assert [path.name for path in folder.iterdir()] == ["withdrawn.json"]
+
+
+def test_an_output_that_was_changed_is_named_and_left(
+    planted: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    say("export", planted.path, "--r", tmp_path / "for-r")
+    changed = tmp_path / "for-r" / "judgements.csv"
+    changed.write_text(changed.read_text() + "mine\n")
+    say("withdraw", planted.path, "--participant", WHO, "--yes")
+    assert f"{changed}: was changed since export wrote it" in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "for-r").iterdir()] == ["judgements.csv"]
+    kinds = {place.path: place.kind for place in list_places(planted)}
+    assert kinds[changed] == "output"  # it is still remembered
+
+
+DYING = """
+import os, signal, sys
+from datetime import UTC, datetime
+from pathlib import Path
+from feel321.study.folder import StudyFolder
+from feel321.study.persons import removal, retention
+from feel321.study.persons.withdrawal import withdraw_participant
+import feel321.analysis.report.folder, feel321.stimuli.sets.manifest, filelock
+root, verb = Path(sys.argv[1]), sys.argv[2]
+steps = {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
+def now():
+    return datetime.now(UTC)
+def die_at(last):
+    left = last
+    def count(event, arguments):
+        nonlocal left
+        if event in steps and root.name in str(arguments[0]):
+            left -= 1
+            if left < 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+    sys.addaudithook(count)
+for place in sorted(root.iterdir(), key=lambda path: int(path.name)):
+    study, child = StudyFolder(place / "study"), os.fork()
+    if not child:
+        die_at(int(place.name))
+        if verb == "personal":
+            retention.remove_personal(study, "sim002", now=now)
+        else:
+            withdraw_participant(study, "sim002", now=now)
+        os._exit(0)
+    _, status = os.waitpid(child, 0)
+    print(place.name, "whole" if os.WIFEXITED(status) else "killed", flush=True)
+"""
+
+
+def kill_at_steps(planted: StudyFolder, root: Path, verb: str, steps: range) -> dict[int, str]:
+    for step in steps:
+        shutil.copytree(planted.path, root / str(step) / "study", symlinks=True)
+    done = subprocess.run(
+        [sys.executable, "-c", DYING, root, verb], capture_output=True, text=True, check=True
+    )
+    return {int(line.split()[0]): line.split()[1] for line in done.stdout.splitlines()}
+
+
+@pytest.mark.parametrize("stride", [47, pytest.param(1, marks=pytest.mark.soak)])
+def test_after_any_kill_the_same_call_finishes_and_nothing_is_found(
+    planted: StudyFolder, tmp_path: Path, stride: int
+) -> None:
+    make_report(planted.report)
+    plant_more(planted)
+    shutil.rmtree(tmp_path / "tmp" / "feel321-1-dead")
+    (root := tmp_path / "kills").mkdir()
+    ends = kill_at_steps(planted, root, "withdraw", range(0, 300, stride))
+    assert "killed" in ends.values()
+    assert "whole" in ends.values()
+    for step in ends:
+        study = type(planted)(root / str(step) / "study")
+        main(["withdraw", str(study.path), "--participant", WHO, "--yes", "-q"])
+        assert grep(study.path, SECRET) == set(), step
+        assert audit_study(study) == [], step
+        assert {path.name for path in (study.sessions / WHO).iterdir()} - {".lock"} == {
+            "withdrawn.json"
+        }
+
+
+def test_every_kind_says_what_becomes_of_it() -> None:
+    for kind, facts in KINDS.items():
+        assert facts.at_withdrawal in {KEPT, NAMED, "removed", "rewritten"}, kind
+        assert facts.holds, kind
+
+
+def test_audit_names_what_came_back_with_a_copy(planted: StudyFolder, tmp_path: Path) -> None:
+    shutil.copytree(planted.path, tmp_path / "copy")
+    say("withdraw", planted.path, "--participant", WHO, "--yes")
+    shutil.copyfile(tmp_path / "copy" / "ratings.csv", planted.ratings)
+    shutil.copytree(tmp_path / "copy" / "sessions" / WHO, planted.path / "rehearsals" / WHO)
+    found = "\n".join(audit_study(planted))
+    assert f"ratings.csv: holds rows of {WHO}, who withdrew" in found
+    assert f"is of a rehearsal of {WHO}" in found
+    say("withdraw", planted.path, "--participant", WHO, "--yes")
+    assert audit_study(planted) == []
+    assert json.loads((planted.sessions / WHO / "withdrawn.json").read_text())["state"] == "removed"
+    assert [*(planted.path / "rehearsals").iterdir()] == []
