@@ -16,18 +16,17 @@ from feel321.study.commands.shared import add_loudness, cap, warn
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
 VERBS = {
-    "evidence": ("freeze",),
+    "evidence": ("audit", "freeze", "seal"),
     "exports": ("export",),
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
-    "persons": ("inventory", "withdraw"),
+    "persons": ("backup", "inventory", "restore", "withdraw"),
     "planning": ("power",),
     "signals": ("match", "port", "reduce"),
     "stations": ("collect",),
     "studies": (
         "analyze",
-        "audit",
         "build",
         "check",
         "demo",
@@ -43,7 +42,7 @@ VERBS = {
 }
 """Module of `feel321.study.commands` -> its verbs."""
 
-RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
+RESUMED = {"backup", "build", "collect", "demo", "power", "restore", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 
