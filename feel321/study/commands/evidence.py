@@ -69,8 +69,8 @@ def audit(  # noqa: PLR0913 - one per option
     if as_json:
         shared.print_json(asdict(found))
     else:
-        click.echo("\n".join(_describe(found, study)))
-        click.echo(f"seal: {found.seal}; keep it elsewhere")
+        shared.echo("\n".join(_describe(found, study)))
+        shared.echo(f"seal: {found.seal}; keep it elsewhere")
     context.exit(1 if findings else 0)
 
 
@@ -148,7 +148,7 @@ def seal(  # noqa: PLR0913 - one per option
         secret = click.prompt("Passphrase", hide_input=True, confirmation_prompt=True, err=True)
     if make_key:
         path, fingerprint = sealing.choose_key(passphrase=secret if passphrase else "")
-        click.echo(f"{path}: key {fingerprint}; keep a copy of it elsewhere", err=True)
+        shared.echo(f"{path}: key {fingerprint}; keep a copy of it elsewhere", err=True)
     if folder is not None or remote:
         anchors.add_rules(folder=folder, remote=remote)
     found = sealing.seal_study(study.folder, reason=reason, passphrase=secret, now=study.now)
@@ -160,7 +160,7 @@ def seal(  # noqa: PLR0913 - one per option
     places = [f"anchor: {place}" for place in found.places] or [
         "anchor: none outside the folder; see --to, --git"
     ]
-    click.echo("\n".join([
+    shared.echo("\n".join([
         f"{study.folder.path}: checkpoint {found.checkpoints} of {found.utc}", *places, f"code: {found.code}"
     ]))  # fmt: skip
 

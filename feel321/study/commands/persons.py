@@ -173,6 +173,6 @@ def _report(line: str, done: BackedUp, *, as_json: bool) -> None:
     if as_json:
         shared.print_json(asdict(done))
         return
-    click.echo(line)
+    shared.echo(line)
     for note in done.notes:
         shared.warn(note)
