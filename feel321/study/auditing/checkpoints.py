@@ -173,6 +173,7 @@ def _open_chain(study: StudyFolder, *, now: Clock) -> Iterator[Journal]:
     path = find_chain(study)
     with FileLock(path.with_name(LOCK_FILE), timeout=PATIENCE_S):
         yield (require_journal if path.is_file() else create_journal)(path, now=now)
+        study.share(path)
 
 
 def find_delta(
