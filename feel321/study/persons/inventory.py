@@ -11,6 +11,7 @@ from collections import defaultdict
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from feel321.records import Result
@@ -171,6 +172,16 @@ def list_wide(study: StudyFolder) -> Iterator[tuple[Path, int, int]]:
         least = allowed if path.is_dir() else allowed & 0o640
         if mode & ~least & 0o077:
             yield path, mode, mode & least | least & 0o700
+
+
+def describe_wide(study: StudyFolder) -> Iterator[str]:
+    """Say in one line that places are open to more people than they should be."""
+    if found := list(list_wide(study)):
+        path, mode, _ = found[0]
+        yield (
+            f"{len(found)} files and folders of participants are open to others, such as {path} (mode {mode:04o}); "
+            f"close them: feel321 inventory {quote(str(study.path))} --tighten"
+        )
 
 
 def tighten(study: StudyFolder) -> list[Path]:
