@@ -100,6 +100,8 @@ def _export_bids(
     from feel321.study.folder import require_study
 
     choices = ExportChoices(keep_ids=keep_ids, simulated=simulated, report=report)
-    for line in export_bids(require_study(folder), target, choices):
-        shared.warn(line)
+    study = require_study(folder)
+    with shared.recording(study, "export", target):
+        for line in export_bids(study, target, choices):
+            shared.warn(line)
     click.echo(f"{target}: check it with: bids-validator-deno {target}")
