@@ -16,7 +16,7 @@ from feel321.study.commands.shared import add_loudness, cap, warn
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED = 0, 1, 2, 130
 
 VERBS = {
-    "evidence": ("freeze",),
+    "evidence": ("audit", "freeze", "seal"),
     "exports": ("export",),
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
@@ -27,7 +27,6 @@ VERBS = {
     "stations": ("collect",),
     "studies": (
         "analyze",
-        "audit",
         "build",
         "check",
         "demo",

@@ -28,6 +28,7 @@ from feel321.study.actuator.rig import (
     read_rig,
     take_device,
 )
+from feel321.study.auditing.sealing import sealing_session
 from feel321.study.exploration.motion import POINTER, Pointer, Strokes, open_tracker
 from feel321.study.exploration.track import MOTION, Exploration
 from feel321.study.folder import DELIVERED
@@ -111,6 +112,12 @@ def identify_lab(lab: Lab) -> dict[str, Any]:
         else identify_observer(lab.casting.model, seed=lab.casting.seed)
     )
     return {**who, "rehearsal": lab.study.is_rehearsal, "rig": identify(lab.rig)}
+
+
+def _identify_all(lab: Lab) -> dict[str, Any]:
+    presenter = identify_lab(lab)
+    settings, folder = lab.settings, lab.study.path
+    return read.make_identity(settings, folder, presenter, calibration=lab.calibration)
 
 
 @contextmanager
@@ -278,19 +285,19 @@ def run_participant(
     if notice:
         warn(notice)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
-    for entry in recall(room.ledger, plan.participant):
+    ledger = partial(recall, room.ledger, plan.participant)
+    for entry in ledger():
         if entry.state == "finished":  # No window is opened for it.
             return Outcome(entry.done, entry.total)
-    outcome, repaired = lead_session(
-        replace(room, pace=read_pace(study, stimuli), warn=warn),
-        plan,
-        identity=read.make_identity(
-            settings, study.path, identify_lab(lab), calibration=lab.calibration
-        ),
-        make_presenter=partial(open_lab, lab=lab),
-        on_step=on_step,
-        accept_rig=visit.accept_rig,
-    )
+    with sealing_session(study, plan.participant, recall=ledger, now=now, warn=warn):
+        outcome, repaired = lead_session(
+            replace(room, pace=read_pace(study, stimuli), warn=warn),
+            plan,
+            identity=_identify_all(lab),
+            make_presenter=partial(open_lab, lab=lab),
+            on_step=on_step,
+            accept_rig=visit.accept_rig,
+        )
     if repaired:
         warn(repaired)
     return outcome

@@ -439,11 +439,10 @@ def _check_certificate(
 
 def find_warnings(study: StudyFolder, settings: Settings) -> list[str]:
     """Find what is allowed in a study and still worth knowing."""
-    from feel321.study.persons.inventory import describe_wide  # brings the ledger's database
-    from feel321.study.persons.retention import describe_due
+    from feel321.study.persons.modes import describe_wide
 
     remarks = [f"{study.settings.name}: {remark}" for remark in list_remarks(settings)]
-    remarks += [*describe_due(study, today=utc_now().date()), *describe_wide(study)]
+    remarks += describe_wide(study)
     language = find_language(settings, study.path)
     if isinstance(language, Path) and (borrowed := list_borrowed(language)):
         remarks.append(

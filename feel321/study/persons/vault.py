@@ -95,7 +95,7 @@ def find_vault(study: StudyFolder, *, needed: bool = False) -> Vault | None:
     needed: ask on the terminal, or refuse, if there is none and the study has encrypted answers or wants them to be.
     """
     own = [path for path in _list_files(study) if is_encrypted(path)]
-    is_wanted = needed and bool(own or _wants_encryption(study))
+    is_wanted = needed and bool(own or study.asks_for("encrypt_personal"))
     passphrase = os.environ.get(UNLOCK_VARIABLE) or (_ask(is_new=not own) if is_wanted else "")
     if not passphrase:
         if is_wanted:
@@ -123,12 +123,6 @@ def _ask(*, is_new: bool) -> str:
 def is_encrypted(path: Path) -> bool:
     """Check whether a file of personal answers is encrypted."""
     return bool(_read(path)[0]["cost"])
-
-
-def _wants_encryption(study: StudyFolder) -> bool:
-    from feel321.study.settings.read import read_settings
-
-    return study.settings.is_file() and read_settings(study.settings).data.encrypt_personal
 
 
 def _list_files(study: StudyFolder) -> list[Path]:

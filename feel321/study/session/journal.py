@@ -30,6 +30,9 @@ Clock = Callable[[], datetime]
 START = "0" * 64
 """Stands in the first line for the digest of the line before."""
 
+PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+"""Allowed codes of participants: they name folders."""
+
 SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")
 """Names of the journals in a participant's folder; copies under other names are none."""
 

@@ -16,7 +16,8 @@ from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.collect import collect_sessions
 from feel321.study.persons import retention, vault
-from feel321.study.persons.inventory import read_inventory, tighten
+from feel321.study.persons.inventory import read_inventory
+from feel321.study.persons.modes import tighten
 from feel321.study.persons.vault import UNLOCK_VARIABLE, Vault
 from feel321.study.session.events import PersonalRemoved
 from feel321.study.session.journal import list_journals, read_journal
