@@ -10,7 +10,6 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.progress import ROSTER_FILE, list_progress, list_roster
 from feel321.study.persons import answers
-from feel321.study.persons.vault import find_vault
 from feel321.study.ratings import read_judgements
 from feel321.study.session.plan import TOMBSTONE_FILE
 
@@ -73,10 +71,9 @@ def derive_tables(study: StudyFolder) -> Iterator[Derived]:
     )
     asked = ("participant", "session", "question", "occasion")
     place = study.path / answers.ANSWERS_FILE
-    with suppress(ValueError):  # Of damaged or locked answers the journals' audit tells.
-        vault = find_vault(study)
-        asking = place, answers.COLUMNS, asked
-        yield _derive(study, asking, lambda own: answers.read_answers(own, vault))
+    vault = answers.try_vault(study)
+    asking = place, answers.COLUMNS, asked
+    yield _derive(study, asking, lambda own: answers.read_answers(own, vault))
     matched = ("participant", "trial", "stimulus_id")
     place = study.path / matches.MATCHES_FILE
     table = place, matches.COLUMNS, matched
@@ -211,20 +208,22 @@ def _find_nobody(study: StudyFolder, who: str) -> str:
     return f"a row of {who or 'nobody'}, of whom there is no journal; restore sessions/ from a copy"
 
 
+def _find_hidden(row: Row, own: Row) -> str:
+    """Find the cell that is empty without a passphrase: of an answer that is encrypted, here or when it was written."""
+    is_sealed = own.get("storage") == row.get("storage") == "encrypted"
+    return "answer" if is_sealed and not (own["answer"] and row["answer"]) else ""
+
+
 def _find_wrong(row: Row, own: Row, derived: Derived) -> str:
     """Find the first cell that the journals contradict."""
     is_old = "last_utc" in own and row.get("last_utc") != own["last_utc"]
     if is_old and (row.get("last_utc") or "") > own["last_utc"]:
         return f"last_utc is {row['last_utc']}, the journals end at {own['last_utc']}"
     is_old |= own.get("rejected") == "true" and row.get("rejected") == "false"
-    # A personal answer shows with its passphrase only, and may be removed.
-    stored = own.get("storage", "")
-    is_apart = stored != row.get("storage", "") or (stored == "encrypted" and not own["answer"])
+    hidden = _find_hidden(row, own)
     for name, value in own.items():
-        if is_apart and name in {"answer", "storage"}:
-            continue
         got = row.get(name, value)  # an earlier version wrote fewer columns
-        if got != value and not (is_old and name in derived.lagging):
+        if name != hidden and got != value and not (is_old and name in derived.lagging):
             return f"{name} is {got!r}, the journals say {value!r}"
     return ""
 

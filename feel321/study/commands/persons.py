@@ -36,9 +36,10 @@ def inventory(*, study: Study, participant: str, due: bool, tighten: bool, as_js
     the lab with an export, and what a withdrawal does to it.
     """
     from feel321.study.persons import inventory as inventories
+    from feel321.study.persons import modes
 
     if tighten:
-        for path in inventories.tighten(study.folder):
+        for path in modes.tighten(study.folder):
             shared.echo(f"{path}: closed", err=True)
     today = datetime.now(UTC).date()
     found = inventories.read_inventory(study.folder, today=today, participant=participant)

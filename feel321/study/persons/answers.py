@@ -40,6 +40,14 @@ def write_answers(study: StudyFolder) -> list[dict[str, Any]]:
     return rows
 
 
+def try_vault(study: StudyFolder) -> Vault | None:
+    """Take the passphrase of the environment; none where it is another, or files of answers are damaged."""
+    try:
+        return find_vault(study)
+    except (OSError, ValueError):
+        return None
+
+
 def read_answers(folder: Path, vault: Vault | None = None) -> Iterator[dict[str, Any]]:
     """Read the answers of one participant; a withdrawn one has none."""
     if (folder / TOMBSTONE_FILE).exists():

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from feel321.records import Result
 from feel321.study.ledger.slots import find_place
-from feel321.study.persons import places, retention, vault
+from feel321.study.persons import modes, places, retention, vault
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -98,7 +98,9 @@ def read_inventory(study: StudyFolder, *, today: date, participant: str = "") ->
     until = _find_until(study)
     rows = [_make_row(found[kind], until) for kind in places.KINDS if found[kind]]
     due = tuple(retention.describe_due(study, today=today))
-    wide = [f"{path}: {mode:04o}, should be {least:04o}" for path, mode, least in list_wide(study)]
+    wide = [
+        f"{path}: {mode:04o}, should be {least:04o}" for path, mode, least in modes.list_wide(study)
+    ]
     mend = ["mend: feel321 inventory --tighten"] if wide else []
     return Inventory(tuple(rows), due, (*wide, *mend), tuple(_list_notes(study)))
 
@@ -149,33 +151,3 @@ def _list_notes(study: StudyFolder) -> Iterator[str]:
     if os.name == "nt":
         yield "Windows knows no modes: who may read the folder is set in its properties"
     yield from OUT_OF_REACH
-
-
-def list_wide(study: StudyFolder) -> Iterator[tuple[Path, int, int]]:
-    """List files and folders that more people may read than should: path, mode, and the mode that they should have.
-
-    Folders of results that the lab shares on purpose are its own matter, and so is what lies outside the study.
-    """
-    if os.name == "nt":
-        return
-    allowed = 0o750 if study.asks_for("group_readable") else 0o700
-    kept = [
-        p.path
-        for p in places.list_places(study)
-        if p.kind not in {"results", "output", "backup", "temporary"}
-    ]
-    folders = {study.path / name for name in ("sessions", "rehearsals")}
-    folders |= {one for path in kept for one in path.parents if folders.intersection(one.parents)}
-    for path in sorted(one for one in (*folders, *kept) if one.exists() and not one.is_symlink()):
-        mode = stat.S_IMODE(path.stat().st_mode)
-        least = allowed if path.is_dir() else allowed & 0o640
-        if mode & ~least & 0o077:
-            yield path, mode, mode & least | least & 0o700
-
-
-def tighten(study: StudyFolder) -> list[Path]:
-    """Close what more people may read than should, and return it; nothing is opened, and links stay as they are."""
-    found = list(list_wide(study))
-    for path, _, least in found:
-        path.chmod(least)
-    return [path for path, *_ in found]

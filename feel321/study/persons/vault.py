@@ -19,7 +19,9 @@ import hashlib
 import json
 import os
 import secrets
+import sys
 from dataclasses import dataclass, field
+from getpass import getpass
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import write_text
@@ -90,11 +92,13 @@ class Vault:
 def find_vault(study: StudyFolder, *, needed: bool = False) -> Vault | None:
     """Take the passphrase of the environment, if there is one, and check that it is the one of the study.
 
-    needed: refuse if there is none and the study has encrypted answers, or asks for it.
+    needed: ask on the terminal, or refuse, if there is none and the study has encrypted answers or wants them to be.
     """
     own = [path for path in _list_files(study) if is_encrypted(path)]
-    if not (passphrase := os.environ.get(UNLOCK_VARIABLE)):
-        if needed and (own or study.asks_for("encrypt_personal")):
+    is_wanted = needed and bool(own or study.asks_for("encrypt_personal"))
+    passphrase = os.environ.get(UNLOCK_VARIABLE) or (_ask(is_new=not own) if is_wanted else "")
+    if not passphrase:
+        if is_wanted:
             raise ValueError(
                 f"{own[0] if own else study.settings}: personal answers are encrypted, got no passphrase; "
                 f"put it into the environment: {UNLOCK_VARIABLE}"
@@ -104,6 +108,16 @@ def find_vault(study: StudyFolder, *, needed: bool = False) -> Vault | None:
     if own:
         _check_passphrase(vault, _read(own[0])[0], own[0])
     return vault
+
+
+def _ask(*, is_new: bool) -> str:
+    """Ask for the passphrase on a terminal, without echo; a new one twice."""
+    if not (sys.stdin and sys.stdin.isatty()):
+        return ""
+    passphrase = getpass("Passphrase of the personal answers: ")
+    if is_new and getpass("The same again: ") != passphrase:
+        raise ValueError("the two passphrases differ; run again")
+    return passphrase
 
 
 def is_encrypted(path: Path) -> bool:

@@ -14,8 +14,10 @@ import pytest
 
 from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
+from feel321.study.collect import collect_sessions
 from feel321.study.persons import retention, vault
-from feel321.study.persons.inventory import read_inventory, tighten
+from feel321.study.persons.inventory import read_inventory
+from feel321.study.persons.modes import tighten
 from feel321.study.persons.vault import UNLOCK_VARIABLE, Vault
 from feel321.study.session.events import PersonalRemoved
 from feel321.study.session.journal import list_journals, read_journal
@@ -144,13 +146,9 @@ def test_a_passphrase_that_comes_in_mid_study_seals_what_is_there(tmp_path: Path
     assert vault.read_answers_apart(folder, Vault("x")) == {
         first: ("encrypted", 44.0), second: ("encrypted", None),
     }  # fmt: skip
-    assert (
-        b"44"
-        not in (folder / "personal.jsonl")
-        .read_bytes()
-        .replace(first.encode(), b"")
-        .split(b"sealed")[0]
-    )
+    text = (folder / "personal.jsonl").read_text()
+    assert '"value"' not in text
+    assert text.count('"sealed"') == 2
     with pytest.raises(ValueError, match="is encrypted, got no passphrase"):
         vault.keep_answer(folder, rows[0], known=set(), vault=None)
 
@@ -357,3 +355,17 @@ def test_what_an_earlier_version_left_open_is_named_and_closed(held: StudyFolder
         "700", "600", "600",
     ]  # fmt: skip
     assert read_inventory(held, today=now().date()).wide == ()
+
+
+def test_answers_apart_are_collected_with_the_journal_that_names_them(
+    held: StudyFolder, tmp_path: Path
+) -> None:
+    main_study = type(held)(tmp_path / "main")
+    shutil.copytree(held.path, main_study.path)
+    shutil.rmtree(main_study.sessions)
+    for name in ("ratings.csv", "participants.csv", "answers.csv"):
+        (main_study.path / name).unlink()
+    found = collect_sessions(main_study, [held.path], now=now)
+    assert (found.refused, found.notes) == ([], [])
+    assert list_values(main_study) == list_values(held)
+    assert audit_study(main_study) == []
