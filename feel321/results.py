@@ -38,7 +38,7 @@ from feel321.analysis.tradeoff.stress.page import Stress
 from feel321.protocols.trial import Page, Part
 from feel321.stimuli.recording import Signal
 from feel321.stimuli.rotation import RotationStatistics
-from feel321.study.findings import Audit, Problems
+from feel321.study.findings import Audit, Problems, Seal
 from feel321.study.power.page import StudyPower
 from feel321.study.session.events import SessionEvent
 from feel321.study.session.ports import Act, Place
@@ -92,6 +92,7 @@ __all__ = [
     "Results",
     "RotationStatistics",
     "Screening",
+    "Seal",
     "SessionEvent",
     "Signal",
     "Space",

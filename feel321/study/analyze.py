@@ -1,6 +1,7 @@
 """Steps of a study that need the analysis: the report, and the recordings for chart, stress and advise."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import fields, replace
 from itertools import chain, count
 from pathlib import Path
@@ -22,6 +23,7 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.manifest import find_methods, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.study.auditing.sealing import sealing_analysis
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.ledger.progress import Progress as Participant
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
@@ -61,22 +63,23 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     if rivals:
         listed = manifest or study.manifest
         further = add_rivals(study, None if manifest else settings, listed, further=further)
-    return write_report(
-        ratings or study.ratings,
-        manifest or study.manifest,
-        out or study.report,
-        draws=draws or chosen.draws,
-        margin=chosen.margin,
-        metrics=metrics or chosen.metrics,
-        sources=list_origins(settings) if settings else {},
-        further=further,
-        info=list_info(settings) if settings else {},
-        rules=find_rules(chosen.screening, study.path),
-        paper=make_paper(settings, further.mountings) if settings else None,
-        about=about,
-        seed=settings.study.seed if settings else 0,
-        progress=progress,
-    )
+    with sealing_analysis(study) if out is None else nullcontext():
+        return write_report(
+            ratings or study.ratings,
+            manifest or study.manifest,
+            out or study.report,
+            draws=draws or chosen.draws,
+            margin=chosen.margin,
+            metrics=metrics or chosen.metrics,
+            sources=list_origins(settings) if settings else {},
+            further=further,
+            info=list_info(settings) if settings else {},
+            rules=find_rules(chosen.screening, study.path),
+            paper=make_paper(settings, further.mountings) if settings else None,
+            about=about,
+            seed=settings.study.seed if settings else 0,
+            progress=progress,
+        )
 
 
 def read_study_table(

@@ -23,18 +23,17 @@ from feel321.study.commands.shared import add_loudness, cap, echo, warn
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
 VERBS = {
-    "evidence": ("freeze",),
+    "evidence": ("audit", "freeze", "seal"),
     "exports": ("export",),
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
-    "persons": ("inventory", "withdraw"),
+    "persons": ("backup", "inventory", "restore", "withdraw"),
     "planning": ("power",),
     "signals": ("match", "port", "reduce"),
     "stations": ("collect",),
     "studies": (
         "analyze",
-        "audit",
         "build",
         "check",
         "demo",
@@ -53,7 +52,7 @@ VERBS = {
 LONGEST = 1000
 """Letters of a line of an error."""
 
-RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
+RESUMED = {"backup", "build", "collect", "demo", "power", "restore", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 

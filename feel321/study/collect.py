@@ -20,6 +20,7 @@ from feel321.study.auditing.journals import list_files
 from feel321.study.folder import require_study
 from feel321.study.ledger import database, progress, slots
 from feel321.study.persons import withdrawal
+from feel321.study.persons.vault import PERSONAL_FILE
 from feel321.study.session import journal as journals
 from feel321.study.session.identity import find_differences
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan
@@ -66,6 +67,7 @@ class Holding:
     journals: Mapping[str, bytes] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     gone: frozenset[str] = frozenset()
+    personal: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +164,9 @@ def read_holding(folder: Path) -> Holding:
     state = progress.find_state(chains[-1].records) if chains else "claimed"
     text = (folder / PLAN_FILE).read_bytes()
     facts = (plan.number, plan.simulated, state, text, plan.stimuli_sha256)
-    return Holding(folder, None, *facts, found, files, frozenset(gone))
+    apart = folder / PERSONAL_FILE
+    personal = _digest(apart) if apart.is_file() else ""
+    return Holding(folder, None, *facts, found, files, frozenset(gone), personal)
 
 
 def read_lines(path: Path) -> bytes:
@@ -232,7 +236,15 @@ def _gather(
         newest = _find_longest(name, [one for one in held if name in one.journals])
         if newest is not own and (own is None or own.journals.get(name) != newest.journals[name]):
             take[name] = _cut_piece(newest.folder / name, newest.journals[name])
+    take |= _take_personal(newest, own)
     return Gathered(first.number, first.simulated, newest.state, own is not None, take)
+
+
+def _take_personal(newest: Holding, own: Holding | None) -> dict[str, Piece]:
+    """Take the personal answers from where the newest journal is longest, for that names them."""
+    if not newest.personal or (own and own.personal == newest.personal):
+        return {}
+    return {PERSONAL_FILE: Piece(newest.folder / PERSONAL_FILE, newest.personal)}
 
 
 def _cut_piece(path: Path, content: bytes) -> Piece:

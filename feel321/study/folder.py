@@ -12,8 +12,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import create_text, is_of_group, make_folder, write_text
-from feel321.study.session.journal import list_journals
-from feel321.study.session.plan import PARTICIPANT_ID
+from feel321.study.session.journal import PARTICIPANT_ID, list_journals
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -130,7 +129,7 @@ class StudyFolder:
         """
         if not self.sessions.is_dir():
             make_folder(self.sessions, private=True)
-            if self.is_group_readable:
+            if self.asks_for("group_readable"):
                 self.sessions.chmod(0o750)
 
     def share(self, path: Path) -> None:
@@ -140,14 +139,13 @@ class StudyFolder:
             for one in filter(Path.is_file, (path, twin)):
                 one.chmod(0o640)
 
-    @property
-    def is_group_readable(self) -> bool:
-        """Whether `[data]` lets the group read; whoever plans sessions reads the settings in full."""
+    def asks_for(self, choice: str) -> bool:
+        """Check whether `[data]` asks for this; whoever plans sessions reads the settings in full."""
         try:
             tables = tomllib.loads(self.settings.read_text(encoding="utf-8-sig"))
         except (OSError, ValueError, RecursionError):
             return False
-        return isinstance(own := tables.get("data"), dict) and own.get("group_readable") is True
+        return isinstance(own := tables.get("data"), dict) and own.get(choice) is True
 
     @property
     def _entries(self) -> list[Path]:

@@ -28,6 +28,7 @@ from feel321.study.actuator.rig import (
     read_rig,
     take_device,
 )
+from feel321.study.auditing.sealing import sealing_session
 from feel321.study.exploration.motion import POINTER, Pointer, Strokes, open_tracker
 from feel321.study.exploration.track import MOTION, Exploration
 from feel321.study.folder import DELIVERED
@@ -37,6 +38,7 @@ from feel321.study.minutes import read_pace
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
+from feel321.study.session.outlet import check_lsl, open_outlet
 from feel321.study.settings import read
 from feel321.study.strength import find_unfelt
 
@@ -75,6 +77,7 @@ class Lab:
     screen: int = 0
     casting: Casting | None = None
     certificate: Certificate | None = None
+    lsl: bool = False
 
     @property
     def calibration(self) -> dict[str, str] | str:
@@ -82,7 +85,7 @@ class Lab:
         return self.certificate.identity if self.certificate else UNCALIBRATED
 
 
-def check_lab(rig: Rig, *, screen: int = 0) -> None:
+def check_lab(rig: Rig, *, screen: int = 0, has_lsl: bool = False) -> None:
     """Check everything that can be checked before anything is opened."""
     has_device = rig.device.name not in {FILE_DEVICE, SIMULATED_DEVICE}
     needed = ["psychopy", "sounddevice"] if has_device else ["psychopy"]
@@ -97,6 +100,8 @@ def check_lab(rig: Rig, *, screen: int = 0) -> None:
         from feel321.study.actuator.stream import find_devices
 
         find_devices(rig)
+    if has_lsl:
+        check_lsl()
     if screen:  # there is always a first one
         from feel321.study.screen.window import check_screen
 
@@ -111,6 +116,12 @@ def identify_lab(lab: Lab) -> dict[str, Any]:
         else identify_observer(lab.casting.model, seed=lab.casting.seed)
     )
     return {**who, "rehearsal": lab.study.is_rehearsal, "rig": identify(lab.rig)}
+
+
+def _identify_all(lab: Lab) -> dict[str, Any]:
+    presenter = identify_lab(lab)
+    settings, folder = lab.settings, lab.study.path
+    return read.make_identity(settings, folder, presenter, calibration=lab.calibration)
 
 
 @contextmanager
@@ -132,6 +143,8 @@ def open_lab(
         window = stack.enter_context(screen)
         hand = stack.enter_context(_open_hand(plan, journal, stimuli, lab=lab))
         own = {} if lab.rig.keys == USUAL else {"keys": lab.rig.keys.model_dump(mode="json")}
+        if lab.lsl or lab.settings.session.lsl:
+            stack.enter_context(open_outlet(journal, clock, participant=plan.participant))
         journal.write(DeviceOpened({**output.identity, **own}))
         exploration = stack.enter_context(_open_exploration(plan, window, lab=lab, clock=clock))
         yield ScreenPresenter(
@@ -251,6 +264,7 @@ class Visit:
     simulated: bool = False
     seed: int | None = None
     accept_rig: bool = False
+    lsl: bool = False
 
 
 def run_participant(
@@ -269,28 +283,28 @@ def run_participant(
             raise ValueError(f"{study.settings}: {unfelt}")
         warn(unfelt)
     rig, certificate = require_rig(study, settings, stimuli, visit=visit, now=now, warn=warn)
-    check_lab(rig, screen=visit.screen)
+    check_lab(rig, screen=visit.screen, has_lsl=visit.lsl or settings.session.lsl)
     seed = settings.study.seed if visit.seed is None else visit.seed
     casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
-    view = partial(Lab, windowed=visit.windowed, screen=visit.screen)
+    view = partial(Lab, windowed=visit.windowed, screen=visit.screen, lsl=visit.lsl)
     lab = view(study, settings, stimuli, rig, casting=casting, certificate=certificate)
     room, notice = open_room(study, settings, stimuli, now=now)
     if notice:
         warn(notice)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
-    for entry in recall(room.ledger, plan.participant):
+    ledger = partial(recall, room.ledger, plan.participant)
+    for entry in ledger():
         if entry.state == "finished":  # No window is opened for it.
             return Outcome(entry.done, entry.total)
-    outcome, repaired = lead_session(
-        replace(room, pace=read_pace(study, stimuli), warn=warn),
-        plan,
-        identity=read.make_identity(
-            settings, study.path, identify_lab(lab), calibration=lab.calibration
-        ),
-        make_presenter=partial(open_lab, lab=lab),
-        on_step=on_step,
-        accept_rig=visit.accept_rig,
-    )
+    with sealing_session(study, plan.participant, recall=ledger, now=now, warn=warn):
+        outcome, repaired = lead_session(
+            replace(room, pace=read_pace(study, stimuli), warn=warn),
+            plan,
+            identity=_identify_all(lab),
+            make_presenter=partial(open_lab, lab=lab),
+            on_step=on_step,
+            accept_rig=visit.accept_rig,
+        )
     if repaired:
         warn(repaired)
     return outcome

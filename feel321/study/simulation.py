@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.auditing.sealing import seal_study
 from feel321.study.ledger.progress import write_roster
 from feel321.study.matches import write_matches
 from feel321.study.persons.answers import write_answers
@@ -219,10 +220,12 @@ def simulate_study(
     seed = settings.study.seed if seed is None else seed
     room, ledger_notice = open_room(study, settings, stimuli, now=now)
     notices = run_simulation(room, settings, participants, seed=seed, progress=progress)
-    if warn is not None:
-        for notice in filter(None, (find_unfelt(settings, stimuli), ledger_notice, *notices)):
-            warn(notice)
     write_roster(study)
     write_matches(study, stimuli)
     write_answers(study)
-    return write_ratings(study, stimuli)
+    rows = write_ratings(study, stimuli)
+    notices += seal_study(study, by="simulate", now=now).problems
+    if warn is not None:
+        for notice in filter(None, (find_unfelt(settings, stimuli), ledger_notice, *notices)):
+            warn(notice)
+    return rows

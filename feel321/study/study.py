@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.findings import Audit, Problems
+    from feel321.study.findings import Audit, Problems, Seal
     from feel321.study.power.page import StudyPower
     from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
@@ -217,7 +217,57 @@ class Contents:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Plannable(Contents):
+class Auditable(Contents):
+    """A study whose records can be verified."""
+
+    def audit(self, *, code: str = "", anchors: Sequence[PathLike] = ()) -> Audit:
+        """Verify plans, journals, stimuli, ledger and tables, and compare them with checkpoints and anchors.
+
+        Parameters
+        ----------
+        code : str
+            A code that `seal` printed.
+        anchors : sequence of str or path
+            Folders with anchors, besides those that were chosen for this rig.
+
+        Returns
+        -------
+        Audit
+            Every change, and the seal.
+        """
+        from feel321.study.auditing.seal import make_seal
+        from feel321.study.auditing.study import examine
+        from feel321.study.findings import Audit
+        from feel321.study.freezing.record import describe_frozen, find_faults
+
+        extra = [as_path(one, "anchors") for one in anchors]
+        with follow(self.progress, "audit") as step:
+            found = examine(self.folder, code=code, extra=extra, progress=step)
+        findings = (*found.findings, *find_faults(self.folder))
+        remarks = (*found.remarks, *filter(None, [describe_frozen(self.folder)]))
+        seal = make_seal(self.folder)
+        return Audit(findings, seal, remarks, found.sentence, found.anchored_utc)
+
+    def seal(self, reason: str = "") -> Seal:
+        """Record what the study holds as a checkpoint, and put its end into the places that were chosen for this rig.
+
+        Parameters
+        ----------
+        reason : str
+            Why settings, texts or methods were changed since the last checkpoint.
+
+        Returns
+        -------
+        Seal
+            The code to print or to write down, and where the anchor was put.
+        """
+        from feel321.study.auditing.sealing import seal_study
+
+        return seal_study(self.folder, reason=reason, now=self.now)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Plannable(Auditable):
     """A study that can be planned by what it would find."""
 
     def power(  # noqa: PLR0913 - every choice that changes the answer has a name of its own
@@ -445,25 +495,6 @@ class Study(Plannable):
         with follow(self.progress, "status") as step:
             return read_status(self.folder, progress=step)
 
-    def audit(self) -> Audit:
-        """Verify plans, journals and stimuli.
-
-        Returns
-        -------
-        Audit
-            Every change, and the seal.
-        """
-        from feel321.study.auditing.entries import list_remarks
-        from feel321.study.auditing.seal import make_seal
-        from feel321.study.auditing.study import audit_study
-        from feel321.study.findings import Audit
-        from feel321.study.freezing.record import describe_frozen, find_faults
-
-        with follow(self.progress, "audit") as step:
-            findings = (*audit_study(self.folder, progress=step), *find_faults(self.folder))
-        remarks = (*list_remarks(self.folder), *filter(None, [describe_frozen(self.folder)]))
-        return Audit(findings, make_seal(self.folder), remarks)
-
     def analyze(self, draws: int | None = None, *, rivals: bool = False) -> Results:
         """Relate the ratings to the match metrics and write the report into `report/`.
 
@@ -480,6 +511,9 @@ class Study(Plannable):
             Every number of the report, and its answer.
         """
         from feel321.study.analyze import analyze_study
+        from feel321.study.export.narrative import write_methods
 
         with follow(self.progress, "analyze") as step:
-            return analyze_study(self.folder, draws=draws, rivals=rivals, progress=step)
+            results = analyze_study(self.folder, draws=draws, rivals=rivals, progress=step)
+        write_methods(self.folder, self.folder.report)
+        return results

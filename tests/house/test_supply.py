@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import runpy
@@ -138,3 +139,19 @@ def test_two_wheels_are_the_same_bytes(root: Path, tmp_path: Path) -> None:
         subprocess.run(command, cwd=source, check=True, capture_output=True, env=environment)
         told.append(next(target.glob("*.whl")).read_bytes())
     assert told[0] == told[1]
+
+
+def test_the_bill_of_materials_lists_every_entry(
+    supply: dict[str, Any], entries: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write = supply["write_sbom"]
+    write.__globals__["ROOT"] = tmp_path
+    write()
+    assert f"{len(entries)} components" in capsys.readouterr().out
+    told = json.loads((tmp_path / "build" / "sbom.json").read_text(encoding="utf-8"))
+    assert (told["bomFormat"], told["specVersion"]) == ("CycloneDX", "1.6")
+    assert {one["name"]: one["version"] for one in told["components"]} == {
+        name: entry["version"] for name, entry in entries.items()
+    }
+    by_name = {one["name"]: one for one in told["components"]}
+    assert by_name["psychopy"]["licenses"] == [{"license": {"name": "GPL-3.0-or-later"}}]

@@ -543,7 +543,8 @@ def test_a_study_from_new_to_report(
     assert "feel321: warning: " in (err := capsys.readouterr().err)
     assert "2 bytes of an unfinished line were moved to" in err
     assert main(["audit", folder]) == 0
-    clean, seal = capsys.readouterr().out.splitlines()
+    clean, compared, seal = capsys.readouterr().out.splitlines()
+    assert compared.startswith("compared with 2 checkpoints in the folder itself; anchors: none")
     assert clean == f"{folder}: 4 journals, all as they were written"
     assert re.fullmatch(r"seal: [0-9a-f]{64}; keep it elsewhere", seal)
     # What follows is about files only: whole reports are written in tests/analysis.
@@ -585,7 +586,9 @@ def test_findings_are_printed_and_the_exit_code_is_1(study: StudyFolder, capsys:
     assert main(["audit", folder]) == 1
     assert f"line {last}: was changed after it was written" in capsys.readouterr().out
     assert main(["audit", folder, "--json"]) == 1
-    assert len(json.loads(capsys.readouterr().out)["findings"]) == 1
+    broken, changed = json.loads(capsys.readouterr().out)["findings"]
+    assert f"line {last}: was changed" in broken
+    assert changed.startswith(f"{study.settings}, line 1: was changed since the checkpoint of ")
     assert main(["check", folder]) == 1
     assert len(capsys.readouterr().out.splitlines()) == 2
     assert main(["check", folder, "--json"]) == 1
@@ -651,6 +654,7 @@ def test_draws_and_seed_of_a_study_reach_its_report(
 
     monkeypatch.setattr("feel321.analysis.report.write.write_report", write_report)
     monkeypatch.setattr("feel321.study.analyze.write_report", write_report)
+    monkeypatch.setattr("feel321.study.export.narrative.write_methods", lambda *_: None)
     monkeypatch.setattr("feel321.study.analyze.read_stimuli", lambda _: None)
     monkeypatch.setattr("feel321.study.analyze.write_ratings", lambda *_: 1)
     monkeypatch.setattr(

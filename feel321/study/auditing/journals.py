@@ -44,6 +44,8 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
             yield ": has no header"
         return
     yield from find_misplaced(path, header, plan)
+    yield from _audit_header(header, plan, path)
+    yield from _audit_clocks(header, chain.records)
     for before, record in pairwise(chain.records):
         is_older = datetime.fromisoformat(record.utc) < datetime.fromisoformat(before.utc)
         if is_older and record.event != events.ClockStepped.event:
@@ -53,6 +55,68 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
     if not steps:  # else records need not be as they should
         yield from _audit_files(chain.records, path.parent)
         yield from audit_apart(path.parent, chain.records)
+
+
+def _audit_header(header: events.SessionBegun, plan: Plan, path: Path) -> Iterator[str]:
+    """Compare the header with the plan, and with where the journal is."""
+    presenter = header.identity.get("presenter", {})
+    is_simulated = presenter.get("simulated")
+    if is_simulated is not plan.simulated:
+        yield f", line 1: has simulated {is_simulated}, the plan says {plan.simulated}"
+    if not is_simulated and "observer" in presenter:
+        yield ", line 1: has simulated false, and a simulated observer in the place of a participant"
+    if presenter.get("rehearsal") and path.parent.parent.name == "sessions":
+        yield ", line 1: is a rehearsal; move it out of sessions/"
+    for name in ("seed", "stimuli_sha256"):
+        if (got := getattr(header, name)) != (planned := getattr(plan, name)):
+            yield f", line 1: has {name} {got}, the plan says {planned}"
+
+
+APART_S = 10.0
+"""How far the time of day and the presenter's clock may part between two records."""
+
+
+def _audit_clocks(header: events.SessionBegun, records: Sequence[Record]) -> Iterator[str]:
+    """Find where the time of day and the presenter's clock part, and nothing says why."""
+    if header.identity.get("presenter", {}).get("simulated", True):
+        return  # Simulated participants have a clock of their own.
+    before: Record | None = None
+    is_asleep = (
+        False  # In a pause or on a page the computer may sleep, and the presenter's clock with it.
+    )
+    for record in records:
+        if record.event in _CLOCKS_APART:
+            before = None
+        is_asleep |= record.event in _CLOCKS_ASLEEP
+        if not isinstance(record.data.get("time_s"), int | float):
+            continue
+        if before is not None:
+            day_s, own_s = _tell_apart(before, record)
+            if own_s - day_s > APART_S or (day_s - own_s > APART_S and not is_asleep):
+                yield (
+                    f", line {record.sequence + 1}: {day_s:.0f} s after line {before.sequence + 1} by the time of day, "
+                    f"{own_s:.0f} s by the clock of the session, and nothing says why"
+                )
+        before, is_asleep = record, False
+
+
+def _tell_apart(before: Record, record: Record) -> tuple[float, float]:
+    day = datetime.fromisoformat(record.utc) - datetime.fromisoformat(before.utc)
+    return day.total_seconds(), record.data["time_s"] - before.data["time_s"]
+
+
+_CLOCKS_APART = {
+    kind.event for kind in (events.SessionBegun, events.SessionResumed, events.ClockStepped)
+}
+_CLOCKS_ASLEEP = {
+    kind.event
+    for kind in (
+        events.PageRead,
+        events.QuestionAnswered,
+        events.TrialContinued,
+        events.DeviceOpened,
+    )
+}
 
 
 def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:

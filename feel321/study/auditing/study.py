@@ -7,15 +7,18 @@ settings.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
 from feel321.doors import announce
 from feel321.stimuli.sets.details import iterate_rows
 from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
-from feel321.study.auditing.entries import audit_entry
+from feel321.study.auditing.entries import audit_entry, list_remarks
+from feel321.study.auditing.evidence import weigh
 from feel321.study.auditing.journals import audit_journals
+from feel321.study.auditing.tables import audit_tables
 from feel321.study.folder import StudyFolder, reading_origin
 from feel321.study.ledger.progress import find_leftovers
 from feel321.study.ledger.slots import find_lost, read_study_ledger
@@ -23,10 +26,42 @@ from feel321.study.persons.removal import find_data_left
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_plan
 
 
+@dataclass(frozen=True, slots=True)
+class Examined:
+    """What an audit found; sentence: how far its evidence reaches, anchored_utc: of the last anchor."""
+
+    findings: tuple[str, ...]
+    remarks: tuple[str, ...]
+    sentence: str
+    anchored_utc: str
+
+
+def examine(
+    study: StudyFolder,
+    *,
+    code: str = "",
+    extra: Sequence[Path] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> Examined:
+    """Verify a study by itself, and by its checkpoints and anchors; code: a printed one, extra: places of anchors."""
+    findings = _audit_alone(study, progress)
+    wrong, older = audit_tables(study)
+    evidence = weigh(study, code=code, extra=extra)
+    remarks = [*evidence.remarks, *older, *list_remarks(study)]
+    utc = evidence.anchor.utc if evidence.anchor else ""
+    every = dict.fromkeys([*findings, *wrong, *evidence.findings])
+    return Examined(tuple(every), tuple(remarks), evidence.sentence, utc)
+
+
 def audit_study(
     study: StudyFolder, *, progress: Callable[[int, int], None] | None = None
 ) -> list[str]:
-    """Verify all plans, journals and stimuli of a study, and the ledger."""
+    """Verify all plans, journals and stimuli of a study, the ledger, the tables and the checkpoints."""
+    return list(examine(study, progress=progress).findings)
+
+
+def _audit_alone(study: StudyFolder, progress: Callable[[int, int], None] | None) -> list[str]:
+    """Verify plans, journals, stimuli and ledger."""
     findings = [
         f"{path}: not a participant's folder; move it out of {study.sessions}"
         for path in study.strangers
@@ -82,6 +117,8 @@ def _audit_participant(folder: Path, stimuli_sha256: str | None) -> Iterator[str
         yield from find_leftovers(folder)
         return
     path = folder / PLAN_FILE
+    if folder.is_symlink():
+        yield f"{folder}: is a link; put the folder itself there"
     try:
         plan = require_plan(path)
     except (OSError, ValueError) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,9 @@ import click
 from feel321.study.commands import shared
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from feel321.study.persons.backup import BackedUp
     from feel321.study.study import Study
 
 
@@ -115,3 +119,60 @@ def _remove_all(study: Study, participant: str, reason: str) -> str:
         f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
         "Copies that feel321 did not make are yours to remove"
     )
+
+
+@click.command(epilog="Example: feel321 backup my-study --to /mnt/safe/my-study")
+@shared.study_argument
+@click.option(
+    "--to", "target", metavar="DIR", type=shared.FILE, required=True, help="Folder of the backup."
+)
+@shared.json_option
+def backup(*, study: Study, target: Path, as_json: bool) -> None:
+    """Copy a study into a folder of backups, also while sessions run.
+
+    Each file once, under its SHA-256; a later backup copies only what is new and replaces the earlier one in one step.
+    Who withdrew is removed from it. Personal answers that are encrypted stay so.
+    """
+    from feel321.study.persons.backup import back_up
+
+    with shared.show_progress("backup") as progress:
+        done = back_up(study.folder, target, now=study.now, follow=progress)
+    _report(
+        f"{target}: {done.files} files ({done.size / 1e6:.1f} MB), {done.new} new",
+        done,
+        as_json=as_json,
+    )
+
+
+@click.command(epilog="Example: feel321 restore /mnt/safe/my-study --to my-study")
+@click.argument("source", metavar="DIR", type=shared.FILE)
+@click.option(
+    "--to", "folder", metavar="STUDY", type=shared.FILE, required=True, help="A new folder."
+)
+@shared.json_option
+@click.pass_context
+def restore(context: click.Context, *, source: Path, folder: Path, as_json: bool) -> None:
+    """Bring a study back from a backup, and audit it.
+
+    Nothing is overwritten: STUDY must be new or empty. Who withdrew since the backup is not brought back. If
+    interrupted, run it again.
+    """
+    from feel321.study.auditing.study import audit_study
+    from feel321.study.folder import StudyFolder
+    from feel321.study.persons.backup import restore as bring_back
+    from feel321.study.session.journal import utc_now
+
+    done = bring_back(source, folder, now=utc_now)
+    _report(f"{folder}: {done.files} files ({done.size / 1e6:.1f} MB)", done, as_json=as_json)
+    for finding in (findings := audit_study(StudyFolder(folder))):
+        shared.warn(finding)
+    context.exit(1 if findings else 0)
+
+
+def _report(line: str, done: BackedUp, *, as_json: bool) -> None:
+    if as_json:
+        shared.print_json(asdict(done))
+        return
+    shared.echo(line)
+    for note in done.notes:
+        shared.warn(note)

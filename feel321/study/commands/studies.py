@@ -1,4 +1,4 @@
-"""Verbs of a study: new, check, build, demo, simulate, status, note, audit, ledger, release, analyze."""
+"""Verbs of a study: new, check, build, demo, simulate, status, note, ledger, release, analyze."""
 
 from __future__ import annotations
 
@@ -253,7 +253,10 @@ def status(*, study: Study, with_notes: bool, rehearsals: bool, as_json: bool) -
     if as_json:
         shared.print_json(asdict(state))
         return
-    shared.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else [])]))
+    from feel321.study.persons.retention import describe_due
+
+    due = describe_due(study.folder, today=study.now().date())
+    shared.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else []), *due]))
 
 
 @click.command(
@@ -306,38 +309,6 @@ def _choose(study: Study, *, rehearsals: bool) -> Study:
     return replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))
 
 
-@click.command(epilog="Example: feel321 audit my-study --expect 5fe2c1...")
-@shared.study_argument
-@click.option(
-    "--expect",
-    metavar="DIGEST",
-    help="The seal that an earlier audit printed; fail if it has changed.",
-)
-@shared.rehearsals_option
-@shared.json_option
-@click.pass_context
-def audit(
-    context: click.Context, *, study: Study, expect: str | None, rehearsals: bool, as_json: bool
-) -> None:
-    """Verify plans, journals and stimuli; list every change."""
-    study = _choose(study, rehearsals=rehearsals)
-    found = study.audit()
-    path, findings = study.folder.path, list(found.findings)
-    if expect not in {None, found.seal}:
-        findings.append(
-            f"{path}: the seal must be {expect}, got {found.seal}; something was recorded or changed since"
-        )
-    if as_json:
-        own = {"findings": findings, "seal": found.seal, "remarks": found.remarks}
-        shared.print_json(own)
-    else:
-        n = len(study.folder.journals)
-        good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, all as they were written"
-        shared.echo("\n".join([*(findings or [good]), *found.remarks]))
-        shared.echo(f"seal: {found.seal}; keep it elsewhere")
-    context.exit(1 if findings else 0)
-
-
 @click.command(epilog="Example: feel321 release my-study --participant p07")
 @shared.study_argument
 @shared.participant_option
@@ -379,6 +350,7 @@ Example: feel321 analyze my-study
          feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
          feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match --metric temporal_match
          feel321 analyze my-study --rivals
+         feel321 analyze --bids dataset --out report
 """
 
 
@@ -386,6 +358,13 @@ Example: feel321 analyze my-study
 @shared.folder_argument
 @shared.ratings_option
 @shared.manifest_option
+@click.option(
+    "--bids",
+    "dataset",
+    metavar="DIR",
+    type=shared.FILE,
+    help="A dataset that export --bids wrote, instead of a study; with --out.",
+)
 @click.option(
     "--out", type=shared.FILE, help="Folder of the report.  [default: report/ in the study]"
 )
@@ -401,6 +380,7 @@ def analyze(  # noqa: PLR0913 - one per option
     *,
     ratings: Path | None,
     manifest: Path | None,
+    dataset: Path | None,
     out: Path | None,
     metrics: tuple[str, ...],
     rivals: bool,
@@ -417,12 +397,17 @@ def analyze(  # noqa: PLR0913 - one per option
         raise click.UsageError(
             "--manifest needs --ratings; give both, or --ratings alone in a study"
         )
+    if dataset is not None:
+        choices = bool(ratings or metrics or rivals)
+        _analyze_dataset(dataset, out, has_choices=choices, as_json=as_json)
+        return
     study = StudyFolder(folder)
     if ratings is not None and manifest is None and not study.settings.is_file():
         raise click.UsageError(
             "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
         )
     from feel321.study.analyze import analyze_study
+    from feel321.study.export.narrative import write_methods
 
     recording = shared.recording(study, "analyze", out or study.report)
     with shared.show_progress("analyze") as progress, recording:
@@ -435,4 +420,19 @@ def analyze(  # noqa: PLR0913 - one per option
             out=out,
             progress=progress,
         )
+        if ratings is None:
+            write_methods(study, out or study.report)
     shared.print_results(out or study.report, as_json=as_json)
+
+
+def _analyze_dataset(dataset: Path, out: Path | None, *, has_choices: bool, as_json: bool) -> None:
+    """Write the report of a dataset that was exported, with the choices that lie beside it."""
+    if out is None or has_choices:
+        raise click.UsageError(
+            "--bids takes a dataset and --out DIR, and no other choice; its own are exported with it"
+        )
+    from feel321.study.export.readback import analyze_dataset
+
+    with shared.show_progress("analyze") as progress:
+        analyze_dataset(dataset, out, progress=progress)
+    shared.print_results(out, as_json=as_json)

@@ -6,15 +6,16 @@ import csv
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from feel321.analysis.bids import CHOICES
 from feel321.files import digest_file
+from feel321.names import METRIC_INFO
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import analyze
 from feel321.study.actuator import certificate as certificates
 from feel321.study.export import credit, people, tables, writing
 from feel321.study.export.crate import make_crate
+from feel321.study.export.narrative import METHODS_FILE
 from feel321.study.ledger.progress import note_estimates
-from feel321.study.persons import outputs
-from feel321.study.session.journal import utc_now
 from feel321.study.settings import read
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 OWN = "derivatives/feel321"
 """What feel321 makes of the data, a derivative dataset of its own."""
 
-CHOICES = f"{OWN}/code/analysis.json"
 IGNORED = "/data\n/ro-crate-metadata.json\n"
 """`.bidsignore`: what Psych-DS and RO-Crate want and BIDS has no place for."""
 
@@ -64,9 +64,6 @@ def export_bids(study: StudyFolder, folder: Path, choices: ExportChoices) -> lis
     gathered = _gather(study, choices)
     files = dict(_list_files(gathered, choices))
     writing.write_folder(folder, files)
-    outputs.record_output(
-        study, "export", folder, files=[folder / name for name in files], now=utc_now
-    )
     return gathered.settings.publication.list_missing()
 
 
@@ -232,6 +229,8 @@ def _list_derived(gathered: _Gathered, choices: ExportChoices) -> Iterator[tuple
     yield f"{OWN}/README", credit.write_derived_readme(title).encode()
     yield CHOICES, tables.write_json(describe_choices(gathered))
     report = gathered.study.report
+    if (report / METHODS_FILE).is_file():
+        yield f"{OWN}/docs/{METHODS_FILE}", report / METHODS_FILE
     if not choices.report:
         return
     if not (report / "results.json").is_file():
@@ -249,6 +248,8 @@ def describe_choices(gathered: _Gathered) -> dict[str, Any]:
     settings, further = gathered.settings, gathered.further
     frames = {"metrics": further.metrics.reset_index(), "mountings": further.mountings}
     paper = settings.paper
+    ours = {name: one for name, one in gathered.table.info.items() if name not in METRIC_INFO}
+    info = {**ours, **analyze.list_info(settings)}
     return {
         "name": settings.study.name,
         "seed": settings.study.seed,
@@ -256,7 +257,7 @@ def describe_choices(gathered: _Gathered) -> dict[str, Any]:
         "keep_ids": all(one.label == one.progress.participant for one in gathered.people),
         "analysis": settings.analysis.model_dump(mode="json", exclude={"screening"}),
         "screening_left_out": len(settings.analysis.screening),
-        "info": {name: _dump(one) for name, one in gathered.table.info.items()},
+        "info": {name: _dump(one) for name, one in info.items()},
         "further": {
             name: None if frame is None else frame.to_dict("list") for name, frame in frames.items()
         },

@@ -28,6 +28,9 @@ KEY_FILE = ".export.key"
 LABEL = re.compile(r"[0-9A-Za-z]+")
 """What BIDS allows as the label of a participant."""
 
+PATH = re.compile(r"(?<![\w:/])(?:/|[A-Za-z]:\\)[\w.~-]+[/\\]")
+"""A path on a machine."""
+
 OLDEST, BAND = 80, 5
 """Ages are given in bands of five years, and from 80 on as one."""
 
@@ -141,4 +144,4 @@ def leave_out_names(notes: Iterable[str], people: Sequence[Person]) -> list[str]
         if one.label != one.progress.participant
     ]
     found = re.compile(rf"(?<!\w)(?:{'|'.join(codes)})(?!\w)") if codes else None
-    return [note for note in notes if not (found and found.search(note))]
+    return [note for note in notes if not (found and found.search(note)) and not PATH.search(note)]

@@ -233,6 +233,13 @@ def write_roster(study: StudyFolder, everybody: Sequence[Progress] | None = None
     for progress in everybody:
         if progress.problem:
             raise ValueError(progress.problem)
+    write_table(study.path / ROSTER_FILE, *list_roster(everybody), private=True)
+    study.share(study.path / ROSTER_FILE)
+    return study.path / ROSTER_FILE
+
+
+def list_roster(everybody: Sequence[Progress]) -> tuple[list[str], list[dict[str, Any]]]:
+    """List the columns and rows of `participants.csv`."""
     factors = dict.fromkeys(factor for progress in everybody for factor in progress.groups)
     measured = dict.fromkeys(name for progress in everybody for name in progress.thresholds)
     columns = [*PARTICIPANT_COLUMNS, *factors, *LAST_PARTICIPANT_COLUMNS, *measured]
@@ -244,6 +251,4 @@ def write_roster(study: StudyFolder, everybody: Sequence[Progress] | None = None
         row["sessions"] = len(progress.anchors)
         row |= {name: flags[row[name]] for name in ("simulated", "training_passed")}
         rows.append(row)
-    write_table(study.path / ROSTER_FILE, columns, rows, private=True)
-    study.share(study.path / ROSTER_FILE)
-    return study.path / ROSTER_FILE
+    return columns, rows

@@ -27,6 +27,7 @@ from feel321.study.ledger import database, progress, stations
 from feel321.study.ledger.database import LIVE, Entry, read_ledger, rewrite_ledger
 from feel321.study.ledger.keeper import check_live
 from feel321.study.session.journal import (
+    PARTICIPANT_ID,
     Clock,
     create_journal,
     find_cut,
@@ -35,7 +36,7 @@ from feel321.study.session.journal import (
     require_journal,
     utc_now,
 )
-from feel321.study.session.plan import PARTICIPANT_ID, PLAN_FILE, TOMBSTONE_FILE, require_own_plan
+from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan
 
 # Claims.
 

@@ -31,8 +31,8 @@ from feel321.study.session import events
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import run_session
 from feel321.study.session.identity import UNCOMPARED, find_differences
-from feel321.study.session.journal import Records, create_journal, read_journal
-from feel321.study.session.plan import PARTICIPANT_ID, PLANNED, Plan, make_plan, require_own_plan
+from feel321.study.session.journal import PARTICIPANT_ID, Records, create_journal, read_journal
+from feel321.study.session.plan import PLANNED, Plan, make_plan, require_own_plan
 from feel321.study.settings import read
 
 if TYPE_CHECKING:

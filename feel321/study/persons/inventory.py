@@ -158,7 +158,7 @@ def list_wide(study: StudyFolder) -> Iterator[tuple[Path, int, int]]:
     """
     if os.name == "nt":
         return
-    allowed = 0o750 if study.is_group_readable else 0o700
+    allowed = 0o750 if study.asks_for("group_readable") else 0o700
     kept = [
         p.path
         for p in places.list_places(study)

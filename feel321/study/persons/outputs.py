@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 OUTPUTS_FILE = "outputs.jsonl"
 
+WITHDRAWN = "withdrawn.json"
+"""File in the folder of a backup: the codes of those who are not to come back."""
+
 RESULTS = ("report", "chart", "advice", "power")
 """Folders of results in a study that ratings may be in, unless another name was given."""
 
@@ -91,6 +94,23 @@ def forget_outputs(study: StudyFolder, gone: Iterable[WrittenOutput]) -> None:
     """Take out of the record what was removed."""
     left = list(gone)
     _write(study, [one for one in read_outputs(study) if one not in left])
+
+
+def read_withdrawn(target: Path) -> set[str]:
+    """Read the codes that are not to come back."""
+    path = target / WITHDRAWN
+    if not path.exists():
+        return set()
+    try:
+        return set(map(str, json.loads(path.read_bytes())))
+    except (TypeError, ValueError):
+        raise ValueError(f"{path}: must be a list of codes; restore it from a copy") from None
+
+
+def note_withdrawn(target: Path, codes: Iterable[str]) -> None:
+    """Add codes to the list beside a backup."""
+    known = read_withdrawn(target)
+    write_text(target / WITHDRAWN, json.dumps(sorted(known.union(codes))) + "\n", private=True)
 
 
 def _name(file: Path, folder: Path) -> str:

@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING
 from feel321.files import digest_file, sweep, sweep_temporary, sync_folder
 from feel321.study.ledger import progress
 from feel321.study.persons import places
-from feel321.study.persons.outputs import RESULTS, WrittenOutput, forget_outputs, read_outputs
+from feel321.study.persons.outputs import (
+    RESULTS,
+    WrittenOutput,
+    forget_outputs,
+    note_withdrawn,
+    read_outputs,
+)
 from feel321.study.session.plan import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
@@ -98,7 +104,8 @@ def clear_outputs(study: StudyFolder) -> Iterator[str]:
     gone = []
     for output in read_outputs(study):
         if output.verb == "backup":
-            if output.path.exists():
+            if output.path.is_dir():
+                note_withdrawn(output.path, _list_withdrawing(study))
                 yield f"{output.path}: is a backup with the participant's data; {_again(study, output)}"
             continue
         left = list(_clear_output(output))
@@ -106,6 +113,10 @@ def clear_outputs(study: StudyFolder) -> Iterator[str]:
         gone += [] if left else [output]
     if gone:
         forget_outputs(study, gone)
+
+
+def _list_withdrawing(study: StudyFolder) -> list[str]:
+    return [one.name for one in study.participants if (one / TOMBSTONE_FILE).exists()]
 
 
 def _again(study: StudyFolder, output: WrittenOutput) -> str:

@@ -94,7 +94,7 @@ def find_vault(study: StudyFolder, *, needed: bool = False) -> Vault | None:
     """
     own = [path for path in _list_files(study) if is_encrypted(path)]
     if not (passphrase := os.environ.get(UNLOCK_VARIABLE)):
-        if needed and (own or _wants_encryption(study)):
+        if needed and (own or study.asks_for("encrypt_personal")):
             raise ValueError(
                 f"{own[0] if own else study.settings}: personal answers are encrypted, got no passphrase; "
                 f"put it into the environment: {UNLOCK_VARIABLE}"
@@ -109,12 +109,6 @@ def find_vault(study: StudyFolder, *, needed: bool = False) -> Vault | None:
 def is_encrypted(path: Path) -> bool:
     """Check whether a file of personal answers is encrypted."""
     return bool(_read(path)[0]["cost"])
-
-
-def _wants_encryption(study: StudyFolder) -> bool:
-    from feel321.study.settings.read import read_settings
-
-    return study.settings.is_file() and read_settings(study.settings).data.encrypt_personal
 
 
 def _list_files(study: StudyFolder) -> list[Path]:

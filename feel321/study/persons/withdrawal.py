@@ -23,13 +23,14 @@ from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, SessionReleased
 from feel321.study.session.journal import (
+    PARTICIPANT_ID,
     Clock,
     Journal,
     list_journals,
     read_anchor,
     require_journal,
 )
-from feel321.study.session.plan import PARTICIPANT_ID, TOMBSTONE_FILE
+from feel321.study.session.plan import TOMBSTONE_FILE
 
 
 def withdraw_participant(

@@ -30,6 +30,9 @@ Clock = Callable[[], datetime]
 START = "0" * 64
 """Stands in the first line for the digest of the line before."""
 
+PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+"""Allowed codes of participants: they name folders."""
+
 SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")
 """Names of the journals in a participant's folder; copies under other names are none."""
 
@@ -161,6 +164,8 @@ class Journal:
         SHA-256 of the last line, 64 zeros if there is none.
     is_open : bool
         Whether it takes records: after a write that was broken off it does not.
+    listeners : list of callable
+        Called with every record that is on the disk; they must not wait.
     """
 
     path: Path
@@ -169,6 +174,7 @@ class Journal:
     notice: str = ""
     tip: str = START
     is_open: bool = True
+    listeners: list[Callable[[Record], None]] = field(default_factory=list)
 
     def write(self, event: SessionEvent | str, data: Mapping[str, Any] | None = None) -> None:
         """Append one record; it is on the disk when this returns.
@@ -218,6 +224,8 @@ class Journal:
         self.records.append(record)
         self.tip = digest(line.rstrip(b"\n"))
         self.is_open = True
+        for listen in self.listeners:
+            listen(record)
 
 
 def utc_now() -> datetime:

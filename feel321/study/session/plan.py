@@ -6,7 +6,6 @@ Its trials name stimuli by blind codes.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
@@ -44,9 +43,6 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.sets.manifest import StimulusSet
 
-
-PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
-"""Allowed codes of participants: they name folders."""
 
 FORMAT = 2
 """Format of the stored plan; a file says which one it has."""
@@ -159,7 +155,7 @@ def make_plan(
     design: Design, stimuli: StimulusSet, participant: str, *, number: int, simulated: bool
 ) -> Plan:
     """Plan the session of participant `number` (from 1); the same arguments always give the same plan."""
-    if not PARTICIPANT_ID.fullmatch(participant):
+    if not journals.PARTICIPANT_ID.fullmatch(participant):
         raise ValueError(f"participant must be letters, digits, - and _, got {participant!r}")
     by_code = list_by_code(stimuli, seed=design.seed).items()
     named = [Item(code, row.recording, row.reducer, row.level, row.role) for code, row in by_code]

@@ -63,6 +63,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
     study.settings.write_text(STUDY, encoding="utf-8")
     build_study(study)
     simulate_study(study, participants=3, seed=None, now=tell_time)
+    for name in ("checkpoints.jsonl", "ratings.csv", "participants.csv"):
+        (study.path / name).unlink()  # what plans, journals and ledger show by themselves
     return study
 
 
@@ -184,9 +186,10 @@ def test_a_plan_forged_with_its_digest_is_betrayed_by_the_journal(copy: StudyFol
     path = copy.sessions / "sim001" / "plan.json"
     body = path.read_bytes().replace(b'"seed": 321', b'"seed": 322').rpartition(b',\n "sha256"')[0]
     path.write_bytes(body + b',\n "sha256": "' + digest(body + b"\n}").encode() + b'"\n}\n')
-    assert (
-        find_only(copy) == f"{copy.journals[0]}: was begun with another plan than the one beside it"
-    )
+    assert audit_study(copy) == [
+        f"{copy.journals[0]}: was begun with another plan than the one beside it",
+        f"{copy.journals[0]}, line 1: has seed 321, the plan says 322",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -465,7 +468,7 @@ def test_the_seal_stays_wherever_the_study_lies_and_betrays_every_change(
 ) -> None:
     seal = make_seal(whole)
     assert make_seal(copy) == seal
-    (copy.path / "ratings.csv").unlink()
+    (copy.path / "ratings.csv").write_text("participant\n")
     assert make_seal(copy) == seal, "what is derived does not count"
     changed = [seal]
     journal = copy.journals[0]

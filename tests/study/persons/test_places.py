@@ -277,7 +277,7 @@ def kill_at_steps(planted: StudyFolder, root: Path, verb: str, steps: range) -> 
     return {int(line.split()[0]): line.split()[1] for line in done.stdout.splitlines()}
 
 
-@pytest.mark.parametrize("stride", [47, pytest.param(1, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("stride", [70, pytest.param(1, marks=pytest.mark.soak)])
 def test_after_any_kill_the_same_call_finishes_and_nothing_is_found(
     planted: StudyFolder, tmp_path: Path, stride: int
 ) -> None:

@@ -1,0 +1,155 @@
+"""The history of a study by its checkpoints, the folder as it is now being the last step: what may not be so."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from feel321.study.auditing.checkpoints import (
+    ANALYSING,
+    CHECKPOINT,
+    Holdings,
+    find_delta,
+    fold,
+    read_entries,
+)
+from feel321.study.auditing.marks import GROWING, FileMark, find_kind, find_line, take_marks
+from feel321.study.folder import StudyFolder
+from feel321.study.ledger.progress import read_tombstone
+from feel321.study.session.journal import Record
+from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
+
+PRESENT = "present"
+
+
+@dataclass(slots=True)
+class Following:
+    """What became of a study: findings, remarks, and what was recorded after the line that was anchored."""
+
+    study: StudyFolder
+    anchored: int = 0
+    findings: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    counts: dict[str, set[str]] = field(default_factory=dict)
+    _state: Holdings = field(default_factory=Holdings)
+    _undeclared: list[str] = field(default_factory=list)
+    _is_analysing: bool = False
+    _when: str = ""
+
+    def follow(self, records: Sequence[Record]) -> None:
+        """Follow all checkpoints, and then the folder as it is."""
+        for place, record in enumerate(records, start=1):
+            self._is_analysing |= record.event == ANALYSING
+            if record.event == CHECKPOINT:
+                self._step(record.data, place)
+                self._when = record.utc
+        marks = take_marks(self.study, self.study.participants, read_entries(self.study))
+        delta = find_delta(self.study, fold(records), marks)
+        self._step({**delta, "by": PRESENT}, len(records) + 1)
+        self.findings += [
+            f"{line}; if it was meant, say why: feel321 seal --reason" for line in self._undeclared
+        ]
+
+    def _step(self, data: Mapping[str, Any], place: int) -> None:
+        rewritten = set(data.get("rewritten", ()))
+        for name, before, after in self._state.take(data):
+            if place > self.anchored:
+                self._count(name, before, after)
+            if before is not None:
+                self._judge(name, before, after, is_rewritten=name in rewritten, by=data["by"])
+        if data["by"] == "analysis":
+            self._is_analysing = False
+        if reason := data.get("reason"):
+            self.remarks += [f"{line} ({reason})" for line in self._undeclared]
+            self._undeclared.clear()
+
+    def _count(self, name: str, before: FileMark | None, after: FileMark | None) -> None:
+        what = ""
+        if find_kind(name) == GROWING and after is not None:
+            what = "recorded" if name.endswith(".jsonl") else "rebuilt"
+        elif name.endswith(TOMBSTONE_FILE) and before is None:
+            what = "withdrew"
+        elif name == "report/results.json" and after is not None:
+            what = "analysed"
+        if what:
+            self.counts.setdefault(what, set()).add(name)
+
+    def _judge(
+        self, name: str, before: FileMark, after: FileMark | None, *, is_rewritten: bool, by: str
+    ) -> None:
+        """Judge what became of a file that was there."""
+        path, kind = self.study.path / name, find_kind(name)
+        since = f"since the checkpoint of {self._when}"
+        line = find_line(before.heads, after.heads) if after else 0
+        where = (
+            f"{path}, line {line}"
+            if line and not (kind == GROWING and not is_rewritten)
+            else f"{path}"
+        )
+        became = "is gone" if after is None else "was changed"
+        text = f"{where}: {became} {since}"
+        match kind:
+            case "growing":
+                self.findings += self._judge_growing(name, before, after, is_rewritten=is_rewritten)
+            case "kept" if after is not None or not self._is_explained(name):
+                self.findings.append(f"{text}; restore it from a copy")
+            case "slot" if after is not None:  # who is missing in the ledger is found there
+                self.findings.append(f"{name}: {became} {since}; restore the ledger from a copy")
+            case "decided":
+                self._undeclared.append(text)
+            case "noted":
+                self.remarks.append(text)
+            case "report" if after is not None and not (by == "analysis" or self._is_analysing):
+                self.findings.append(f"{text}, by no analysis; write it anew: feel321 analyze")
+
+    def _judge_growing(
+        self, name: str, before: FileMark, after: FileMark | None, *, is_rewritten: bool
+    ) -> Iterator[str]:
+        path, since = self.study.path / name, f"at the checkpoint of {self._when}"
+        if after is None:
+            if fault := self._find_unexplained(name, before):
+                yield f"{path}: is gone, {before.lines} lines of it were there {since}{fault}"
+        elif after.lines < before.lines:
+            yield f"{path}: ends with line {after.lines}, {before.lines} lines of it were there {since}"
+        elif is_rewritten:
+            line = find_line(before.heads, after.heads[: len(before.heads)]) or before.lines
+            yield f"{path}, line {line}: is not the line that was there {since}"
+
+    def _is_explained(self, name: str) -> bool:
+        """Check whether a plan went with its participant, or was given back before anything was recorded."""
+        path = self.study.path / name
+        if path.name != PLAN_FILE:
+            return False
+        journals = [
+            one for one in self._state.marks if one.startswith(f"sessions/{path.parent.name}/")
+        ]
+        return (path.parent / TOMBSTONE_FILE).is_file() or not (journals or path.parent.exists())
+
+    def _find_unexplained(self, name: str, before: FileMark) -> str:
+        """Find whether a journal went with its participant: its tombstone has seen all of it."""
+        folder, journal = (self.study.path / name).parent, name.rpartition("/")[2]
+        try:
+            stone = read_tombstone(folder)
+        except ValueError as error:
+            return f" ({error})"
+        if stone is None:
+            return "; restore it from a copy"
+        seen = {one.journal: one for one in stone.journals}.get(journal)
+        if seen is None or seen.lines < before.lines:
+            return f"; the tombstone beside it knows of {seen.lines if seen else 0}"
+        is_same = seen.lines > before.lines or seen.tip == before.sha256
+        return "" if is_same else "; the tombstone beside it is of another journal"
+
+
+def describe_counts(counts: Mapping[str, set[str]]) -> str:
+    """Describe what happened after an anchor, as a clause."""
+    words = {
+        "recorded": ("session was", "sessions were", "recorded or continued"),
+        "withdrew": ("participant", "participants", "withdrew"),
+        "rebuilt": ("time the ledger was", "times the ledger was", "rebuilt"),
+        "analysed": ("report was", "reports were", "written"),
+    }
+    told = []
+    for what, (one, many, done) in words.items():
+        if number := len(counts.get(what, ())):
+            told.append(f"{number} {one if number == 1 else many} {done}")
+    return ", ".join(told)

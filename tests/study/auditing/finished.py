@@ -1,0 +1,165 @@
+"""Two finished studies to be falsified: simulated participants with all that a study can have, and one run on a rig."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from feel321.protocols.texts import write_copy
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study import lab
+from feel321.study.actuator.certificate import make_manual, write_certificate
+from feel321.study.actuator.rig import read_rig
+from feel321.study.analyze import analyze_study
+from feel321.study.folder import StudyFolder, create_study
+from feel321.study.lab import Visit, run_participant
+from feel321.study.ledger.progress import write_roster
+from feel321.study.ratings import write_ratings
+from feel321.study.simulation import simulate_study
+from feel321.study.workflow import build_study
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+SETTINGS = """
+[study]
+name = "finished"
+seed = 321
+[[recordings]]
+scene = "bumps"
+duration_s = 0.3
+[stimuli]
+reducers = ["sax321", "dft321"]
+reference = "none"
+anchors = false
+[session]
+protocols = ["realism"]
+repeats = 2
+language = "texts.toml"
+[session.rehearsal]
+training = 0
+practice = 0
+[session.threshold]
+frequencies_hz = [160.0]
+trials = 10
+practice = 0
+[[session.questions]]
+use = "demographics"
+[tasks.realism]
+explore = "gain"
+[analysis]
+draws = 100
+screening = ["methods/strict.py:strict"]
+"""
+
+RULE = '''"""A screening rule of the lab's own."""
+
+
+def strict(rows):
+    """Measure nothing."""
+    return 0 * rows.groupby("participant")["rating"].mean()
+
+
+strict.limit = 0.5
+'''
+
+REAL = """
+[[recordings]]
+scene = "bumps"
+duration_s = 0.1
+[stimuli]
+reducers = ["sax321", "mag321"]
+reference = "none"
+anchors = false
+[session]
+protocols = ["realism"]
+[session.rehearsal]
+training = 0
+practice = 0
+"""
+
+RIG = """
+[device]
+name = "simulated"
+[[actuators]]
+name = "coil"
+channel = 1
+full_scale_m_s2 = 500.0
+direction = [0, 0, 1]
+[limits]
+peak_m_s2 = 500.0
+rms_m_s2 = 200.0
+duration_s = 30.0
+[sensor]
+channel = 1
+full_scale_m_s2 = 1000.0
+[simulation]
+speed = 20.0
+sensor_direction = [0, 0, 1]
+[[simulation.coils]]
+name = "coil"
+resonance_hz = 0.5
+q = 0.7
+full_scale_m_s2 = 500.0
+"""
+
+
+def now() -> datetime:
+    return datetime.now(UTC)
+
+
+def make_simulated(path: Path) -> StudyFolder:
+    """Three simulated participants with thresholds, questions, motion, own texts and a rule; analysed."""
+    study = create_study(path)
+    study.settings.write_text(SETTINGS, encoding="utf-8")
+    (path / "texts.toml").write_text(write_copy("en"), encoding="utf-8")
+    (path / "methods").mkdir(exist_ok=True)
+    (path / "methods" / "strict.py").write_text(RULE, encoding="utf-8")
+    build_study(study)
+    simulate_study(study, participants=3, seed=None, now=now)
+    analyze_study(study)
+    return study
+
+
+def make_real(path: Path, scripted: Any) -> StudyFolder:
+    """One participant on a simulated rig with sensor and certificate; scripted: who sits there."""
+    study = create_study(path)
+    study.settings.write_text(REAL, encoding="utf-8")
+    study.rig.write_text(RIG, encoding="utf-8")
+    build_study(study)
+    rig = read_rig(study.rig)
+    made = make_manual(rig, {"coil": 500.0}, directions={}, made=now(), rate_hz=48000.0)
+    write_certificate(made, study.path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DISPLAY", ":99")
+        patch.setattr(lab, "find_spec", lambda _: "there")
+        patch.setattr(lab, "open_lab", _seat(scripted))
+        run_participant(study, Visit("p01"), now=now)
+    write_ratings(study, read_stimuli(study.stimuli))
+    write_roster(study)
+    return study
+
+
+def _seat(scripted: Any) -> Any:
+    @contextmanager
+    def open_presenter(plan: Any, *_: object, lab: Any) -> Iterator[Any]:
+        from feel321.study.lab import _open_output
+
+        with _open_output(plan, lab=lab, clock=perf_counter) as output:
+            presenter = scripted()
+
+            def play(_part: Any, stimulus: Any, *, gap_s: float) -> Any:  # noqa: ARG001 - no time for gaps
+                output.start(stimulus, gap_s=0.01)
+                while output.is_playing:
+                    sleep(0.001)
+                return output.collect()
+
+            presenter.play = play
+            yield presenter
+
+    return open_presenter
