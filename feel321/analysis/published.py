@@ -274,7 +274,11 @@ def _read_square(source: PathLike | DataFrame) -> tuple[str, tuple[str, ...], ND
     doubled = {name for names in (rows, columns) for name in names if names.count(name) > 1}
     if doubled or sorted(rows) != sorted(columns) or len(rows) < FEWEST:
         odd = sorted(doubled or set(rows) ^ set(columns))
-        told = f"; not once in both: {', '.join(map(repr, odd))}" if odd else ""
+        told = (
+            f"; not once in both: {', '.join(map(schema.shorten, odd[:FEWEST_ITEMS]))}"
+            if odd
+            else ""
+        )
         raise ValueError(
             f"{what}: must be square, with the same {FEWEST} or more names in the first line and the first column, got "
             f"{len(rows)} rows and {len(columns)} columns{told}"

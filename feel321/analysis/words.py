@@ -64,6 +64,9 @@ NONE = ""
 
 COUNT = "count"
 
+CONFIRMATORY, EXPLORATORY = "confirmatory", "exploratory"
+"""Whether a result was declared before the ratings were seen, or not."""
+
 
 def format_name(name: str) -> str:
     """Turn a column or scale name into words.
@@ -309,6 +312,7 @@ class Number:
     n: int
     statistic: str
     keys: tuple[tuple[str, str], ...] = ()
+    status: str = EXPLORATORY
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``results.json`` holds of it: addressable without taking its name apart; NaN as None."""
@@ -318,7 +322,7 @@ class Number:
         return {
             "name": self.name, "family": family, **told, "statistic": self.statistic, "keys": keys,
             **{name: None if math.isnan(value) else value for name, value in numbers.items()},
-            "uncertainty": self.uncertainty, "method": self.method, "n": self.n,
+            "uncertainty": self.uncertainty, "method": self.method, "n": self.n, "status": self.status,
         }  # fmt: skip
 
 
@@ -377,7 +381,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """The conclusion about one metric, for a program to read."""
+    """The conclusion about one metric, for a program to read; reason: why it is not confirmatory."""
 
     scale: str
     level: str
@@ -389,3 +393,5 @@ class Claim:
     better_than: tuple[str, ...] = ()
     higher: str = "better"
     hinge: str = ""
+    status: str = EXPLORATORY
+    reason: str = ""

@@ -358,7 +358,7 @@ def check_rate(rate_hz: SupportsFloat | str, what: str = "rate_hz", unit: str = 
     """Return a rate, or any other quantity above 0, as float, or say what is wrong."""
     try:
         rate = float(rate_hz)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         rate = float("nan")
     if not (np.isfinite(rate) and rate > 0):
         raise ValueError(f"{what} must be a finite number{unit} above 0, got {describe(rate_hz)}")

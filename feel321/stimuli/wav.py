@@ -85,6 +85,10 @@ def encode_wav(samples: ArrayLike, rate_hz: float) -> bytes:
             f"the rate in a WAV header must be a whole number below 2**32, got {rate!r} Hz"
         )
     frames = _as_frames(samples)
+    if rate * frames.dtype.itemsize * (frames.shape[1] if frames.ndim > 1 else 1) >= 2**32:
+        raise ValueError(
+            f"the bytes of a second in a WAV header must be below 2**32, got a rate of {rate:g} Hz; lower it"
+        )
     content = io.BytesIO()
     wavfile.write(content, int(rate), frames)
     return content.getvalue()

@@ -25,6 +25,7 @@ from feel321.stimuli.sets.manifest import find_methods, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.auditing.sealing import sealing_analysis
 from feel321.study.folder import StudyFolder, require_study
+from feel321.study.freezing.standing import make_standing
 from feel321.study.ledger.progress import Progress as Participant
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches
@@ -60,6 +61,9 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     further, about = Further(pd.DataFrame(), ()), About()
     if settings:
         further, about = gather_study(study, settings, metrics, own=ratings is None)
+        own = ratings is None and manifest is None
+        standing = make_standing(study, settings, metrics=metrics or (), draws=draws, own=own)
+        about = replace(about, standing=standing)
     if rivals:
         listed = manifest or study.manifest
         further = add_rivals(study, None if manifest else settings, listed, further=further)

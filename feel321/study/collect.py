@@ -114,6 +114,7 @@ def collect_sessions(
         collected = Collected()
         ledger, notice = slots.open_study_ledger(study, now=now)
         gathered = _gather_all(study, others, collected, known=slots.recall(ledger))
+        claimed = _claim_first(ledger, gathered)
         for done, (participant, one) in enumerate(gathered.items(), start=1):
             announce(participant)
             _copy_participant(study.sessions / participant, one, collected)
@@ -121,6 +122,9 @@ def collect_sessions(
                 follow(done, len(gathered))
         if notice:
             collected.notes.append(notice)
+        for participant in claimed:
+            if not (study.sessions / participant / PLAN_FILE).exists():  # the copy failed
+                slots.enter(ledger, participant, None)
         _enter_all(study, ledger, collected, participants=gathered)
         _withdraw_all(study, gathered, collected, now=now)
     return collected
@@ -335,6 +339,17 @@ def _find_doubles(
 
 
 # Copies, and the ledger.
+
+
+def _claim_first(ledger: sa.Engine, gathered: Mapping[str, Gathered]) -> list[str]:
+    """Enter who will come in an empty ledger: beside files that are there already, it would pass for a lost one."""
+    if database.is_shared(ledger) or slots.recall(ledger):
+        return []
+    claimed = {name: one for name, one in gathered.items() if one.state in database.LIVE}
+    for participant, one in claimed.items():
+        entry = database.Entry(participant, one.simulated, one.number, "claimed")
+        slots.enter(ledger, participant, entry)
+    return list(claimed)
 
 
 def _copy_participant(folder: Path, one: Gathered, collected: Collected) -> None:

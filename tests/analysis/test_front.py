@@ -58,7 +58,7 @@ def studies(draw: st.DrawFn) -> list[MetricCard]:
 
 @given(studies())
 def test_the_sentence_claims_what_the_verdicts_do(cards: list[MetricCard]) -> None:
-    said, statuses = write_headline(cards, [], SIZES), {card.status for card in cards}
+    said, statuses = write_headline(cards, [], SIZES), {card.outcome for card in cards}
     assert ("predict" in said) == bool({"predicts", OPPOSITE} & statuses)
     assert ("opposite" in said) == (OPPOSITE in statuses)
     assert ("is open" in said) == ("open" in statuses)

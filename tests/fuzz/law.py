@@ -32,6 +32,10 @@ TOUCHES = frozenset({
 """Audit events of what no parser does."""
 
 
+LEDGER = "/ledger.sqlite"
+"""SQLite opens its file for writing whatever it is asked."""
+
+
 class Broken(AssertionError):  # noqa: N818 - the law is
     """The law is broken."""
 
@@ -51,7 +55,8 @@ def _watch(event: str, arguments: tuple[Any, ...]) -> None:
     elif event == "open":
         path, _, flags = arguments
         name = str(path)
-        if isinstance(flags, int) and flags & WRITES and "__pycache__" not in name:
+        is_ours = "__pycache__" not in name and not name.endswith(LEDGER)
+        if isinstance(flags, int) and flags & WRITES and is_ours:
             _watched.append(f"open {name} for writing")
 
 

@@ -41,6 +41,7 @@ FEEL321 = Path(sys.executable).with_name("feel321")
 PEOPLE = 12
 SMALL_DISK_MIB = 24
 IDLE_LOOKS = 300
+REMARKS = ("seal: ", "no checkpoints were kept")
 
 STUDY = """
 [study]
@@ -282,7 +283,7 @@ class Day:
             words = "".join(process.communicate())
             if not process.returncode and "raceback" not in words:
                 continue
-            lines = [one for one in words.splitlines() if not one.startswith("seal: ")]
+            lines = [one for one in words.splitlines() if not one.startswith(REMARKS)]
             if all("out of reach" in one for one in lines):
                 self.events["verb told that the server is out of reach"] += 1
                 if "withdraw" in name:  # whoever reads that line calls it again
@@ -339,16 +340,16 @@ class Day:
             for number, person in enumerate(station.people):
                 self.at(number * 1.25 * share, partial(station.queue.append, person))
         for hour, station, act in (
-            (0.4, one, lambda: self.lose_device(one, 0.07 * share)),
+            (0.4, one, lambda: self.lose_device(one, 0.2 * share)),
             (0.5, two, lambda: self.tire(two)),
-            (1.1, two, lambda: self.lose_device(two, 0.15 * share)),
+            (1.1, two, lambda: self.lose_device(two, 0.25 * share)),
             (2.0, two, lambda: self.pull_cable(0.6 * share)),
             (2.2, one, lambda: self.tire(one)),
             (3.0, one, lambda: self.fill_disk(0.25 * share)),
             (3.5, two, lambda: self.kill_server(0.15 * share)),
-            (4.3, one, lambda: self.lose_device(one, 0.1 * share)),
-            (5.0, two, lambda: self.step_clock(two, -420)),
-            (5.6, two, lambda: self.lose_device(two, 0.07 * share)),
+            (4.3, one, lambda: self.lose_device(one, 0.2 * share)),
+            (5.0, two, lambda: self.step_clock(two, -1800)),
+            (5.6, two, lambda: self.lose_device(two, 0.2 * share)),
             (6.0, two, lambda: self.step_clock(two, 0)),
         ):
             self.meet(hour * share, station, act)

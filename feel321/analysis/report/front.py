@@ -119,9 +119,11 @@ class MetricCard:
     correlation_high: float
     ceiling: float
     better_than: tuple[str, ...] = ()
+    status: str = words.EXPLORATORY
+    reason: str = ""
 
     @property
-    def status(self) -> str:
+    def outcome(self) -> str:
         """The verdict, or that the metric predicts against the direction that it declares."""
         as_declared = (self.direction == "higher") == (self.higher == "better")
         return self.verdict if self.verdict != PREDICTS or as_declared else OPPOSITE
@@ -176,7 +178,16 @@ def make_cards(
             found_here = *effect, *_find_ends(r), _find_ends(ceiling)[0]
             said = claim.verdict, claim.direction, claim.higher, claim.hinge
             cards.append(
-                MetricCard(*part.place, subject, metric, *said, *found_here, claim.better_than)
+                MetricCard(
+                    *part.place,
+                    subject,
+                    metric,
+                    *said,
+                    *found_here,
+                    claim.better_than,
+                    status=claim.status,
+                    reason=claim.reason,
+                )
             )
     return tuple(cards)
 
@@ -200,7 +211,7 @@ def write_headline(
         return words.capitalise(lines[0]) if lines else "These ratings do not answer the question."
     alike: dict[tuple[object, ...], list[str]] = {}
     for metric in dict.fromkeys(card.metric for card in cards):
-        own = tuple((card.status, card.is_turned) for card in cards if card.metric == metric)
+        own = tuple((card.outcome, card.is_turned) for card in cards if card.metric == metric)
         alike.setdefault(own, []).append(metric)
     hint = _describe_hint(numbers)
     hints = chain([hint], repeat(" (a hint too)" * bool(hint)))
@@ -217,7 +228,7 @@ def _describe_group(
     names = [words.format_name(name) for name in metrics]
     verb = "predict" if len(metrics) > 1 else "predicts"
     for status, turned in product((PREDICTS, OPPOSITE, OPEN, NOT_ESTIMABLE), (False, True)):
-        own = [card for card in one if (card.status, card.is_turned) == (status, turned)]
+        own = [card for card in one if (card.outcome, card.is_turned) == (status, turned)]
         if not own:
             continue
         what, subjects = _name_ratings(own, one), {card.subject for card in own}

@@ -7,13 +7,22 @@ which is no fault: it says that the data may have suggested the question.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from feel321.analysis.words import format_level, format_name, format_ratings
+from feel321.analysis import words
+from feel321.analysis.words import CONFIRMATORY, EXPLORATORY
 
-CONFIRMATORY, EXPLORATORY = "confirmatory", "exploratory"
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from feel321.analysis.report.section import Section
+
+STATUS, SLOPES, PAPER = "status", "slopes", "paper_claims"
+"""Column that marks a row of a table, the table of the declared tests, and one that has verdicts of its own."""
 
 MODEL: Mapping[str, Any] = {
     "model": (
@@ -53,11 +62,14 @@ class Hypothesis:
 
     def __str__(self) -> str:
         """Write it in plain words."""
-        ratings = format_ratings(format_name(self.scale) + format_level(self.level))
+        ratings = words.format_ratings(
+            words.format_name(self.scale) + words.format_level(self.level)
+        )
         way = "higher" if self.higher == "better" else "lower"
+        metric = words.format_name(self.metric)
         return (
-            f"Among the stimuli of one recording, those with a higher {format_name(self.metric)} get {way} {ratings}, "
-            "at equal values of the other metrics."
+            f"Among the stimuli of one recording, those with a higher {metric} get {way} {ratings}, at equal values of "
+            "the other metrics."
         )
 
 
@@ -120,6 +132,24 @@ class Standing:
             return EXPLORATORY, "not among the frozen hypotheses"
         return CONFIRMATORY, ""
 
+    def describe_section(self, claims: Iterable[words.Claim]) -> str:
+        """Say of a section how many of its verdicts are confirmatory.
+
+        Parameters
+        ----------
+        claims : iterable of Claim
+            Its verdicts on hypotheses; none where it tests no hypothesis.
+
+        Returns
+        -------
+        str
+            In a few words.
+        """
+        kinds = [one.status for one in claims]
+        if (count := kinds.count(CONFIRMATORY)) == len(kinds) and kinds:
+            return "Confirmatory: every slope here was declared before the data."
+        return f"{count} of {len(kinds)} slopes are confirmatory." if count else "Exploratory."
+
     def to_dict(self) -> dict[str, Any]:
         """Return what ``results.json`` holds.
 
@@ -133,3 +163,50 @@ class Standing:
             **{name: getattr(self, name) for name in named},
             "changes": list(self.changes), "hypotheses": [str(one) for one in self.hypotheses],
         }  # fmt: skip
+
+
+def mark_section(section: Section, standing: Standing) -> Section:
+    """Mark the verdicts and the tables of a section."""
+    claims = []
+    for one in section.claims:
+        status, reason = standing.judge(one.scale, one.level, one.metric)
+        claims.append(replace(one, status=status, reason=reason))
+    tables = {name: _mark_rows(name, rows, standing) for name, rows in section.tables.items()}
+    return replace(section, claims=claims, tables=tables)
+
+
+def _mark_rows(name: str, rows: DataFrame, standing: Standing) -> DataFrame:
+    """Add a column that says of each row whether it was declared; only slopes can have been."""
+    if rows.empty or STATUS in rows or name == PAPER:
+        return rows
+    declared = (
+        set()
+        if standing.reason
+        else {(f"{one.scale}, {one.level}", one.metric) for one in standing.hypotheses}
+    )
+    if name != SLOPES or not declared:
+        return rows.assign(**{STATUS: EXPLORATORY})
+    places = zip(rows["attribute"], rows["metric"], strict=True)
+    return rows.assign(**{
+        STATUS: [CONFIRMATORY if one in declared else EXPLORATORY for one in places]
+    })
+
+
+def mark_number(number: words.Number, standing: Standing) -> words.Number:
+    """Mark a number as confirmatory if it is one of a declared test."""
+    keys = dict(number.keys)
+    place = tuple(keys.get(name) for name in words.TIDY)
+    is_test = number.name.startswith("slope.") and number.statistic in TESTED
+    status = standing.judge(*place)[0] if is_test and None not in place else EXPLORATORY
+    return replace(number, status=status) if status == CONFIRMATORY else number
+
+
+COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
+
+
+def list_versions() -> dict[str, str]:
+    """List the software that computed a report."""
+    from feel321 import __version__
+
+    libraries = {name: version(name) for name in COMPUTED_WITH}
+    return {"feel321": __version__, "python": platform.python_version(), **libraries}

@@ -6,12 +6,10 @@ import hashlib
 import json
 import math
 import os
-import platform
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from importlib.metadata import version
 from itertools import chain, groupby
 from operator import attrgetter
 from pathlib import Path
@@ -40,6 +38,7 @@ from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report.folder import ResultsFolder, list_files
 from feel321.analysis.report.front import About
 from feel321.analysis.report.section import Picture, Section, name_pictures
+from feel321.analysis.report.standing import Standing, list_versions, mark_number, mark_section
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES, find_rules
 from feel321.analysis.table.items import find_sources, format_recordings
@@ -58,8 +57,6 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION = 1
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
-
-COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -102,6 +99,8 @@ class Results(Result):
         The finding in one sentence.
     cards : tuple of MetricCard
         What the page opens with: effect, correlation and verdict of every metric on every scale.
+    standing : Standing
+        What was declared before the ratings, and whether that makes results confirmatory.
     """
 
     verdict: tuple[str, ...]
@@ -121,6 +120,7 @@ class Results(Result):
     about: Mapping[str, str] = field(default_factory=dict)
     headline: str = ""
     cards: tuple[front.MetricCard, ...] = ()
+    standing: Standing = field(default_factory=Standing)
 
     def to_frame(self) -> DataFrame:
         """Return every number of the report.
@@ -161,7 +161,8 @@ class Results(Result):
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "path"}
         claims = [_without_nan(dict(one)) for one in self.paper_claims]
         return {
-            "schema_version": SCHEMA_VERSION, "about": dict(self.about), "headline": self.headline,
+            "schema_version": SCHEMA_VERSION, "about": dict(self.about), "standing": self.standing.to_dict(),
+            "headline": self.headline,
             "cards": [_without_nan(asdict(card)) for card in self.cards], "verdict": self.verdict,
             "verdicts": [asdict(claim) for claim in self.verdicts], "simulated": self.simulated,
             "numbers": [number.to_dict() for number in self.numbers],
@@ -247,14 +248,6 @@ def _digest_rows(rows: DataFrame, *, index: bool = False) -> str:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-def list_versions() -> dict[str, str]:
-    """List the software that computed a report."""
-    from feel321 import __version__
-
-    libraries = {name: version(name) for name in COMPUTED_WITH}
-    return {"feel321": __version__, "python": platform.python_version(), **libraries}
 
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
@@ -393,6 +386,7 @@ def _write(
     sections = _reconcile(sections)
     if paper is not None:
         sections = [paper_section.compute(table, choices, paper, sections=sections), *sections]
+    sections = [mark_section(section, about.standing) for section in sections]
     results = gather_results(table, sections, inputs=inputs, about=about)
     target.write(
         results.to_dict(),
@@ -483,7 +477,9 @@ def gather_results(
 ) -> Results:
     """Gather what ``results.json`` holds."""
     rows = table.rows
+    standing = about.standing
     numbers = collect_numbers(table, _gather(sections, "numbers"))
+    numbers = tuple(mark_number(number, standing) for number in numbers)
     cards = front.make_cards(table, sections, numbers)
     names = [*rows["scale"].unique(), RECAST, *rows["level"].unique()]
     names += [*table.metrics, *table.further, *table.rivals]
@@ -506,6 +502,7 @@ def gather_results(
         about={"name": about.name, "date": about.date},
         headline=front.write_headline(cards, sections, numbers),
         cards=cards,
+        standing=about.standing,
     )
 
 

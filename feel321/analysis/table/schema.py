@@ -204,11 +204,15 @@ def read_sheet(
     source: Path | DataFrame, what: str, schema: Mapping[str, ColumnInfo]
 ) -> tuple[DataFrame, list[str]]:
     """Read the columns that an analysis uses, as text, from a CSV file or a table in memory; `what` names it."""
-    sheet, header = (
-        _read_file(source, schema)
-        if isinstance(source, Path)
-        else _read_frame(source, what, schema)
-    )
+    try:
+        sheet, header = (
+            _read_file(source, schema)
+            if isinstance(source, Path)
+            else _read_frame(source, what, schema)
+        )
+    except ValueError as error:  # headers may hold anything
+        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(error))
+        raise ValueError(line) from error
     filled = sheet != ""
     sheet = sheet[filled.any(axis=1)]
     if sheet.empty:

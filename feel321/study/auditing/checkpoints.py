@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from socket import gethostname
 from typing import Any
 
 from feel321.study import server
@@ -22,6 +23,7 @@ from feel321.study.session.journal import (
     Journal,
     Record,
     create_journal,
+    digest,
     read_journal,
     require_journal,
 )
@@ -85,9 +87,23 @@ def describe_tip(records: Sequence[Record], tip: str) -> Tip:
     return Tip(name_chain(records), len(records), tip, records[-1].utc)
 
 
+def list_branches(records: Iterable[Record]) -> dict[str, int]:
+    """List the names of a chain, each with its last line: a copy of a study goes on under a name of its own."""
+    branches: dict[str, int] = {}
+    name = ""
+    for line, record in enumerate(records, start=1):
+        name = str(record.data.get("chain", name))
+        branches |= {name: line} if name else {}
+    return branches
+
+
 def name_chain(records: Iterable[Record]) -> str:
-    """Find the name of a chain; empty as long as it has no checkpoint."""
-    return next((str(one.data["chain"]) for one in records if "chain" in one.data), "")
+    """Find the name under which a chain goes on; empty as long as it has no checkpoint."""
+    return next(reversed(list_branches(records)), "")
+
+
+def _name_home(study: StudyFolder) -> str:
+    return digest(f"{gethostname()}:{study.path.absolute()}")[:16]
 
 
 def read_tip(study: StudyFolder) -> Tip | None:
@@ -130,9 +146,13 @@ def take_checkpoint(
         entries = read_entries(study) if entries is None else entries
         marks = take_marks(study, folders, entries)
         delta = find_delta(study, state, marks, participants=participants)
-        is_begun = bool(name_chain(journal.records))
+        home = _name_home(study)
+        is_begun = (
+            next((one.data["home"] for one in reversed(journal.records) if "home" in one.data), "")
+            == home
+        )
         if delta["marks"] or reason or not is_begun or by == "analysis":
-            begun = {} if is_begun else {"chain": uuid.uuid4().hex}
+            begun = {} if is_begun else {"chain": uuid.uuid4().hex, "home": home}
             given = {"reason": reason} if reason else {}
             journal.write(CHECKPOINT, {**begun, "by": by, **given, **delta})
         return describe_tip(journal.records, journal.tip)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from feel321.study.auditing import anchors
-from feel321.study.auditing.checkpoints import CHECKPOINT, find_chain, name_chain
+from feel321.study.auditing.checkpoints import CHECKPOINT, find_chain, list_branches, name_chain
 from feel321.study.auditing.codes import read_code
 from feel321.study.auditing.history import Following, describe_counts
 from feel321.study.folder import StudyFolder
@@ -71,15 +71,21 @@ def _compare_anchors(
     """Check that every anchor of this study is on its chain; the newest is remembered."""
     path = find_chain(study)
     lines = anchors.read_lines(path).split(b"\n")[:-1] if path.is_file() else []
-    name = name_chain(chain.records) if chain else ""
+    branches = list_branches(chain.records) if chain else {}
     ours = [
-        one for one in kept.witnesses if one.chain == name or (not chain and _names(one, lines))
+        one for one in kept.witnesses if one.chain in branches or (not chain and _names(one, lines))
     ]
     others = [
         one
         for one in kept.witnesses
         if one not in ours and _is_here(one, study, is_gone=chain is None)
     ]
+    away = [one for one in ours if _is_away(one, study, branches)]
+    for one in away[:1]:
+        own.remarks.append(
+            f"{path}: went on in another folder, too, {one.host}:{one.folder}, anchored at {one.utc}"
+        )
+    ours = [one for one in ours if one not in away]
     wrong = [one for one in ours if not _is_on(one, lines)]
     for one in wrong[:1]:
         what = (
@@ -99,6 +105,13 @@ def _compare_anchors(
     own.anchor = max([*others, *wrong] or ours, key=lambda one: (one.utc, one.lines), default=None)
     _note_keys(ours, own)
     return not (wrong or others)
+
+
+def _is_away(one: anchors.Witness, study: StudyFolder, branches: dict[str, int]) -> bool:
+    """Check whether an anchor is of a copy of this study that went on elsewhere."""
+    is_last = one.chain == next(reversed(branches), one.chain)
+    is_here = one.folder == str(study.path.absolute())
+    return not (is_last or is_here) and one.lines > branches.get(one.chain, one.lines)
 
 
 def _names(one: anchors.Witness, lines: Sequence[bytes]) -> bool:

@@ -10,6 +10,7 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.progress import ROSTER_FILE, list_progress, list_roster
 from feel321.study.persons import answers
+from feel321.study.persons.vault import find_vault
 from feel321.study.ratings import read_judgements
 from feel321.study.session.plan import TOMBSTONE_FILE
 
@@ -71,7 +73,10 @@ def derive_tables(study: StudyFolder) -> Iterator[Derived]:
     )
     asked = ("participant", "session", "question", "occasion")
     place = study.path / answers.ANSWERS_FILE
-    yield _derive(study, (place, answers.COLUMNS, asked), answers.read_answers)
+    with suppress(ValueError):  # Of damaged or locked answers the journals' audit tells.
+        vault = find_vault(study)
+        asking = place, answers.COLUMNS, asked
+        yield _derive(study, asking, lambda own: answers.read_answers(own, vault))
     matched = ("participant", "trial", "stimulus_id")
     place = study.path / matches.MATCHES_FILE
     table = place, matches.COLUMNS, matched
@@ -212,7 +217,12 @@ def _find_wrong(row: Row, own: Row, derived: Derived) -> str:
     if is_old and (row.get("last_utc") or "") > own["last_utc"]:
         return f"last_utc is {row['last_utc']}, the journals end at {own['last_utc']}"
     is_old |= own.get("rejected") == "true" and row.get("rejected") == "false"
+    # A personal answer shows with its passphrase only, and may be removed.
+    stored = own.get("storage", "")
+    is_apart = stored != row.get("storage", "") or (stored == "encrypted" and not own["answer"])
     for name, value in own.items():
+        if is_apart and name in {"answer", "storage"}:
+            continue
         got = row.get(name, value)  # an earlier version wrote fewer columns
         if got != value and not (is_old and name in derived.lagging):
             return f"{name} is {got!r}, the journals say {value!r}"

@@ -89,7 +89,7 @@ def _gather(study: StudyFolder, choices: ExportChoices) -> _Gathered:
 
 def _list_files(gathered: _Gathered, choices: ExportChoices) -> Iterator[tuple[str, Content]]:
     """List every file of the dataset with its content; the crate comes last, for it lists them."""
-    from feel321.analysis.report.write import list_versions
+    from feel321.analysis.report.standing import list_versions
     from feel321.study.auditing.seal import make_seal
 
     seal, settings = make_seal(gathered.study), gathered.settings

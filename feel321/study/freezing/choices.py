@@ -75,10 +75,13 @@ def _list_code(settings: Settings, study: StudyFolder) -> Iterator[tuple[str, st
     """List the digests of the lab's own code: reducers, metrics, screening rules and protocols."""
     from feel321.analysis.screening.rules import find_rules
     from feel321.protocols.tasks import digest_protocols
-    from feel321.study.methods import list_methods
+    from feel321.study.settings.read import find_metric, make_recipe
 
     rules = find_rules(settings.analysis.screening, study.path)
-    for method in (*list_methods(settings, study.path), *rules):
+    code = [name for name, table in settings.metrics.items() if table.use or table.command]
+    declared = [find_metric(settings, name, study.path) for name in code]
+    own = [one for one in declared if not isinstance(one, str)]
+    for method in (*make_recipe(settings, study.path).methods, *own, *rules):
         yield f"code.{method.kind.replace(' ', '_')}.{method.name}", method.sha256
     for name, sha256 in digest_protocols(settings.session.protocols).items():
         yield f"code.{name}", sha256
@@ -140,6 +143,9 @@ def find_changes(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str,
     # A setting that came with a later version of feel321, and is at its default, is no change.
     before = {name: usual.get(name) for name in now} | dict(frozen)
     names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+    # What a metric declares says nothing new where the metric itself came or went.
+    both = set(before.get("analysis.metrics") or ()) & set(now["analysis.metrics"])
+    names = [one for one in names if one.split(".")[0] != "metrics" or one.split(".")[1] in both]
     return {
         name: f"{name}: was {describe_value(before.get(name))}, now {describe_value(now.get(name))}"
         for name in names

@@ -9,6 +9,7 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from feel321.study.freezing import choices, record
+from feel321.study.freezing.counted import count_ratings
 from feel321.study.freezing.record import Frozen
 from feel321.study.session.identity import FROZEN_FILE
 
@@ -49,7 +50,7 @@ def freeze_study(
 ) -> tuple[Frozen, list[str]]:
     """Write `frozen.json`; return what it holds, and the choices that differ from the former state."""
     former = record.read_frozen(study)
-    rated = record.count_ratings(study)
+    rated = count_ratings(study)
     if (rated.judgements or rated.participants) and not after_data:
         raise ValueError(
             f"{study.path}: {record.describe_rated(rated)} came before, so it is too late to freeze before the data; "
@@ -80,7 +81,7 @@ def _seal_alone(one: Frozen) -> Frozen:
 def _decide(study: StudyFolder, participants: int | None, former: Frozen | None) -> Frozen:
     """Gather the choices of today's settings and stimuli."""
     from feel321 import __version__
-    from feel321.analysis.report.write import list_versions
+    from feel321.analysis.report.standing import list_versions
     from feel321.stimuli.sets.manifest import read_stimuli
     from feel321.study.sessions import require_current_set
     from feel321.study.settings.read import read_settings

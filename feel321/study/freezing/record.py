@@ -130,24 +130,18 @@ def _read_state(entry: Any) -> Frozen:  # noqa: ANN401 - what JSON holds
 # Ratings of real people, counted without a look at any.
 
 
-def count_ratings(study: StudyFolder) -> Seen:
-    """Count the ratings of real people, those too that the ledger or the table remembers and no journal holds."""
-    times = {
-        folder.name: list(_list_times(folder))
-        for folder in study.participants
-        if not _is_simulated(folder)
-    }
-    times = {name: found for name, found in times.items() if found}
+def find_first(study: StudyFolder) -> Seen:
+    """Count the ratings of people in the journals, and find the first."""
+    times = list_times(study)
     first = min((min(found) for found in times.values()), default="")
-    judgements = sum(map(len, times.values()))
-    others = dict(_list_remembered(study, set(times)))
-    return Seen(judgements + sum(others.values()), len(times) + len(others), first)
+    return Seen(sum(map(len, times.values())), len(times), first)
 
 
-def find_first(study: StudyFolder) -> str:
-    """Find when a real person first rated, by the journals; empty where nobody did."""
+def list_times(study: StudyFolder) -> dict[str, list[str]]:
+    """List when people rated, by the journals: participant -> times; only those who did."""
     own = (folder for folder in study.participants if not _is_simulated(folder))
-    return min((time for folder in own for time in _list_times(folder)), default="")
+    found = {folder.name: list(_list_times(folder)) for folder in own}
+    return {name: times for name, times in found.items() if times}
 
 
 def _is_simulated(folder: Path) -> bool:
@@ -169,32 +163,6 @@ def _list_times(folder: Path) -> Iterator[str]:
             yield str(datetime.fromisoformat(json.loads(line)["utc"]))
         except (ValueError, KeyError, TypeError, RecursionError):
             yield "9999"
-
-
-def _list_remembered(study: StudyFolder, known: set[str]) -> Iterator[tuple[str, int]]:
-    """List participants of whose ratings no journal is there: withdrawn, at another station, or removed by hand."""
-    from feel321.study.ledger.slots import read_study_ledger
-
-    try:
-        entries = read_study_ledger(study)
-    except (OSError, ValueError):
-        entries = []
-    left = {one.participant: one.done for one in entries if one.done and not one.simulated}
-    for name, count in _count_table(study).items():
-        left[name] = max(count, left.get(name, 0))
-    yield from ((name, count) for name, count in left.items() if name not in known)
-
-
-def _count_table(study: StudyFolder) -> dict[str, int]:
-    """Count the ratings of real people in the table of a study."""
-    from collections import Counter
-    from csv import DictReader
-
-    if not study.ratings.is_file():
-        return {}
-    with study.ratings.open(encoding="utf-8", newline="") as file:
-        rows = DictReader(file)
-        return Counter(row["participant"] for row in rows if row.get("simulated") == "false")
 
 
 def read_time(utc: str) -> datetime:
@@ -259,7 +227,7 @@ def find_faults(study: StudyFolder) -> list[str]:
 
 
 def _list_faults(study: StudyFolder, frozen: Frozen) -> Iterator[str]:
-    first = find_first(study)
+    first = find_first(study).first_utc
     states = list(list_versions(frozen))
     for one in states:
         if first and not one.is_late and read_time(one.utc) > read_time(first):

@@ -120,6 +120,7 @@ def compact(ledger: sa.Engine) -> None:
     try:
         with closing(connect(str(ledger.url.database), PATIENCE_S, isolation_level=None)) as file:
             file.execute("PRAGMA secure_delete = ON")
+            file.execute("PRAGMA synchronous = EXTRA")  # as in `_prepare_file`
             file.execute("VACUUM")
     except SqliteError as error:
         raise OSError(
@@ -151,7 +152,7 @@ def connect_ledger(place: Path | Server) -> sa.Engine:
             connect_args={"timeout": PATIENCE_S},
         )
         sa.event.listen(ledger, "do_connect", partial(_begin_file, place))
-        sa.event.listen(ledger, "connect", _leave_transactions_alone)
+        sa.event.listen(ledger, "connect", _prepare_file)
     else:
         ledger = _connect_server(place)
         sa.event.listen(ledger, "connect", _limit, insert=True)
@@ -281,10 +282,12 @@ def _describe_server(ledger: sa.Engine, error: DBAPIError) -> Exception:
     )
 
 
-def _leave_transactions_alone(connection: SqliteConnection, _record: object) -> None:
+def _prepare_file(connection: SqliteConnection, _record: object) -> None:
     # Python's sqlite3 would begin transactions by itself, and late.
     connection.isolation_level = None
     connection.execute("PRAGMA secure_delete = ON")  # what is deleted is overwritten
+    # A commit is the end of SQLite's journal: its going must be on the disk too, or a power cut takes it back.
+    connection.execute("PRAGMA synchronous = EXTRA")
 
 
 def _begin(connection: sa.Connection) -> None:

@@ -103,6 +103,7 @@ class StudyPower(Planned, results.PageResult):
             *(card["line"] for card in words.list_cards(self)),
             *self.notes,
             *_note_ends(self),
+            FREEZE,
         ])
 
     def _make_page(self, tables_: Mapping[str, DataFrame]) -> results.PageParts:
@@ -112,6 +113,12 @@ class StudyPower(Planned, results.PageResult):
             "shown": words.describe_size(self), "cards": content["cards"],
         }  # fmt: skip
         return results.PageParts("power.html", content, list(_list_pictures(self)), values)
+
+
+FREEZE = (
+    "Before the first rating, feel321 freeze writes down this number of participants, the hypotheses and the analysis, "
+    "so that results can be told apart into confirmatory and exploratory ones."
+)
 
 
 def build_content(result: Planned) -> dict[str, Any]:
@@ -140,7 +147,9 @@ def _describe_power(one: Power) -> dict[str, Any]:
 def list_notes(result: Planned) -> list[str]:
     """List all that was assumed or is unusual, once each."""
     own = (note for one in result.plan.powers for note in one.notes)
-    return list(dict.fromkeys([*result.notes, *_note_ends(result), *result.plan.notes, *own]))
+    return list(
+        dict.fromkeys([*result.notes, *_note_ends(result), *result.plan.notes, *own, FREEZE])
+    )
 
 
 def _note_ends(result: Planned) -> Iterator[str]:

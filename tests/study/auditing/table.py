@@ -125,7 +125,11 @@ def read_table() -> dict[str, tuple[str, ...]]:
         line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ")
     ]
     cells = [tuple(cell.strip() for cell in line.strip("|").split("|")) for line in lines]
-    return {name: tuple(row) for name, *row in cells if len(row) == 6 and name != "what was done"}
+    return {
+        name: tuple(row)
+        for name, *row in cells
+        if len(row) == 6 and name not in {"what was done", "---"}
+    }
 
 
 def read_before() -> dict[str, tuple[str, str]]:

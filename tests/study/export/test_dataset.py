@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 import pytest
 
+from feel321.study.export import writing
 from feel321.study.export.dataset import ExportChoices, export_bids
 from feel321.study.export.people import KEY_FILE, band_age, name_people
 from feel321.study.folder import StudyFolder
@@ -227,3 +228,25 @@ def test_ages_are_bands() -> None:
     assert [band_age(years) for years in (18, 24.9, 79, 80, 102)] == [
         "15-19", "20-24", "75-79", "80+", "80+",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("last", [0, 1, 7])
+def test_an_interrupted_export_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: int
+) -> None:
+    files: dict[str, writing.Content] = {f"{number}.txt": b"new" for number in range(8)}
+    crate = json.dumps({"@graph": [{"@id": "old.txt"}]}).encode()
+    writing.write_folder(tmp_path / "old", {"old.txt": b"old", writing.CRATE: crate})
+    before, write = read_all(tmp_path / "old"), writing._write
+
+    def stop(path: Path, content: writing.Content) -> None:
+        write(path, content)
+        if path.name == f"{last}.txt":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(writing, "_write", stop)
+    for name in ("old", "fresh"):
+        with pytest.raises(KeyboardInterrupt):
+            writing.write_folder(tmp_path / name, files)
+    assert read_all(tmp_path / "old") == before
+    assert [path.name for path in tmp_path.iterdir()] == ["old"]

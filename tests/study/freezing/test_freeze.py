@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.study.cli import main
+from feel321.study.freezing.counted import count_ratings
 from feel321.study.freezing.freeze import compare_now, freeze_study
-from feel321.study.freezing.record import count_ratings, describe_frozen, find_faults, read_frozen
+from feel321.study.freezing.record import describe_frozen, find_faults, read_frozen
 from feel321.study.simulation import simulate_study
 
 if TYPE_CHECKING:
