@@ -18,7 +18,7 @@ from pathlib import Path
 from socket import gethostname
 from typing import TYPE_CHECKING, Any
 
-from feel321.files import sync_folder, write_bytes, write_text
+from feel321.files import make_folder, sync_folder, write_bytes, write_text
 from feel321.study.auditing import keys
 from feel321.study.auditing.checkpoints import CHECKPOINTS, Tip, find_chain
 from feel321.study.session.journal import digest
@@ -98,7 +98,7 @@ def add_rules(*, folder: Path | None = None, remote: str = "", key: Path | None 
     rules = Rules(
         tuple(dict.fromkeys(folders)), tuple(dict.fromkeys(remotes)), str(key or rules.key)
     )
-    find_config().mkdir(parents=True, exist_ok=True)
+    make_folder(find_config())
     lines = [f"{name} = {json.dumps(value)}" for name, value in asdict(rules).items()]
     write_text(find_config() / CONFIG_FILE, "\n".join(lines) + "\n")
     return rules
@@ -164,7 +164,7 @@ def _put_files(study: StudyFolder, own: Witness, place: Path) -> None:
     if place.resolve().is_relative_to(study.path.resolve()):
         raise ValueError(f"is in {study.path}; choose a folder that others cannot write to")
     folder = place / own.chain
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     content, copy = read_lines(find_chain(study)), folder / CHECKPOINTS
     before = copy.read_bytes() if copy.is_file() else b""
     if not content.startswith(before):
@@ -199,7 +199,7 @@ def _update_clone(remote: str) -> Path:
     """Bring this rig's clone of a remote up to date."""
     clone = find_config() / "git" / digest(remote)[:16]
     if not clone.is_dir():
-        clone.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(clone.parent)
         _git(clone.parent, "clone", "-q", remote, str(clone))
     elif _git(clone, "ls-remote", "--heads", "origin"):
         _git(clone, "pull", "-q", "--no-rebase", "--no-edit")

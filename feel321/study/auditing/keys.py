@@ -9,6 +9,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321 import files
+
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
@@ -23,7 +25,7 @@ def make_key(path: Path, *, passphrase: str = "") -> str:
 
     if any((parent / "study.toml").is_file() for parent in path.absolute().parents):
         raise ValueError(f"{path}: must not be in a study's folder, which is copied and shared")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    files.make_folder(path.parent)
     key = Ed25519PrivateKey.generate()
     lock = (
         forms.BestAvailableEncryption(passphrase.encode()) if passphrase else forms.NoEncryption()
@@ -37,7 +39,7 @@ def make_key(path: Path, *, passphrase: str = "") -> str:
         file.write(content)
         os.fsync(file.fileno())
     public = export_public(key)
-    path.with_suffix(".pub").write_text(f"{public}\n", encoding="ascii")
+    files.write_text(path.with_suffix(".pub"), f"{public}\n")
     return name_key(public)
 
 
