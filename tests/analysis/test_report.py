@@ -127,7 +127,8 @@ def test_every_number_says_what_it_is(report: Path) -> None:
             "low",
             "high",
         ]
-        assert list(entry) == [*first, "uncertainty", "method", "n"]
+        assert list(entry) == [*first, "uncertainty", "method", "n", "status"]
+        assert entry["status"] == "exploratory"  # nothing was frozen
         assert entry["method"]
         assert isinstance(entry["n"], int)
         assert bool(entry["uncertainty"]) == (entry["low"] is not None)
