@@ -38,6 +38,7 @@ from feel321.study.minutes import read_pace
 from feel321.study.observer.participant import Participant, identify_observer
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
+from feel321.study.session.outlet import check_lsl, open_outlet
 from feel321.study.settings import read
 from feel321.study.strength import find_unfelt
 
@@ -76,6 +77,7 @@ class Lab:
     screen: int = 0
     casting: Casting | None = None
     certificate: Certificate | None = None
+    lsl: bool = False
 
     @property
     def calibration(self) -> dict[str, str] | str:
@@ -83,7 +85,7 @@ class Lab:
         return self.certificate.identity if self.certificate else UNCALIBRATED
 
 
-def check_lab(rig: Rig, *, screen: int = 0) -> None:
+def check_lab(rig: Rig, *, screen: int = 0, has_lsl: bool = False) -> None:
     """Check everything that can be checked before anything is opened."""
     has_device = rig.device.name not in {FILE_DEVICE, SIMULATED_DEVICE}
     needed = ["psychopy", "sounddevice"] if has_device else ["psychopy"]
@@ -98,6 +100,8 @@ def check_lab(rig: Rig, *, screen: int = 0) -> None:
         from feel321.study.actuator.stream import find_devices
 
         find_devices(rig)
+    if has_lsl:
+        check_lsl()
     if screen:  # there is always a first one
         from feel321.study.screen.window import check_screen
 
@@ -139,6 +143,8 @@ def open_lab(
         window = stack.enter_context(screen)
         hand = stack.enter_context(_open_hand(plan, journal, stimuli, lab=lab))
         own = {} if lab.rig.keys == USUAL else {"keys": lab.rig.keys.model_dump(mode="json")}
+        if lab.lsl or lab.settings.session.lsl:
+            stack.enter_context(open_outlet(journal, clock, participant=plan.participant))
         journal.write(DeviceOpened({**output.identity, **own}))
         exploration = stack.enter_context(_open_exploration(plan, window, lab=lab, clock=clock))
         yield ScreenPresenter(
@@ -258,6 +264,7 @@ class Visit:
     simulated: bool = False
     seed: int | None = None
     accept_rig: bool = False
+    lsl: bool = False
 
 
 def run_participant(
@@ -276,10 +283,10 @@ def run_participant(
             raise ValueError(f"{study.settings}: {unfelt}")
         warn(unfelt)
     rig, certificate = require_rig(study, settings, stimuli, visit=visit, now=now, warn=warn)
-    check_lab(rig, screen=visit.screen)
+    check_lab(rig, screen=visit.screen, has_lsl=visit.lsl or settings.session.lsl)
     seed = settings.study.seed if visit.seed is None else visit.seed
     casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
-    view = partial(Lab, windowed=visit.windowed, screen=visit.screen)
+    view = partial(Lab, windowed=visit.windowed, screen=visit.screen, lsl=visit.lsl)
     lab = view(study, settings, stimuli, rig, casting=casting, certificate=certificate)
     room, notice = open_room(study, settings, stimuli, now=now)
     if notice:

@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 MOST_GROWTH = {
     "session": 10.0,
-    "monitor": 16.0,
+    "monitor": 4.0,
     "monitor, nobody there": 1.0,
     "server": 2.0,
     "cable": 2.0,
 }
-"""MiB that a process may grow in the day: sessions and the live page keep what their journals hold."""
+"""MiB that a process may grow in the day; the live page besides keeps the records of all journals in memory."""
 
 MARKS = ("resumed", "device_failed", "clock_stepped", "aborted", "warm_up")
 """Events that a day must leave in some journal, or nothing happened."""
@@ -198,6 +198,9 @@ def check(day: Day) -> bool:
             f"{name:24} {watched_h:5.2f} {start:7.1f} {end:7.1f} {slope:7.2f} {opened:6} {still:6}"
         )
         most = MOST_GROWTH["session" if "session" in name else name]
+        if name == "monitor":
+            journals = StudyFolder(day.root / "office").journals
+            most += 4 * sum(path.stat().st_size for path in journals) / 2**20
         if end - start > most or still > opened + 8:
             day.faults.append(
                 f"{name} grows: {start:.1f} to {end:.1f} MiB, {opened} to {still} files"

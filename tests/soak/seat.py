@@ -81,12 +81,13 @@ class Person(SimulatedObserver):
     control: Control
     _answer: tuple[int, int, Mapping[str, Any]] | None = None
     _shown: tuple[int, int] = (0, 0)
-    _paced_s: float = 0.0
+    began_s: float = 0.0
 
     def pace(self) -> None:
-        """Let the time pass that the observer says it took."""
-        passed_s, self._paced_s = self._time_s - self._paced_s, self._time_s
-        time.sleep(max(0.0, passed_s) / self.control.speed)
+        """Let the time pass that the observer says it took; where the computer took longer, so did the person."""
+        passed_s = (time.monotonic() - self.began_s) * self.control.speed
+        time.sleep(max(0.0, self._time_s - passed_s) / self.control.speed)
+        self._time_s = max(self._time_s, round(passed_s, 3))
 
     def settle(self) -> None:
         """Note an answer once the engine goes on: it is on the disk."""
@@ -99,6 +100,7 @@ class Person(SimulatedObserver):
         if page.key == "call_us":  # The operator presses F12 when the device is back.
             while not self.control.has_device:
                 time.sleep(0.02)
+            self.pace()
         if self.control.is_tired:
             return Abort(self._time_s, "tired")
         act = super().show_page(page, place)
@@ -153,7 +155,8 @@ def lead(study: StudyFolder, name: str, number: int, control: Control) -> str:
             percepts=casting.percepts,
             elapsed_s=elapsed_s,
         )
-        person.control, person._paced_s = control, elapsed_s
+        person.control = control
+        person.began_s = time.monotonic() - elapsed_s / control.speed
         person.recall(journal.records, plan.trials, stimuli=stimuli)
         (control.folder / f"seated-{os.getpid()}").touch()
         yield person

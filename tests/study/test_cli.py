@@ -651,6 +651,7 @@ def test_draws_and_seed_of_a_study_reach_its_report(
 
     monkeypatch.setattr("feel321.analysis.report.write.write_report", write_report)
     monkeypatch.setattr("feel321.study.analyze.write_report", write_report)
+    monkeypatch.setattr("feel321.study.export.narrative.write_methods", lambda *_: None)
     monkeypatch.setattr("feel321.study.analyze.read_stimuli", lambda _: None)
     monkeypatch.setattr("feel321.study.analyze.write_ratings", lambda *_: 1)
     monkeypatch.setattr(

@@ -40,6 +40,7 @@ class Terminated(KeyboardInterrupt):
     "--device", metavar="NAME", help="Audio device; 'file' writes WAV files.  [default: rig.toml's]"
 )
 @shared.flag("--accept-rig", "Resume on a rig or certificate that changed; the journal records it.")
+@shared.flag("--lsl", "Send the session's events to the lab streaming layer (pylsl).")
 @shared.flag("--rehearse", "Try it out: the session is stored in rehearsals/ and never analysed.")
 @shared.flag("--simulate-participant", "A simulated participant presses the keys.", "simulated")
 @shared.seed_option(" of the simulated participant")
@@ -53,6 +54,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     screen: int,
     device: str | None,
     accept_rig: bool,
+    lsl: bool,
     rehearse: bool,
     simulated: bool,
     seed: int | None,
@@ -70,6 +72,7 @@ def run(  # noqa: PLR0913 - one parameter per option
         simulated=simulated,
         seed=seed,
         accept_rig=accept_rig,
+        lsl=lsl,
     )
     folder = replace(study.folder, is_rehearsal=rehearse)
     log = _Log(participant, _write_command(context), folder.rig)

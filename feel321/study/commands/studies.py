@@ -417,8 +417,8 @@ def analyze(  # noqa: PLR0913 - one per option
             out=out,
             progress=progress,
         )
-    if ratings is None:
-        write_methods(study, out or study.report)
+        if ratings is None:
+            write_methods(study, out or study.report)
     shared.print_results(out or study.report, as_json=as_json)
 
 

@@ -16,8 +16,6 @@ from feel321.study.export import credit, people, tables, writing
 from feel321.study.export.crate import make_crate
 from feel321.study.export.narrative import METHODS_FILE
 from feel321.study.ledger.progress import note_estimates
-from feel321.study.persons import outputs
-from feel321.study.session.journal import utc_now
 from feel321.study.settings import read
 
 if TYPE_CHECKING:
@@ -66,9 +64,6 @@ def export_bids(study: StudyFolder, folder: Path, choices: ExportChoices) -> lis
     gathered = _gather(study, choices)
     files = dict(_list_files(gathered, choices))
     writing.write_folder(folder, files)
-    outputs.record_output(
-        study, "export", folder, files=[folder / name for name in files], now=utc_now
-    )
     return gathered.settings.publication.list_missing()
 
 

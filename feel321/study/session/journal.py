@@ -164,6 +164,8 @@ class Journal:
         SHA-256 of the last line, 64 zeros if there is none.
     is_open : bool
         Whether it takes records: after a write that was broken off it does not.
+    listeners : list of callable
+        Called with every record that is on the disk; they must not wait.
     """
 
     path: Path
@@ -172,6 +174,7 @@ class Journal:
     notice: str = ""
     tip: str = START
     is_open: bool = True
+    listeners: list[Callable[[Record], None]] = field(default_factory=list)
 
     def write(self, event: SessionEvent | str, data: Mapping[str, Any] | None = None) -> None:
         """Append one record; it is on the disk when this returns.
@@ -221,6 +224,8 @@ class Journal:
         self.records.append(record)
         self.tip = digest(line.rstrip(b"\n"))
         self.is_open = True
+        for listen in self.listeners:
+            listen(record)
 
 
 def utc_now() -> datetime:

@@ -225,6 +225,7 @@ class SessionTable(kinds.TomlTable):
     task_order: Annotated[str, kinds.one_of(TASK_ORDERS)] = TASK_ORDERS[0]
     language: Annotated[str, AfterValidator(_check_language)] = "en"
     consent: kinds.Words | None = None
+    lsl: bool = False
     rehearsal: RehearsalTable = RehearsalTable()
     breaks: BreaksTable = BreaksTable()
     quality: QualityTable = QualityTable()
