@@ -389,7 +389,6 @@ PARSERS: dict[str, Parser] = {
         lazily(lambda: [seeds.make_npy(seeds.make_signal())]),
         "a.npz",
         dress=seeds.wrap_npy,
-        bounded=False,
     ),
     "recording.npy": Parser(
         partial(read_recording, rate_hz=1000, unit="g"),
@@ -414,7 +413,7 @@ PARSERS: dict[str, Parser] = {
         LMT,
         tuple(LMT.replace("_X_", f"_{axis}_") for axis in "YZ"),
     ),
-    "recording.ide": Parser(read_recording, lazily(seeds.make_ides), "a.ide", bounded=False),
+    "recording.ide": Parser(read_recording, lazily(seeds.make_ides), "a.ide"),
     "sidecar.json": Parser(
         read_sidecar,
         given(seeds.SIDECAR, b'{"full_scale": 160, "unit": "g"}'),

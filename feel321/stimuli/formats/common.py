@@ -124,6 +124,10 @@ def normalise(text: str) -> str:
     return re.sub(r"[\s_]+", "", text).casefold()
 
 
+LONGEST_LABEL = 1000
+"""Characters: longer ones are no labels, and each gap would be tried."""
+
+
 def split_unit(label: str, spellings: Container[str]) -> tuple[str, str | None]:
     """Split a column's label, such as ``x_g``, ``acc x (m/s²)`` or ``time [µs]``, into its bare name and its unit.
 
@@ -135,6 +139,8 @@ def split_unit(label: str, spellings: Container[str]) -> tuple[str, str | None]:
     ('x', 'v')
     """
     label = label.strip()
+    if len(label) > LONGEST_LABEL:
+        return label, None
     if bracketed := re.fullmatch(r"(.+?)[\s_]*[\[(](.*)[\])]", label):
         return bracketed[1], normalise(bracketed[2])
     for gap in re.finditer(r"[\s_]+", label):
