@@ -260,6 +260,9 @@ class Day:
         self.at(self.hour + duration_h, ballast.unlink)
 
     def withdraw(self, person: str) -> None:
+        if person not in self.finished:
+            self.at(self.hour + 0.05, lambda: self.withdraw(person))
+            return
         station = next(one for one in self.stations if (one.folder / "sessions" / person).exists())
         self.send("withdraw", station, "--participant", person, "--yes")
 
