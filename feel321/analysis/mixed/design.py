@@ -267,7 +267,14 @@ def _run_formulaic(text: str, data: DataFrame, what: str) -> Expanded:
             warnings.simplefilter("ignore")
             python, known = _write_python(text), _list_functions()
             matrix = model_matrix(python, data, context=known, na_action="ignore")
-    except (FormulaicError, SyntaxError, TypeError, ValueError, KeyError) as error:
+    except (
+        FormulaicError,
+        SyntaxError,
+        TypeError,
+        ValueError,
+        LookupError,
+        AttributeError,
+    ) as error:
         raise ValueError(
             f"formula must be made of columns of the table ({', '.join(map(str, data.columns))}) and functions of "
             f"them; cannot read {what}, {text!r}: {str(error).splitlines()[0]}"
