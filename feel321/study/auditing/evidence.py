@@ -3,11 +3,13 @@
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from socket import gethostname
 
 from feel321.study.auditing import anchors
 from feel321.study.auditing.checkpoints import CHECKPOINT, find_chain, list_branches, name_chain
 from feel321.study.auditing.codes import read_code
 from feel321.study.auditing.history import Following, describe_counts
+from feel321.study.auditing.keys import name_key
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import Chain, digest, read_chain, read_journal
 
@@ -31,21 +33,31 @@ def weigh(study: StudyFolder, *, code: str = "", extra: Sequence[Path] = ()) -> 
     if study.is_rehearsal:
         return own
     kept = anchors.read_kept(tuple(extra))
-    own.findings += [one for one in kept.problems if "could not be looked at" not in one]
-    own.remarks += [one for one in kept.problems if "could not be looked at" in one]
-    path, chain = find_chain(study), None
+    path, chain, damage = find_chain(study), None, ""
     try:
         chain = read_journal(path) if path.is_file() else None
     except ValueError as error:
-        own.findings.append(str(error))
+        damage = str(error)
+    _sort_problems(kept, chain, own)
     is_same = _compare_anchors(study, chain, kept=kept, own=own)
     is_same &= not _find_foreign(study, kept, {str(one) for one in extra}, own=own)
     if code:
         is_same &= _compare_code(chain, code, path=path, own=own)
     copy = None if is_same and chain else _find_copy(kept, own.anchor)
     _follow(study, copy or chain, own)
-    _describe(own, kept, is_known=chain is not None)
+    if damage:
+        place = own.anchor.place if copy and own.anchor else ""
+        own.findings.append(f"{damage}; {place} holds one" if place else damage)
+    _describe(own, kept, is_known=chain is not None, is_damaged=bool(damage))
     return own
+
+
+def _sort_problems(kept: anchors.Kept, chain: Chain | None, own: Evidence) -> None:
+    """Sort what was wrong with anchors: what is away, or somebody else's, is a remark."""
+    names = list_branches(chain.records) if chain else {}
+    for one in kept.problems:
+        is_remark = "could not be looked at" in one and not any(name in one for name in names)
+        (own.remarks if is_remark else own.findings).append(one)
 
 
 def _follow(study: StudyFolder, chain: Chain | None, own: Evidence) -> None:
@@ -160,14 +172,24 @@ def _is_here(one: anchors.Witness, study: StudyFolder, *, is_gone: bool) -> bool
 
 
 def _note_keys(ours: Sequence[anchors.Witness], own: Evidence) -> None:
-    from feel321.study.auditing.keys import name_key
-
+    """Note who signed; what this rig put there since it has a key must be signed with that."""
+    public, since = anchors.read_public()
+    here = [one for one in ours if since and one.host == gethostname() and one.utc >= since]
+    for one in [one for one in here if one.key != public][:1]:
+        own.findings.append(
+            f"{one.place}: the anchor of {one.utc} is {_describe_key(one)}; this rig signs with {name_key(public)} "
+            f"since {since}, so the anchor was changed, or put there by somebody else"
+        )
     signed = {name_key(one.key): f"{one.host}" for one in ours if one.key}
     if len(signed) > 1:
         named = ", ".join(f"{key} ({host})" for key, host in signed.items())
         own.remarks.append(
             f"anchors were signed with several keys: {named}; check that all are rigs of yours"
         )
+
+
+def _describe_key(one: anchors.Witness) -> str:
+    return f"signed by {name_key(one.key)} ({one.host})" if one.key else "not signed"
 
 
 def _compare_code(chain: Chain | None, code: str, *, path: Path, own: Evidence) -> bool:
@@ -199,7 +221,7 @@ def _find_copy(kept: anchors.Kept, anchor: anchors.Witness | None) -> Chain | No
     return None
 
 
-def _describe(own: Evidence, kept: anchors.Kept, *, is_known: bool) -> None:
+def _describe(own: Evidence, kept: anchors.Kept, *, is_known: bool, is_damaged: bool) -> None:
     """Say in one sentence how far the evidence reaches."""
     looked = (
         ", ".join(kept.places) or "no place outside the folder was chosen: feel321 seal --to DIR"
@@ -207,10 +229,13 @@ def _describe(own: Evidence, kept: anchors.Kept, *, is_known: bool) -> None:
     after = f"{own.since or 'nothing was recorded'} after it"
     if own.anchor is not None:
         verb = "compared with" if own.findings else "nothing was changed since"
-        own.sentence = f"{verb} the anchor of {own.anchor.utc} in {own.anchor.place}; {after}"
+        one = own.anchor
+        of = f" (checkpoint of {one.checkpoint_utc}, {_describe_key(one)})" if one.chain else ""
+        own.sentence = f"{verb} the anchor of {one.utc} in {one.place}{of}; {after}"
     elif is_known:
         count = f"{own.checkpoints} checkpoint{'s' * (own.checkpoints != 1)} in the folder itself"
         since = f", {own.since} after the last" if own.since else ""
         own.sentence = f"compared with {count}{since}; anchors: none ({looked})"
     else:
-        own.sentence = f"no checkpoints were kept; anchors: none ({looked})"
+        state = "the checkpoints cannot be read" if is_damaged else "no checkpoints were kept"
+        own.sentence = f"{state}; anchors: none ({looked})"
