@@ -26,8 +26,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 collect_ignore = ["bench"]
-collect_ignore_glob = ["soak/[!t]*.py"]  # programs that the tests of soak start
 """Scripts beside each other, which `make bench` and people run; they hold no tests."""
+
+collect_ignore_glob = ["soak/[!t]*.py"]
+"""Programs that the tests of the soak start."""
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 
