@@ -175,7 +175,8 @@ class Contents:
         Returns
         -------
         DataFrame
-            One row per answer, as `answers.csv` holds them, which is written anew; empty where nothing was asked.
+            One row per answer, as in `answers.csv`, which is written anew; empty where nothing was asked. Encrypted
+            answers are here with the passphrase (FEEL321_PASSPHRASE), and never in `answers.csv`.
         """
         import pandas as pd
 

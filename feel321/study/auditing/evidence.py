@@ -1,6 +1,6 @@
 """What is kept of a study, beside its journals and elsewhere, against the folder as it is now."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,11 +14,12 @@ from feel321.study.session.journal import Chain, digest, read_chain, read_journa
 
 @dataclass(slots=True)
 class Evidence:
-    """What the checkpoints and anchors say: findings, remarks, the last anchor, and a sentence for people."""
+    """What the checkpoints and anchors say: findings, remarks, the last anchor, the chains of all, a sentence."""
 
     findings: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     anchor: anchors.Witness | None = None
+    chains: frozenset[str] = frozenset()
     checkpoints: int = 0
     since: str = ""
     sentence: str = ""
@@ -38,6 +39,7 @@ def weigh(study: StudyFolder, *, code: str = "", extra: Sequence[Path] = ()) -> 
     except ValueError as error:
         own.findings.append(str(error))
     is_same = _compare_anchors(study, chain, kept=kept, own=own)
+    is_same &= not _find_foreign(study, kept, {str(one) for one in extra}, own=own)
     if code:
         is_same &= _compare_code(chain, code, path=path, own=own)
     copy = None if is_same and chain else _find_copy(kept, own.anchor)
@@ -80,6 +82,7 @@ def _compare_anchors(
         for one in kept.witnesses
         if one not in ours and _is_here(one, study, is_gone=chain is None)
     ]
+    own.chains = frozenset(one.chain for one in (*ours, *others))
     away = [one for one in ours if _is_away(one, study, branches)]
     for one in away[:1]:
         own.remarks.append(
@@ -107,6 +110,29 @@ def _compare_anchors(
     return not (wrong or others)
 
 
+def _find_foreign(
+    study: StudyFolder, kept: anchors.Kept, given: Container[str], *, own: Evidence
+) -> bool:
+    """Find out whether there are anchors, but none of this chain; of those that were given, one must be."""
+    those = [one for one in kept.witnesses if one.place in given]
+    foreign = those or list(kept.witnesses)
+    if not foreign or any(one.chain in own.chains for one in foreign):
+        return False
+    count, newest = len({one.chain for one in foreign}), max(foreign, key=lambda one: one.utc)
+    text = (
+        f"{find_chain(study)}: no anchor of this chain is in {newest.place}, which has those of {count} other "
+        f"chain{'s' * (count != 1)} (the newest of {newest.host}:{newest.folder}, {newest.utc})"
+    )
+    if not those:
+        own.remarks.append(f"{text}; if there was one, the study was moved and made anew")
+        return False
+    own.findings.append(f"{text}; the study was made anew, or the anchors are of another one")
+    same = [one for one in those if count == 1 or Path(one.folder).name == study.path.name]
+    if len({one.chain for one in same}) == 1:
+        own.anchor = max(same, key=lambda one: (one.utc, one.lines))
+    return True
+
+
 def _is_away(one: anchors.Witness, study: StudyFolder, branches: dict[str, int]) -> bool:
     """Check whether an anchor is of a copy of this study that went on elsewhere."""
     is_last = one.chain == next(reversed(branches), one.chain)
@@ -126,12 +152,11 @@ def _is_on(one: anchors.Witness, lines: Sequence[bytes]) -> bool:
 def _is_here(one: anchors.Witness, study: StudyFolder, *, is_gone: bool) -> bool:
     """Check whether an anchor is of another chain in this folder; one that was moved is known by its last name."""
     here = study.path.absolute()
-    is_begun = is_gone and bool(
-        study.participants or study.ledger_log.exists() or study.ledger.exists()
-    )
-    if not (find_chain(study).is_file() or is_begun or (study.path / "participants.csv").exists()):
-        return False
-    return one.folder == str(here) or (is_gone and Path(one.folder).name == here.name)
+    if one.folder == str(here):
+        return True
+    is_begun = study.participants or study.ledger_log.exists() or study.ledger.exists()
+    is_begun = is_begun or (study.path / "participants.csv").exists()
+    return bool(is_gone and is_begun and Path(one.folder).name == here.name)
 
 
 def _note_keys(ours: Sequence[anchors.Witness], own: Evidence) -> None:

@@ -22,7 +22,7 @@ from feel321.study.auditing.tables import audit_tables
 from feel321.study.folder import StudyFolder, reading_origin
 from feel321.study.ledger.progress import find_leftovers
 from feel321.study.ledger.slots import find_lost, read_study_ledger
-from feel321.study.persons.removal import find_data_left
+from feel321.study.persons.removal import find_data_left, list_stale
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_plan
 
 
@@ -47,7 +47,7 @@ def examine(
     findings = _audit_alone(study, progress)
     wrong, older = audit_tables(study)
     evidence = weigh(study, code=code, extra=extra)
-    remarks = [*evidence.remarks, *older, *list_remarks(study)]
+    remarks = [*evidence.remarks, *older, *list_remarks(study), *list_stale(study)]
     utc = evidence.anchor.utc if evidence.anchor else ""
     every = dict.fromkeys([*findings, *wrong, *evidence.findings])
     return Examined(tuple(every), tuple(remarks), evidence.sentence, utc)

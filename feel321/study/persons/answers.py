@@ -28,14 +28,17 @@ COLUMNS = (
 def write_answers(study: StudyFolder) -> list[dict[str, Any]]:
     """Write all answers of a study, if it has or had any, and return them.
 
-    Those of a session that was begun anew are there and marked as rejected. Personal answers that are encrypted are
-    there with the passphrase only (environment variable FEEL321_PASSPHRASE); `storage` says how each is kept.
+    Those of a session that was begun anew are there and marked as rejected; `storage` says how each is kept. Personal
+    answers that are encrypted are returned with the passphrase only (environment variable FEEL321_PASSPHRASE), and
+    never written.
     """
     vault = find_vault(study)
     rows = [row for folder in study.participants for row in read_answers(folder, vault)]
     path = study.path / ANSWERS_FILE
     if rows or path.exists():
-        write_table(path, COLUMNS, rows, private=True)
+        sealed = {"answer": ""}
+        kept = (row | sealed if row["storage"] == "encrypted" else row for row in rows)
+        write_table(path, COLUMNS, kept, private=True)
         study.share(path)
     return rows
 

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import (
     TEMPORARY,
     UNFINISHED,
+    digest_file,
     hold_lock,
     make_folder,
     sweep,
@@ -31,8 +32,11 @@ from feel321.files import (
 )
 from feel321.study.folder import LEDGER_FILE, SETTINGS_FILE, StudyFolder
 from feel321.study.ledger import database, progress, slots
-from feel321.study.persons import places
+from feel321.study.persons import places, vault
+from feel321.study.persons.answers import ANSWERS_FILE
 from feel321.study.persons.outputs import (
+    MANIFEST,
+    OBJECTS,
     OUTPUTS_FILE,
     RESULTS,
     WITHDRAWN,
@@ -51,12 +55,14 @@ if TYPE_CHECKING:
 
     Files = dict[str, dict[str, Any]]
 
-MANIFEST, OBJECTS = "backup.json", "objects"
-
 FORMAT = 1
 
 _FIRST = ("ledger", "log", "ratings", "roster", "answers", "matches", "checkpoints")
 """Kinds of places that may lag behind journals and not run ahead."""
+
+_TRIES = 5
+
+_CHAIN = "checkpoints.jsonl"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,15 +126,13 @@ class _Copy:
         self.files: Files = {}
         self.folders: list[str] = []
         self.notes: list[str] = []
+        self.left: set[str] = set()
         self.new = 0
 
     def run(self) -> None:
         """Copy in the order in which nothing is ahead of the journal that names it."""
         before = {path.name for path in self.study.participants}
-        first = {place.path for place in places.list_places(self.study) if place.kind in _FIRST}
-        for path in sorted(first):
-            if not _is_of_sqlite(path):
-                self.copy(path)
+        first = self.copy_first()
         kept = {"", *before, *self.list_noted()}  # who came later is in the next backup
         everything = [path for path in self.list_paths() if self.find_person(path) in kept]
         is_journal = SESSION_FILE.fullmatch
@@ -143,15 +147,43 @@ class _Copy:
             if is_new and self.find_person(path) in kept:
                 self.copy(path)
 
+    def copy_first(self) -> set[Path]:
+        """Copy what may lag behind journals; the chain is never older than the results that it knows."""
+        first = {place.path for place in places.list_places(self.study) if place.kind in _FIRST}
+        if vault.has_encrypted(self.study):  # earlier versions wrote them there in clear
+            self.left.add(ANSWERS_FILE)
+        for path in sorted(first):
+            if not _is_of_sqlite(path):
+                self.copy(path)
+        for _ in range(_TRIES):
+            if self.copy_results():
+                break
+        return first
+
+    def copy_results(self) -> bool:
+        """Copy the checkpoints, then the results; returns whether no checkpoint was taken in the meantime.
+
+        An analysis that writes meanwhile has noted its beginning in the chain that is kept.
+        """
+        chain = self.study.path / _CHAIN
+        self.copy(chain)
+        self.files = {n: one for n, one in self.files.items() if n.split("/")[0] not in RESULTS}
+        for path in self.list_paths(of_results=True):
+            self.copy(path)
+        kept = self.files.get(_CHAIN)
+        return kept is None or digest_file(chain) == kept["sha256"]
+
     def list_noted(self) -> set[str]:
         """List whom the ledger knew when it was copied."""
         sha256 = self.files.get(f"sessions/{LEDGER_FILE}", {}).get("sha256")
         return _read_codes(find_object(self.target, sha256)) if sha256 else set()
 
-    def list_paths(self) -> Iterator[Path]:
+    def list_paths(self, *, of_results: bool = False) -> Iterator[Path]:
         """List what is in the study: links are named, and what is unfinished, locks or of SQLite's own is left out."""
         for path in places.walk(self.study.path):
             parts = path.relative_to(self.study.path).parts
+            if (parts[0] in RESULTS) != of_results:
+                continue
             is_part = any(UNFINISHED.fullmatch(one) or TEMPORARY.fullmatch(one) for one in parts)
             if path.is_symlink():
                 note = (
@@ -171,6 +203,8 @@ class _Copy:
 
     def copy(self, path: Path) -> None:
         """Copy a file as it is now; one that went in the meantime was not to be kept."""
+        if path.is_symlink() or self.name(path) in self.left:
+            return
         with suppress(FileNotFoundError):
             content, mode = self.read(path), path.stat().st_mode & 0o777
             sha256 = hashlib.sha256(content).hexdigest()
@@ -312,7 +346,7 @@ def _choose(files: Files, gone: set[str]) -> Files:
     }
     if len(here) == len(files):
         return files
-    derived = {*places.TABLES} - {"checkpoints.jsonl", OUTPUTS_FILE}
+    derived = {*places.TABLES} - {_CHAIN, OUTPUTS_FILE}
     return {
         name: one
         for name, one in here.items()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,18 +21,25 @@ OUTPUTS_FILE = "outputs.jsonl"
 WITHDRAWN = "withdrawn.json"
 """File in the folder of a backup: the codes of those who are not to come back."""
 
+MANIFEST, OBJECTS = "backup.json", "objects"
+"""Names in the folder of a backup."""
+
 RESULTS = ("report", "chart", "advice", "power")
 """Folders of results in a study that ratings may be in, unless another name was given."""
 
 
 @dataclass(frozen=True, slots=True)
 class WrittenOutput:
-    """What a verb wrote: where, when, and the digest of each file by its name in that folder."""
+    """What a verb wrote: where, when, and the digest of each file by its name in that folder.
+
+    stale: whether somebody withdrew since, and it could not be cleared.
+    """
 
     verb: str
     path: Path
     utc: str
     files: dict[str, str]
+    stale: bool = False
 
 
 @contextmanager
@@ -82,18 +89,24 @@ def read_outputs(study: StudyFolder) -> list[WrittenOutput]:
     try:
         lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
         return [
-            WrittenOutput(o["verb"], Path(o["path"]), o["utc"], dict(o["files"])) for o in lines
+            WrittenOutput(
+                o["verb"], Path(o["path"]), o["utc"], dict(o["files"]), bool(o.get("stale"))
+            )
+            for o in lines
         ]
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"{path}: not as feel321 wrote it ({error}); restore it from a copy"
         ) from None
 
 
-def forget_outputs(study: StudyFolder, gone: Iterable[WrittenOutput]) -> None:
-    """Take out of the record what was removed."""
-    left = list(gone)
-    _write(study, [one for one in read_outputs(study) if one not in left])
+def settle_outputs(
+    study: StudyFolder, *, gone: Iterable[WrittenOutput], stale: Iterable[WrittenOutput]
+) -> None:
+    """Take out of the record what was removed, and mark what a withdrawal could not clear."""
+    removed, marked = list(gone), list(stale)
+    left = [one for one in read_outputs(study) if one not in removed]
+    _write(study, [replace(one, stale=one.stale or one in marked) for one in left])
 
 
 def read_withdrawn(target: Path) -> set[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -13,11 +14,14 @@ from feel321.files import digest_file, sweep, sweep_temporary, sync_folder
 from feel321.study.ledger import progress
 from feel321.study.persons import places
 from feel321.study.persons.outputs import (
+    MANIFEST,
+    OBJECTS,
+    OUTPUTS_FILE,
     RESULTS,
     WrittenOutput,
-    forget_outputs,
     note_withdrawn,
     read_outputs,
+    settle_outputs,
 )
 from feel321.study.session.plan import TOMBSTONE_FILE
 
@@ -100,19 +104,67 @@ def _holds_ratings(folder: Path) -> bool:
 
 
 def clear_outputs(study: StudyFolder) -> Iterator[str]:
-    """Remove what verbs wrote elsewhere, as far as it is as they wrote it; name the rest, and the backups."""
-    gone = []
+    """Remove what verbs wrote elsewhere, as far as it is here and as they wrote it; name the rest, and the backups."""
+    gone: list[WrittenOutput] = []
+    stale: list[WrittenOutput] = []
     for output in read_outputs(study):
-        if output.verb == "backup":
-            if output.path.is_dir():
-                note_withdrawn(output.path, _list_withdrawing(study))
-                yield f"{output.path}: is a backup with the participant's data; {_again(study, output)}"
-            continue
-        left = list(_clear_output(output))
+        is_backup = output.verb == "backup"
+        left = list((_clear_backup if is_backup else _clear_output)(study, output))
         yield from left
-        gone += [] if left else [output]
-    if gone:
-        forget_outputs(study, gone)
+        (stale if left else gone).append(output)
+    if gone or stale:
+        settle_outputs(study, gone=gone, stale=stale)
+
+
+def _clear_backup(study: StudyFolder, output: WrittenOutput) -> Iterator[str]:
+    if not _is_here(output):
+        yield _describe_away(study, output)
+        return
+    try:
+        note_withdrawn(output.path, _list_withdrawing(study))
+    except OSError as error:
+        yield f"{output.path}: the withdrawal could not be noted there ({error})"
+    yield f"{output.path}: is a backup with the participant's data; {_again(study, output)}"
+
+
+def list_stale(study: StudyFolder) -> Iterator[str]:
+    """Name backups that still hold data of those who withdrew, and what was away when they did."""
+    gone = set(_list_withdrawing(study))
+    for output in read_outputs(study) if gone else ():
+        if output.stale and not _is_here(output):
+            yield _describe_away(study, output)
+        elif output.verb == "backup" and (held := sorted(gone & _list_backed_up(output.path))):
+            who = ", ".join(held)
+            yield f"{output.path}: is a backup with data of {who}, who withdrew; {_again(study, output)}"
+
+
+def _list_backed_up(target: Path) -> set[str]:
+    """List whose sessions or rehearsals a backup holds; nobody's where it cannot be read, which `restore` says."""
+    try:
+        names = [name.split("/") for name in json.loads((target / MANIFEST).read_bytes())["files"]]
+    except (OSError, KeyError, TypeError, ValueError):
+        return set()
+    return {name[1] for name in names if len(name) > 2 and name[-1] != TOMBSTONE_FILE}  # noqa: PLR2004 - room, code, name
+
+
+def _is_here(output: WrittenOutput) -> bool:
+    if output.verb == "backup":
+        return (output.path / OBJECTS).is_dir()
+    paths = (output.path / name if name != "." else output.path for name in output.files)
+    return any(path.exists() for path in paths) if output.files else output.path.parent.is_dir()
+
+
+def _describe_away(study: StudyFolder, output: WrittenOutput) -> str:
+    what, mend = (
+        "what {0.verb} wrote there",
+        "withdraw again, or remove the participant's data there",
+    )
+    if output.verb == "backup":
+        what, mend = "a backup with the participant's data", _again(study, output)
+    return (
+        f"{output.path}: {what.format(output)} is not here now; bring it back, then {mend}; if it is gone for good, "
+        f"take its line out of {study.path / OUTPUTS_FILE}"
+    )
 
 
 def _list_withdrawing(study: StudyFolder) -> list[str]:
@@ -123,10 +175,12 @@ def _again(study: StudyFolder, output: WrittenOutput) -> str:
     return f"remove them there too: feel321 backup {study.path} --to {output.path}"
 
 
-def _clear_output(output: WrittenOutput) -> Iterator[str]:
+def _clear_output(study: StudyFolder, output: WrittenOutput) -> Iterator[str]:
     if output.path.is_symlink():
         yield f"{output.path}: has become a link; remove the participant's data behind it"
         return
+    if not _is_here(output):
+        yield _describe_away(study, output)
     if not output.files and output.path.exists():
         yield f"{output.path}: {output.verb} was interrupted there; remove the participant's data in it"
     for name, sha256 in output.files.items():
@@ -154,12 +208,25 @@ def find_data_left(study: StudyFolder) -> Iterator[str]:
         return
     dates = [one.utc for one in stones.values() if one and one.journals]
     newest = max(map(datetime.fromisoformat, dates), default=None)
+    yield from _find_returned(study, min(stones))
     for place in places.list_places(study):
         for participant in stones:
             if why := _find_trace(place, participant, study):
                 yield f"{place.path}: {why} {participant}, who withdrew; finish: {_withdraw(study, participant)}"
         if newest and place.kind in {"results", "output"} and _is_older(place.path, newest):
             yield f"{place.path}: was made before somebody withdrew; remove it, and make it anew"
+
+
+def _find_returned(study: StudyFolder, participant: str) -> Iterator[str]:
+    """Find what was away at a withdrawal and is here again as it was written; any withdrawal finishes it."""
+    mend = f"was written before somebody withdrew and has come back; finish: {_withdraw(study, participant)}"
+    for output in read_outputs(study):
+        paths = {
+            output.path / name if name != "." else output.path: digest
+            for name, digest in output.files.items()
+        }
+        if output.stale and any(p.is_file() and digest_file(p) == sha for p, sha in paths.items()):
+            yield f"{output.path}: {mend}"
 
 
 def _withdraw(study: StudyFolder, participant: str) -> str:

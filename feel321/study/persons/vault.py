@@ -20,6 +20,7 @@ import json
 import os
 import secrets
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, field
 from getpass import getpass
 from typing import TYPE_CHECKING, Any
@@ -123,6 +124,13 @@ def _ask(*, is_new: bool) -> str:
 def is_encrypted(path: Path) -> bool:
     """Check whether a file of personal answers is encrypted."""
     return bool(_read(path)[0]["cost"])
+
+
+def has_encrypted(study: StudyFolder) -> bool:
+    """Check whether answers of anybody are encrypted; a file that cannot be read counts as such."""
+    with suppress(ValueError):
+        return any(is_encrypted(path) for path in _list_files(study))
+    return True
 
 
 def _list_files(study: StudyFolder) -> list[Path]:

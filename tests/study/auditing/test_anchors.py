@@ -17,11 +17,17 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.study.auditing import anchors, codes, keys, sealing
-from feel321.study.auditing.checkpoints import Tip, find_chain, note_analysis, read_tip
+from feel321.study.auditing.checkpoints import (
+    Tip,
+    find_chain,
+    note_analysis,
+    read_tip,
+    take_checkpoint,
+)
 from feel321.study.auditing.study import examine
 from feel321.study.cli import main
 from feel321.study.collect import collect_sessions
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import StudyFolder, create_study
 from feel321.study.ledger.progress import write_roster
 from feel321.study.ledger.slots import rebuild_ledger
 from feel321.study.persons.notes import take_note
@@ -168,6 +174,17 @@ def kill_analysis(study: StudyFolder) -> None:
     write_report(study, "third")
 
 
+def build_otherwise(study: StudyFolder) -> StudyFolder:
+    other = StudyFolder(study.path.with_name("begun"))
+    create_study(other.path)
+    for duration in ("0.1", "0.12"):
+        other.settings.write_text(SETTINGS.replace("0.1", duration), encoding="utf-8")
+        build_study(other)
+        seal(other, reason="the beginning")
+    simulate(other, 2)
+    return other
+
+
 HONEST: dict[str, Callable[[StudyFolder], StudyFolder | None]] = {
     "nothing": lambda _: None,
     "sealed twice": lambda study: seal(study) and None,
@@ -189,6 +206,7 @@ HONEST: dict[str, Callable[[StudyFolder], StudyFolder | None]] = {
     "a checkpoint that was killed": lambda study: append(
         find_chain(study), b'{"sequence": 9, "pre'
     ),
+    "the set built anew before anybody came": build_otherwise,
     "an anchor that was killed": lambda study: append(
         next((study.path.parent / "anchors").glob("*/anchors.jsonl")), b'{"chain": "'
     ),
@@ -197,6 +215,7 @@ HONEST: dict[str, Callable[[StudyFolder], StudyFolder | None]] = {
 
 ALWAYS = {
     "more sessions", "a withdrawal", "a line that a kill tore", "a participant of another station",
+    "the set built anew before anybody came",
     "an analysis that was killed", "a checkpoint that was killed", "an anchor that was killed",
 }  # fmt: skip
 """Also in a run that shall be short."""
@@ -213,6 +232,70 @@ def test_what_is_honest_gives_no_finding(study: StudyFolder, what: str) -> None:
     withdraw_participant(study, "sim001", now=utc_now)
     simulate(study, 2)
     assert find(study) == ()
+
+
+def test_a_study_on_another_computer_is_compared_with_anchors_that_were_given(
+    study: StudyFolder, home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FEEL321_CONFIG", str(tmp_path / "reviewer"))
+    study = move(study)
+    assert find(study, extra=[home]) == ()
+    simulate(study, 3)
+    seal(study)
+    assert find(study, extra=[home]) == (), "a copy that goes on"
+    study.ledger_log.unlink(missing_ok=True)
+    find_chain(study).unlink()
+    shutil.rmtree(study.sessions)
+    assert any("no anchor of this chain is in" in text for text in find(study, extra=[home]))
+    simulate_study(study, participants=2, seed=SEED + 1, now=utc_now)
+    assert find(study) == (), "nothing was given"
+    findings = find(study, extra=[home])
+    assert any("no anchor of this chain is in" in text for text in findings)
+    assert any(text.startswith(str(study.journals[0])) for text in findings), "the copy names files"
+
+
+def test_a_rig_that_has_only_anchors_of_others_says_so(study: StudyFolder, tmp_path: Path) -> None:
+    other = move(study)
+    find_chain(other).unlink()
+    take_checkpoint(other, by="seal", now=utc_now)
+    other.path.rename(tmp_path / "renamed")
+    found = examine(StudyFolder(tmp_path / "renamed"))
+    assert found.findings == ()
+    assert any("no anchor of this chain is in" in text for text in found.remarks)
+
+
+def test_a_set_may_be_built_anew_when_everybody_has_withdrawn_not_before(
+    study: StudyFolder,
+) -> None:
+    first, *others = study.participants
+    withdraw_participant(study, first.name, now=utc_now)
+    before = study.manifest.read_bytes()
+    append(study.manifest, b"\n")
+    assert any("manifest.csv" in text and "; restore it" in text for text in find(study))
+    study.manifest.write_bytes(before)
+    for folder in others:
+        withdraw_participant(study, folder.name, now=utc_now)
+    study.settings.write_text(SETTINGS.replace("0.1", "0.12"), encoding="utf-8")
+    build_study(study)
+    assert all("feel321 seal --reason" in text for text in find(study))
+    seal(study, reason="the real study begins")
+    assert find(study) == ()
+    simulate(study, 4)
+    assert find(study) == ()
+
+
+def test_an_analysis_that_was_killed_opens_nothing_for_ever(study: StudyFolder) -> None:
+    kill_analysis(study)
+    (remark,) = (one for one in examine(study).remarks if "did not finish" in one)
+    assert remark.startswith(f"{study.report}: was changed after the analysis that began at ")
+    seal(study)
+    assert remark in examine(study).remarks
+    write_report(study, "edited")
+    assert any("by no analysis" in text for text in find(study))
+    write_report(study, "third")
+    with sealing.sealing_analysis(study):
+        write_report(study, "fourth")
+    assert not any("did not finish" in one for one in examine(study).remarks)
 
 
 # What contradicts.

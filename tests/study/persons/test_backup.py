@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.study.auditing.sealing import seal_study, sealing_analysis
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.database import read_ledger
@@ -111,6 +112,29 @@ def test_a_backup_while_sessions_run_is_consistent(smallest: StudyFolder, tmp_pa
         assert audit_study(back) == [], rounds
         rounds += 1
     thread.join()
+
+
+def test_results_that_are_written_meanwhile_are_never_newer_than_their_checkpoint(
+    held: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held.report.mkdir()
+    (held.report / "results.json").write_text("old")
+    seal_study(held, now=now)
+    copy_file, times = backups._Copy.copy, []
+
+    def copy(self: Any, path: Path) -> None:
+        if path.name == "results.json" and not times:  # an analysis begins and ends just then
+            times.append(path)
+            with sealing_analysis(held):
+                path.write_text("new")
+        copy_file(self, path)
+
+    monkeypatch.setattr(backups._Copy, "copy", copy)
+    backups.back_up(held, tmp_path / "safe", now=now)
+    backups.restore(tmp_path / "safe", tmp_path / "back", now=now)
+    back = StudyFolder(tmp_path / "back")
+    assert (back.report / "results.json").read_text() == "new"
+    assert not [one for one in audit_study(back) if "was changed" in one]
 
 
 DYING = """

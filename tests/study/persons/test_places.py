@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.auditing.study import audit_study
+from feel321.study.auditing.study import audit_study, examine
 from feel321.study.cli import main
 from feel321.study.commands import shared
 from feel321.study.persons.places import KEPT, KINDS, NAMED, list_places
@@ -231,6 +231,31 @@ def test_an_output_that_was_changed_is_named_and_left(
     assert [path.name for path in (tmp_path / "for-r").iterdir()] == ["judgements.csv"]
     kinds = {place.path: place.kind for place in list_places(planted)}
     assert kinds[changed] == "output"  # it is still remembered
+
+
+def test_what_was_away_at_a_withdrawal_is_named_until_it_is_cleared(
+    planted: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, safe = tmp_path / "for-r", tmp_path / "safe"
+    say("export", planted.path, "--r", out)
+    say("backup", planted.path, "--to", safe)
+    for path in (out, safe):
+        path.rename(tmp_path / f"away-{path.name}")
+    say("withdraw", planted.path, "--participant", WHO, "--yes")
+    told = capsys.readouterr().err
+    assert f"{out}: what export wrote there is not here now" in told
+    assert f"{safe}: a backup with the participant's data is not here now" in told
+    assert [line.partition(":")[0] for line in examine(planted).remarks] == [str(out), str(safe)]
+    for path in (out, safe):
+        (tmp_path / f"away-{path.name}").rename(path)
+    found = examine(planted)
+    assert [line.partition(":")[0] for line in found.findings] == [str(out)]
+    assert f"{safe}: is a backup with data of {WHO}, who withdrew" in found.remarks[-1]
+    say("withdraw", planted.path, "--participant", WHO, "--yes")
+    say("backup", planted.path, "--to", safe)
+    found = examine(planted)
+    assert (found.findings, found.remarks, out.exists()) == ((), (), False)
+    assert grep(tmp_path, SECRET) == set()
 
 
 DYING = """

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.study.auditing.study import audit_study
+from feel321.study.auditing.study import audit_study, examine
 from feel321.study.cli import main
 from feel321.study.collect import collect_sessions
 from feel321.study.persons import retention, vault
+from feel321.study.persons.backup import back_up, read_manifest
 from feel321.study.persons.inventory import read_inventory
 from feel321.study.persons.modes import tighten
 from feel321.study.persons.vault import UNLOCK_VARIABLE, Vault
@@ -91,6 +92,27 @@ def test_the_same_answers_lie_apart_in_clear_and_encrypted(
     text = (other.sessions / "sim001" / "personal.jsonl").read_text()
     assert '"value"' not in text
     assert '"salt"' not in text.split("\n", 1)[1]
+
+
+def test_encrypted_answers_are_in_no_table_and_no_backup(
+    held: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert all(list_values(held))
+    assert {row["answer"] for row in read_table(held)} == {""}
+    table = held.path / "answers.csv"
+    header, first, *rest = table.read_text().splitlines()
+    edited = first.split(",")
+    edited[header.split(",").index("answer")] = "76"
+    table.write_text("\n".join([header, ",".join(edited), *rest]) + "\n")
+    assert "answer is '76'" in "\n".join(examine(held).findings)
+    back_up(held, tmp_path / "safe", now=now)
+    assert "answers.csv" not in read_manifest(tmp_path / "safe")["files"]
+    monkeypatch.delenv(UNLOCK_VARIABLE)
+    found = examine(held)
+    assert found.findings == ()
+    assert "1 encrypted answers stand there in clear and could not be compared" in "\n".join(
+        found.remarks
+    )
 
 
 def test_another_passphrase_is_one_line(
@@ -176,7 +198,7 @@ def test_removal_leaves_ratings_and_a_record_that_stays_auditable(
     assert read_journal(journal).records[-1].event == PersonalRemoved.event
     assert held.ratings.read_bytes() == ratings
     by_who = {(row["participant"], row["storage"], bool(row["answer"])) for row in read_table(held)}
-    assert by_who == {("sim001", "removed", False), ("sim002", "encrypted", True)}
+    assert by_who == {("sim001", "removed", False), ("sim002", "encrypted", False)}
     assert audit_study(held) == []
     assert main(["withdraw", str(held.path), "--participant", "sim001", "--personal", "--yes"]) == 1
     assert "no personal answers are kept" in capsys.readouterr().err
