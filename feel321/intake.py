@@ -5,13 +5,15 @@ A refusal is one line with the file's name, what was got, what is allowed and wh
 
 import codecs
 import errno
+import io
 import math
 import os
 import re
 import stat
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TextIO
 
 LIMIT = "FEEL321_LARGEST_MB"
 LARGEST_MB = 512
@@ -110,6 +112,17 @@ def read_bytes(path: Path, *, most: int | None = None) -> bytes:
 def read_text(path: Path, *, most: int | None = None) -> str:
     """Read a text in UTF-8, with or without byte-order mark; a wrong byte is named with its line."""
     return decode(read_bytes(path, most=most), path.name)
+
+
+@contextmanager
+def open_text(path: Path) -> Iterator[TextIO]:
+    """Open a table in UTF-8 to read it row by row, its line ends as they are; a wrong byte is named with its line."""
+    with open_regular(path) as file, io.TextIOWrapper(file, "utf-8-sig", newline="") as text:
+        try:
+            yield text
+        except UnicodeDecodeError:
+            read_text(path)  # which names the line
+            raise
 
 
 def read_small(path: Path) -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING, Any
 
+from feel321 import intake
 from feel321.doors import check_name
 from feel321.protocols.trial import Scale
 
@@ -183,7 +184,7 @@ def _is_scale(entry: object) -> bool:
 def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Read an own file, and the texts of the language that it changes."""
     try:
-        own = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        own = tomllib.loads(intake.read_small(path))
     except (ValueError, RecursionError) as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: not valid TOML ({error}); fix it there") from None
     language = own.pop("language", MODEL)

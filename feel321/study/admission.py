@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from feel321 import intake
 from feel321.doors import describe
 from feel321.extensions import call, find_method, is_given
 from feel321.protocols.detection import THRESHOLD
@@ -65,7 +66,7 @@ def require_protocols(path: Path, names: Sequence[str], digests: Mapping[str, st
         return
     settings = path.parents[2] / "study.toml"
     try:
-        given = tomllib.loads(settings.read_text(encoding="utf-8-sig"))["session"]["protocols"]
+        given = tomllib.loads(intake.read_small(settings))["session"]["protocols"]
         admit_protocols([one for one in given if one.rpartition(":")[2] in own], settings.parent)
     except (OSError, LookupError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{path}: {', '.join(own)} cannot be opened: {error}") from None

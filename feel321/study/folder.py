@@ -11,6 +11,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
+from feel321 import intake
 from feel321.files import create_text, is_of_group, make_folder, write_text
 from feel321.study.session.journal import PARTICIPANT_ID, list_journals
 
@@ -142,7 +143,7 @@ class StudyFolder:
     def asks_for(self, choice: str) -> bool:
         """Check whether `[data]` asks for this; whoever plans sessions reads the settings in full."""
         try:
-            tables = tomllib.loads(self.settings.read_text(encoding="utf-8-sig"))
+            tables = tomllib.loads(intake.read_small(self.settings))
         except (OSError, ValueError, RecursionError):
             return False
         return isinstance(own := tables.get("data"), dict) and own.get(choice) is True
@@ -198,7 +199,7 @@ def add_methods(study: StudyFolder) -> None:
     taps = [100 * 0.9 ** (n % 250) * (-1) ** (n // 4) for n in range(2000)]
     lines = ["2000", *(f"{0.4 * one:.4f} {-0.3 * one:.4f} {one:.4f}" for one in taps)]
     create_text(study.path / "recordings" / "tap.xyz", "\n".join(lines) + "\n")
-    text = study.settings.read_text(encoding="utf-8")
+    text = intake.read_small(study.settings)
     begin, end = text.index("reducers = ["), text.index("levels = [")
     own = 'reducers = ["say321", "pca321", "dft321", "my321", "wav321"]  # the last two are your own, see below\n'
     text = (text[:begin] + own + text[end:]).replace("metrics = []", 'metrics = ["snr"]')

@@ -18,6 +18,8 @@ from shlex import quote
 from typing import Any
 from urllib.parse import unquote
 
+from feel321 import intake
+
 URL_VARIABLE, STATION_VARIABLE = "FEEL321_LEDGER", "FEEL321_STATION"
 """A station's own URL, which wins over `study.toml`; and its name, by default that of the computer."""
 
@@ -169,7 +171,7 @@ def scrub(text: str) -> str:
 def _read_tables(settings: Path) -> dict[str, Any]:
     """Read `study.toml` as far as the ledger needs it; whoever plans sessions reads it with every check."""
     try:
-        return tomllib.loads(settings.read_text(encoding="utf-8-sig"))
+        return tomllib.loads(intake.read_small(settings))
     except FileNotFoundError:
         return {}
     except (ValueError, RecursionError) as error:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321 import intake
 from feel321.doors import announce, follow
 from feel321.jobs import Workers
 from feel321.protocols.order import find_crowding
@@ -329,7 +330,7 @@ def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that the metrics that the analysis declares are numeric columns of the manifest, or computed by it."""
     from feel321.analysis.table.metrics import ROTATIONS  # build needs nothing of the analysis
 
-    with study.manifest.open(encoding="utf-8", newline="") as file:
+    with intake.open_text(study.manifest) as file:
         known = dict.fromkeys(csv.DictReader(file).fieldnames or (), False)
         file.seek(0)
         for row in csv.DictReader(file):

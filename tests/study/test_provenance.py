@@ -183,7 +183,7 @@ def test_audit_names_a_manifest_that_cannot_be_read(built: StudyFolder) -> None:
     (built.stimuli / "manifest.csv").write_bytes(b"\xff")
     findings = audit_study(built)
     assert len(findings) == 1
-    assert "not a CSV table in UTF-8" in findings[0]
+    assert "line 1 holds the byte 0xff, which is not UTF-8" in findings[0]
 
 
 def test_audit_compares_both_forms_of_the_manifest(built: StudyFolder) -> None:

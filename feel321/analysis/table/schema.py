@@ -387,6 +387,10 @@ def _simplify(name: str) -> str:
 
 def _refuse_foreign(path: Path) -> None:
     """Refuse a file that is not text."""
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ValueError(
+            f"{path.name}: must be a regular file, got a pipe or device; copy its content into a file"
+        )
     with path.open("rb") as file:
         start, passed = file.read(512), 0
         for mark, kind in FOREIGN.items():

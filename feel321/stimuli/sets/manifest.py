@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
+from feel321 import intake
 from feel321.doors import Registry, as_path
 from feel321.files import digest_file, list_csv, write_chunks, write_twin
 from feel321.records import Result
@@ -300,13 +301,11 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
         )
     sha256 = digest_file(path)
     try:
-        with path.open(encoding="utf-8", newline="") as text:
+        with intake.open_text(path) as text:
             rows = enumerate(csv.DictReader(text, strict=True), start=2)
             stimuli = tuple(_read_row(row, f"{path}, line {line}") for line, row in rows)
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(
-            f"{path}: not a CSV table in UTF-8 ({error}); build the set again"
-        ) from None
+    except csv.Error as error:
+        raise ValueError(f"{path}: not a CSV table ({error}); build the set again") from None
     if not stimuli:
         raise ValueError(f"{path}: holds no stimulus; build the set again")
     return StimulusSet(path.parent, stimuli, sha256)

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from feel321 import intake
 from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import matches
@@ -133,7 +134,7 @@ class _Comparison:
     def compare(self, derived: Derived) -> None:
         """Compare a table, row by row."""
         try:
-            with derived.path.open(encoding="utf-8", newline="") as file:
+            with intake.open_text(derived.path) as file:
                 table = csv.DictReader(file)
                 written = [(table.line_num, row) for row in table]
         except (ValueError, csv.Error) as error:
@@ -265,7 +266,7 @@ def _audit_inputs(study: StudyFolder) -> Iterator[str]:
 
 def _read_results(report: Path) -> dict[str, Any] | None:
     try:
-        content = json.loads((report / "results.json").read_bytes())
+        content = json.loads(intake.read_bytes(report / "results.json"))
     except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) else None

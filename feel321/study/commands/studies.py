@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from feel321 import intake
 from feel321.study.commands import shared
 from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
 from feel321.study.study import Study
@@ -193,7 +194,7 @@ def _open_demo(folder: Path) -> StudyFolder:
         raise FileExistsError(
             f"{folder}: holds files that demo did not write; name another folder with --dir"
         )
-    if study.settings.read_text(encoding="utf-8") != read_template():
+    if intake.read_small(study.settings) != read_template():
         raise FileExistsError(
             f"{study.settings}: edited, or written by another version of feel321, so this is not the study that demo "
             "runs; name another folder with --dir, or delete this one"

@@ -6,6 +6,7 @@ import csv
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from feel321 import intake
 from feel321.analysis.bids import CHOICES
 from feel321.files import digest_file
 from feel321.names import METRIC_INFO
@@ -182,7 +183,7 @@ def _merge(judged: Mapping[tuple[str, int, str], DataSheet]) -> Iterator[tuple[s
 
 def _make_stimuli(gathered: _Gathered) -> DataSheet:
     """Make the table of stimuli: the manifest, with what its recordings are of and which are one and the same."""
-    with gathered.study.manifest.open(encoding="utf-8", newline="") as file:
+    with intake.open_text(gathered.study.manifest) as file:
         reader = csv.DictReader(file)
         rows, header = list(reader), list(reader.fieldnames or ())
     origins = read.list_origins(gathered.settings)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+from feel321 import intake
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.stimuli.sets.manifest import read_stimuli
@@ -92,13 +93,13 @@ def count_flow(study: StudyFolder) -> ParticipantFlow:
 
 
 def _read_csv(study: StudyFolder) -> list[dict[str, str]]:
-    with study.ratings.open(encoding="utf-8", newline="") as file:
+    with intake.open_text(study.ratings) as file:
         return list(csv.DictReader(file))
 
 
 def write_methods(study: StudyFolder, report: Path) -> None:
     """Write the methods section beside a report, whose `results.json` holds the numbers."""
-    results = json.loads((report / "results.json").read_text(encoding="utf-8"))
+    results = json.loads(intake.read_text(report / "results.json"))
     write_text(report / METHODS_FILE, make_methods(study, results))
 
 
@@ -211,7 +212,7 @@ def _tell_stimuli(study: StudyFolder) -> Iterator[str]:
 
 
 def _tell_sensation(study: StudyFolder) -> Iterator[str]:
-    with study.manifest.open(encoding="utf-8", newline="") as file:
+    with intake.open_text(study.manifest) as file:
         rows = [row for row in csv.DictReader(file) if row["role"] == "test"]
     levels = [float(row["sensation_level_db"]) for row in rows if row.get("sensation_level_db")]
     if levels:

@@ -6,6 +6,7 @@ from collections import Counter
 from csv import DictReader
 from typing import TYPE_CHECKING
 
+from feel321 import intake
 from feel321.study.freezing.record import Seen, find_first, list_times
 from feel321.study.ledger.slots import read_study_ledger
 
@@ -39,6 +40,6 @@ def _count_table(study: StudyFolder) -> dict[str, int]:
     """Count the ratings of real people in the table of a study."""
     if not study.ratings.is_file():
         return {}
-    with study.ratings.open(encoding="utf-8", newline="") as file:
+    with intake.open_text(study.ratings) as file:
         rows = DictReader(file)
         return Counter(row["participant"] for row in rows if row.get("simulated") == "false")

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from feel321 import intake
 from feel321.doors import describe
 from feel321.files import temporary_folder, write_text
 from feel321.study.settings.read import read_settings
@@ -109,7 +110,7 @@ def _write(value: object) -> str:
 
 def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
     """Change settings in a `study.toml`, which is left as it is if a setting is refused."""
-    before = path.read_bytes().decode("utf-8-sig")
+    before = intake.read_small(path)
     newline = "\r\n" if "\r\n" in before else "\n"
     try:
         text = change_settings(before.replace("\r\n", "\n"), changes).replace("\n", newline)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import os
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.table.reading import read_table
+from feel321.analysis.table.sheets import read_ratings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -294,3 +296,10 @@ def test_lines_are_those_of_the_file_where_cells_hold_line_breaks(
         "lines 3, 6: rating must be a finite number, got 'good'; correct it or leave the row out"
         in refuse(ratings=text.encode())
     )
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(path := tmp_path / "ratings.csv")
+    with pytest.raises(ValueError, match=r"ratings\.csv: must be a regular file"):
+        read_ratings(path, "ratings.csv")

@@ -140,3 +140,27 @@ def test_a_sidecar_is_a_regular_file_too(kind: str, tmp_path: Path) -> None:
         (tmp_path / "a.json").write_text(json.dumps({"unit": "g" * 5_000_000}))
         with pytest.raises(ValueError, match=r"sidecar a\.json: 5 MB, at most 4 MB"):
             read_recording(tmp_path / "a.wav")
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("a,b\n1,2\nJörg,3\n".encode("latin-1"), "line 3 holds the byte 0xf6"),
+        ("a,b\n1,2\n".encode("utf-16"), "UTF-16"),
+    ],
+)
+def test_a_table_read_by_rows_is_refused_as_one_read_whole(
+    tmp_path: Path, content: bytes, told: str
+) -> None:
+    (path := tmp_path / "table.csv").write_bytes(content)
+    with pytest.raises(ValueError, match=r"save the file as UTF-8") as whole:
+        intake.read_text(path)
+    with pytest.raises(ValueError, match=told) as by_rows, intake.open_text(path) as file:
+        list(file)
+    assert str(by_rows.value) == str(whole.value)
+
+
+def test_a_table_keeps_its_line_ends(tmp_path: Path) -> None:
+    (path := tmp_path / "table.csv").write_bytes(b"\xef\xbb\xbfa\r\n\xc3\xb6\n")
+    with intake.open_text(path) as file:
+        assert file.read() == "a\r\nö\n"

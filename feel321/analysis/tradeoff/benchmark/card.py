@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from feel321 import intake
 from feel321.analysis.tradeoff.benchmark.measure import summarise_recordings, summarise_stress
 from feel321.analysis.tradeoff.chart.points import MEASURES as ACCURACIES
 from feel321.files import make_folder, write_text
@@ -116,7 +117,7 @@ def read_card(path: Path) -> Card:
     if path.stat().st_size > LARGEST:
         raise ValueError(f"{path.name}: not a benchmark card: more than {LARGEST} bytes")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        content = json.loads(intake.read_text(path), parse_constant=_refuse_constant)
         card = Card.model_validate(content)
         _check(card)
     except ValidationError as error:
