@@ -45,10 +45,31 @@ def list_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Itera
     text = io.StringIO(newline="")
     table = csv.DictWriter(text, columns, extrasaction="ignore")
     for row in chain([dict(zip(columns, columns, strict=True))], rows):
-        table.writerow(row)
+        table.writerow({name: defuse(cell) for name, cell in row.items()})
         yield text.getvalue()
         text.seek(0)
         text.truncate()
+
+
+FORMULA = re.compile(r"'*[=+@\t\r-]")
+"""How a cell begins that a spreadsheet would take for a formula, or that was kept from it."""
+
+
+def defuse(cell: Any) -> Any:  # noqa: ANN401 - any cell of a table
+    """Put an apostrophe before a text that a spreadsheet would run as a formula; numbers stay as they are.
+
+    Examples
+    --------
+    >>> defuse("=1+1"), defuse("-3.5"), defuse("oak"), defuse(-3.5)
+    ("'=1+1", '-3.5', 'oak', -3.5)
+    """
+    if not isinstance(cell, str) or not FORMULA.match(cell):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
 
 
 def write_chunks(path: Path, chunks: Iterable[str], *, private: bool = False) -> int:

@@ -22,7 +22,7 @@ from feel321.analysis.figures.style import save_figure
 from feel321.analysis.page import inline_svg
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.doors import as_path
-from feel321.files import make_folder, move_files, temporary_folder
+from feel321.files import defuse, make_folder, move_files, temporary_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -50,7 +50,7 @@ def list_files(figures: Iterable[str], tables: Iterable[str]) -> tuple[str, ...]
 
 
 def write_flags(frame: DataFrame) -> DataFrame:
-    """Write flags as TRUE and FALSE, which R takes for what they are; other columns stay."""
+    """Write flags as TRUE and FALSE, which R takes for what they are, and texts so that no spreadsheet runs them."""
     words = {True: "TRUE", False: "FALSE"}
     flags = [
         name
@@ -58,7 +58,12 @@ def write_flags(frame: DataFrame) -> DataFrame:
         if str(frame[name].dtype) in {"bool", "object"}
         and frame[name].dropna().map(type).isin([bool, np.bool_]).all()
     ]
-    return frame.assign(**{str(name): frame[name].map(words) for name in flags})
+    texts = {
+        str(name): frame[name].map(defuse)
+        for name in frame
+        if name not in flags and str(frame[name].dtype) in {"object", "str"}
+    }
+    return frame.assign(**texts, **{str(name): frame[name].map(words) for name in flags})
 
 
 def check_target(target: Path) -> None:

@@ -228,11 +228,19 @@ def read_cells(source: Path | DataFrame) -> DataFrame:
     import pandas as pd
 
     if isinstance(source, Path):
-        return pd.read_csv(source, dtype=str, na_filter=False, encoding="utf-8-sig")
+        return restore_cells(pd.read_csv(source, dtype=str, na_filter=False, encoding="utf-8-sig"))
     cells = source.astype(object).where(source.notna(), "").astype(str)
     return cells.set_axis(pd.RangeIndex(len(cells), name="row")).set_axis(
         list(map(str, source)), axis=1
     )
+
+
+def restore_cells(sheet: DataFrame) -> DataFrame:
+    """Take back what was put before texts so that no spreadsheet runs them."""
+    for name in sheet:
+        if sheet[name].str.startswith("'").any():
+            sheet[name] = sheet[name].str.replace(r"^'(?='*[=+@\t\r-])", "", regex=True)
+    return sheet
 
 
 def read_header(path: Path) -> list[str]:
@@ -339,6 +347,7 @@ def _read_file(path: Path, schema: Mapping[str, ColumnInfo]) -> tuple[DataFrame,
         raise ValueError(
             f"{what}: not a regular CSV file, correct lines or quotes ({reason})"
         ) from None
+    sheet = restore_cells(sheet)
     sheet.index = pd.Index(starts, name="line")
     return sheet.set_axis([header[place] for place in places], axis=1)[wanted], header
 
