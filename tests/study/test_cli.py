@@ -545,7 +545,7 @@ def test_a_study_from_new_to_report(
     assert main(["audit", folder]) == 0
     clean, compared, seal = capsys.readouterr().out.splitlines()
     assert compared.startswith("compared with 2 checkpoints in the folder itself; anchors: none")
-    assert clean == f"{folder}: 4 journals, all as they were written"
+    assert clean == f"{folder}: 4 journals, no contradiction in them"
     assert re.fullmatch(r"seal: [0-9a-f]{64}; keep it elsewhere", seal)
     # What follows is about files only: whole reports are written in tests/analysis.
     monkeypatch.setattr(

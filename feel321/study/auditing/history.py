@@ -127,9 +127,15 @@ class Following:
                 self.findings.append(f"{text}, by no analysis; write it anew: feel321 analyze")
 
     def _find_kind(self, name: str) -> str:
-        """Find what may become of a file; as long as no plan names the stimuli, the lab decides on them."""
+        """Find what may become of a file; the lab decides on stimuli that no plan names, and on unused certificates."""
         is_free = name.startswith("stimuli/") and not self._is_planned
+        is_free |= name.startswith("calibration/") and not self._is_used(name)
         return DECIDED if is_free else find_kind(name)
+
+    def _is_used(self, name: str) -> bool:
+        """Check whether a journal names a certificate."""
+        own = self.study.path.joinpath(name).stem.encode()
+        return any(own in path.read_bytes() for path in self.study.journals)
 
     def _judge_growing(
         self, name: str, before: FileMark, after: FileMark | None, *, is_rewritten: bool

@@ -77,7 +77,8 @@ def audit(  # noqa: PLR0913 - one per option
 def _describe(found: Audit, study: Study) -> list[str]:
     """Describe an audit for people: the findings by file, then what they were compared with."""
     n, path = len(study.folder.journals), study.folder.path
-    good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, all as they were written"
+    state = "all as they were written" if found.anchored_utc else "no contradiction in them"
+    good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, {state}"
     lines = _group(found.findings) or [good]
     return [*lines, *([found.sentence] if found.sentence else []), *found.remarks]
 

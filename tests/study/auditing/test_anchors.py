@@ -462,7 +462,7 @@ def test_a_place_that_takes_no_anchor_is_not_kept(
     assert main(["seal", str(study.path), "--git", str(tmp_path / "nowhere.git")]) == 0
     assert "takes no anchor" in capsys.readouterr().err
     assert anchors.read_rules() == before
-    assert not list((tmp_path / "config" / "git").iterdir()), "nor half a clone"
+    assert not list((tmp_path / "config" / "git").glob("*/.git")), "nor half a clone"
     url = "https://joe:s3cret@localhost:1/x.git"
     assert main(["seal", str(study.path), "--git", url]) != 0
     said = "".join(capsys.readouterr())
@@ -526,11 +526,27 @@ def test_an_anchor_that_cannot_be_read_stops_no_audit(study: StudyFolder, home: 
     assert any(text.startswith(str(other)) for text in examine(study).remarks)
 
 
+def test_a_certificate_may_be_tidied_away_as_long_as_no_session_used_it(study: StudyFolder) -> None:
+    study.calibration.mkdir()
+    used = json.loads(study.journals[0].read_bytes().splitlines()[0])["previous"]
+    names = [study.calibration / f"{name}.json" for name in ("unused-2026", used)]
+    for path in names:
+        path.write_text("{}")
+    seal(study)
+    for path in names:
+        path.unlink()
+    seal(study, reason="tidied")
+    (finding,) = find(study)
+    assert finding.startswith(f"{names[1]}: is gone")
+
+
 def test_a_damaged_chain_is_named_and_so_is_its_copy(study: StudyFolder, home: Path) -> None:
     append(find_chain(study), b"x\n")
     (finding,) = find(study)
     assert finding.startswith(f"{find_chain(study)}, line ")
     assert finding.endswith(f"{home} holds one")
+    with pytest.raises(ValueError, match="audit tells which anchors hold one"):
+        seal(study)
     shutil.rmtree(home)
     assert examine(study).sentence.startswith("the checkpoints cannot be read")
 

@@ -139,7 +139,7 @@ def test_a_rehearsal_lies_apart_and_is_no_data(
     assert read_status(apart).participants[0].done == session.count_done()
     assert audit_study(apart) == []
     assert main(["audit", str(study.path), "--rehearsals"]) == 0
-    assert capsys.readouterr().out.startswith(f"{study.path}: 1 journal, all as they were written")
+    assert capsys.readouterr().out.startswith(f"{study.path}: 1 journal, no contradiction in them")
     assert main(["status", str(study.path), "--rehearsals"]) == 0
     assert "p01 " in capsys.readouterr().out
 
