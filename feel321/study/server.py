@@ -40,7 +40,7 @@ class Server:
 
 def check_url(url: str) -> str:
     """Demand the URL of a PostgreSQL database without a password; what is refused is not repeated."""
-    if _holds_password(url):
+    if holds_password(url):
         raise ValueError(
             "must hold no password, got one; take it out (and change it, if others saw the file): PostgreSQL's "
             "client reads PGPASSWORD, or ~/.pgpass with mode 0600"
@@ -50,7 +50,8 @@ def check_url(url: str) -> str:
     return url
 
 
-def _holds_password(url: str) -> bool:
+def holds_password(url: str) -> bool:
+    """Check whether a URL holds a password."""
     while (plain := unquote(url)) != url:
         url = plain
     # Up to the last @: a password may hold any sign, also those that end the host of other URLs.

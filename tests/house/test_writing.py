@@ -19,6 +19,7 @@ LEFT_OUT = {
     ("analysis/report/folder.py", "write_text"),
     ("analysis/figures/style.py", "write_text"),
     ("study/export/writing.py", "rename"),  # a whole folder in the place of another one
+    ("study/auditing/anchors.py", "rename"),  # a clone that can be made anew
     ("study/persons/backup.py", "replace"),
     ("study/study.py", "replace"),  # of values in a data frame
 }

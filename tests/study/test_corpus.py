@@ -291,8 +291,8 @@ def test_a_missing_extra_is_warned_of_once_and_long_lists_of_faults_are_cut(
         (corpus.path / "corpus" / f"empty{number}.wav").touch()
     assert cli.main(["build", str(corpus.path)]) == 1
     lines = capsys.readouterr().err.splitlines()
-    assert sum("recording 'empty" in line for line in lines) == 50
-    assert lines[-1] == "feel321: and 10 more like these; feel321 check --json lists all of a study"
+    assert sum("recording 'empty" in line for line in lines) == 20
+    assert lines[-1] == "feel321: and 40 more like these; feel321 check --json lists all of a study"
 
 
 def test_the_page_of_a_large_set_shows_a_part_and_says_so(

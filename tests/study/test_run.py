@@ -268,8 +268,8 @@ def test_termination_is_met_as_ctrl_c_is_and_only_during_the_session(
     before = signal.getsignal(signal.SIGTERM)
     presenter = present()
     monkeypatch.setattr(presenter, "play", lambda *_, **__: signal.raise_signal(signal.SIGTERM))
-    assert main(["run", str(ready.path), "--participant", "p01"]) == 130
-    assert read_journal(ready.journals[0]).records[-1].data["reason"] == "Terminated"
+    assert main(["run", str(ready.path), "--participant", "p01"]) == 143
+    assert read_journal(ready.journals[0]).records[-1].data["reason"] == "Terminated: 15"
     assert signal.getsignal(signal.SIGTERM) == before
 
 

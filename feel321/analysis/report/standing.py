@@ -2,7 +2,7 @@
 
 A result is confirmatory if its hypothesis (a slope on one scale and level) was frozen before the first rating of a real
 person, and metrics, model, stimuli and rules about the data are those of the frozen file. All else is exploratory,
-which is no fault: it says that the data may have suggested the question.
+which is no flaw: it means that the data may have suggested the question.
 """
 
 from __future__ import annotations

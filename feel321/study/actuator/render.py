@@ -200,7 +200,8 @@ def find_rig_problems(
             problems.setdefault(reason, []).append(name)
             continue
         except OSError as error:
-            problems.setdefault(f"{error.strerror}; build the set again", []).append(stimulus.file)
+            reason = error.strerror or str(error).removeprefix(f"{stimulus.file}: ")
+            problems.setdefault(f"{reason}; build the set again", []).append(stimulus.file)
             continue
         if stimulus.rate_hz != rate_hz:
             reason = f"got a rate of {stimulus.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"

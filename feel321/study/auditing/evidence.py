@@ -1,24 +1,27 @@
 """What is kept of a study, beside its journals and elsewhere, against the folder as it is now."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from socket import gethostname
 
 from feel321.study.auditing import anchors
 from feel321.study.auditing.checkpoints import CHECKPOINT, find_chain, list_branches, name_chain
 from feel321.study.auditing.codes import read_code
 from feel321.study.auditing.history import Following, describe_counts
+from feel321.study.auditing.keys import name_key
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import Chain, digest, read_chain, read_journal
 
 
 @dataclass(slots=True)
 class Evidence:
-    """What the checkpoints and anchors say: findings, remarks, the last anchor, and a sentence for people."""
+    """What the checkpoints and anchors say: findings, remarks, the last anchor, the chains of all, a sentence."""
 
     findings: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     anchor: anchors.Witness | None = None
+    chains: frozenset[str] = frozenset()
     checkpoints: int = 0
     since: str = ""
     sentence: str = ""
@@ -30,20 +33,31 @@ def weigh(study: StudyFolder, *, code: str = "", extra: Sequence[Path] = ()) -> 
     if study.is_rehearsal:
         return own
     kept = anchors.read_kept(tuple(extra))
-    own.findings += [one for one in kept.problems if "could not be looked at" not in one]
-    own.remarks += [one for one in kept.problems if "could not be looked at" in one]
-    path, chain = find_chain(study), None
+    path, chain, damage = find_chain(study), None, ""
     try:
         chain = read_journal(path) if path.is_file() else None
     except ValueError as error:
-        own.findings.append(str(error))
+        damage = str(error)
+    _sort_problems(kept, chain, own)
     is_same = _compare_anchors(study, chain, kept=kept, own=own)
+    is_same &= not _find_foreign(study, kept, {str(one) for one in extra}, own=own)
     if code:
         is_same &= _compare_code(chain, code, path=path, own=own)
     copy = None if is_same and chain else _find_copy(kept, own.anchor)
     _follow(study, copy or chain, own)
-    _describe(own, kept, is_known=chain is not None)
+    if damage:
+        place = own.anchor.place if copy and own.anchor else ""
+        own.findings.append(f"{damage}; {place} holds one" if place else damage)
+    _describe(own, kept, is_known=chain is not None, is_damaged=bool(damage))
     return own
+
+
+def _sort_problems(kept: anchors.Kept, chain: Chain | None, own: Evidence) -> None:
+    """Sort what was wrong with anchors: what is away, or somebody else's, is a remark."""
+    names = list_branches(chain.records) if chain else {}
+    for one in kept.problems:
+        is_remark = "could not be looked at" in one and not any(name in one for name in names)
+        (own.remarks if is_remark else own.findings).append(one)
 
 
 def _follow(study: StudyFolder, chain: Chain | None, own: Evidence) -> None:
@@ -80,6 +94,7 @@ def _compare_anchors(
         for one in kept.witnesses
         if one not in ours and _is_here(one, study, is_gone=chain is None)
     ]
+    own.chains = frozenset(one.chain for one in (*ours, *others))
     away = [one for one in ours if _is_away(one, study, branches)]
     for one in away[:1]:
         own.remarks.append(
@@ -107,6 +122,29 @@ def _compare_anchors(
     return not (wrong or others)
 
 
+def _find_foreign(
+    study: StudyFolder, kept: anchors.Kept, given: Container[str], *, own: Evidence
+) -> bool:
+    """Find out whether there are anchors, but none of this chain; of those that were given, one must be."""
+    those = [one for one in kept.witnesses if one.place in given]
+    foreign = those or list(kept.witnesses)
+    if not foreign or any(one.chain in own.chains for one in foreign):
+        return False
+    count, newest = len({one.chain for one in foreign}), max(foreign, key=lambda one: one.utc)
+    text = (
+        f"{find_chain(study)}: no anchor of this chain is in {newest.place}, which has those of {count} other "
+        f"chain{'s' * (count != 1)} (the newest of {newest.host}:{newest.folder}, {newest.utc})"
+    )
+    if not those:
+        own.remarks.append(f"{text}; if there was one, the study was moved and made anew")
+        return False
+    own.findings.append(f"{text}; the study was made anew, or the anchors are of another one")
+    same = [one for one in those if count == 1 or Path(one.folder).name == study.path.name]
+    if len({one.chain for one in same}) == 1:
+        own.anchor = max(same, key=lambda one: (one.utc, one.lines))
+    return True
+
+
 def _is_away(one: anchors.Witness, study: StudyFolder, branches: dict[str, int]) -> bool:
     """Check whether an anchor is of a copy of this study that went on elsewhere."""
     is_last = one.chain == next(reversed(branches), one.chain)
@@ -126,23 +164,32 @@ def _is_on(one: anchors.Witness, lines: Sequence[bytes]) -> bool:
 def _is_here(one: anchors.Witness, study: StudyFolder, *, is_gone: bool) -> bool:
     """Check whether an anchor is of another chain in this folder; one that was moved is known by its last name."""
     here = study.path.absolute()
-    is_begun = is_gone and bool(
-        study.participants or study.ledger_log.exists() or study.ledger.exists()
-    )
-    if not (find_chain(study).is_file() or is_begun or (study.path / "participants.csv").exists()):
-        return False
-    return one.folder == str(here) or (is_gone and Path(one.folder).name == here.name)
+    if one.folder == str(here):
+        return True
+    is_begun = study.participants or study.ledger_log.exists() or study.ledger.exists()
+    is_begun = is_begun or (study.path / "participants.csv").exists()
+    return bool(is_gone and is_begun and Path(one.folder).name == here.name)
 
 
 def _note_keys(ours: Sequence[anchors.Witness], own: Evidence) -> None:
-    from feel321.study.auditing.keys import name_key
-
+    """Note who signed; what this rig put there since it has a key must be signed with that."""
+    public, since = anchors.read_public()
+    here = [one for one in ours if since and one.host == gethostname() and one.utc >= since]
+    for one in [one for one in here if one.key != public][:1]:
+        own.findings.append(
+            f"{one.place}: the anchor of {one.utc} is {_describe_key(one)}; this rig signs with {name_key(public)} "
+            f"since {since}, so the anchor was changed, or put there by somebody else"
+        )
     signed = {name_key(one.key): f"{one.host}" for one in ours if one.key}
     if len(signed) > 1:
         named = ", ".join(f"{key} ({host})" for key, host in signed.items())
         own.remarks.append(
             f"anchors were signed with several keys: {named}; check that all are rigs of yours"
         )
+
+
+def _describe_key(one: anchors.Witness) -> str:
+    return f"signed by {name_key(one.key)} ({one.host})" if one.key else "not signed"
 
 
 def _compare_code(chain: Chain | None, code: str, *, path: Path, own: Evidence) -> bool:
@@ -174,7 +221,7 @@ def _find_copy(kept: anchors.Kept, anchor: anchors.Witness | None) -> Chain | No
     return None
 
 
-def _describe(own: Evidence, kept: anchors.Kept, *, is_known: bool) -> None:
+def _describe(own: Evidence, kept: anchors.Kept, *, is_known: bool, is_damaged: bool) -> None:
     """Say in one sentence how far the evidence reaches."""
     looked = (
         ", ".join(kept.places) or "no place outside the folder was chosen: feel321 seal --to DIR"
@@ -182,10 +229,13 @@ def _describe(own: Evidence, kept: anchors.Kept, *, is_known: bool) -> None:
     after = f"{own.since or 'nothing was recorded'} after it"
     if own.anchor is not None:
         verb = "compared with" if own.findings else "nothing was changed since"
-        own.sentence = f"{verb} the anchor of {own.anchor.utc} in {own.anchor.place}; {after}"
+        one = own.anchor
+        of = f" (checkpoint of {one.checkpoint_utc}, {_describe_key(one)})" if one.chain else ""
+        own.sentence = f"{verb} the anchor of {one.utc} in {one.place}{of}; {after}"
     elif is_known:
         count = f"{own.checkpoints} checkpoint{'s' * (own.checkpoints != 1)} in the folder itself"
         since = f", {own.since} after the last" if own.since else ""
         own.sentence = f"compared with {count}{since}; anchors: none ({looked})"
     else:
-        own.sentence = f"no checkpoints were kept; anchors: none ({looked})"
+        state = "the checkpoints cannot be read" if is_damaged else "no checkpoints were kept"
+        own.sentence = f"{state}; anchors: none ({looked})"

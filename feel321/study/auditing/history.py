@@ -12,7 +12,14 @@ from feel321.study.auditing.checkpoints import (
     fold,
     read_entries,
 )
-from feel321.study.auditing.marks import GROWING, FileMark, find_kind, find_line, take_marks
+from feel321.study.auditing.marks import (
+    DECIDED,
+    GROWING,
+    FileMark,
+    find_kind,
+    find_line,
+    take_marks,
+)
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.progress import read_tombstone
 from feel321.study.session.journal import Record
@@ -32,13 +39,16 @@ class Following:
     counts: dict[str, set[str]] = field(default_factory=dict)
     _state: Holdings = field(default_factory=Holdings)
     _undeclared: list[str] = field(default_factory=list)
-    _is_analysing: bool = False
+    _analysing: str = ""
+    _unfinished: dict[str, list[str]] = field(default_factory=dict)
+    _is_planned: bool = False
     _when: str = ""
 
     def follow(self, records: Sequence[Record]) -> None:
         """Follow all checkpoints, and then the folder as it is."""
         for place, record in enumerate(records, start=1):
-            self._is_analysing |= record.event == ANALYSING
+            if record.event == ANALYSING:
+                self._analysing = record.utc
             if record.event == CHECKPOINT:
                 self._step(record.data, place)
                 self._when = record.utc
@@ -48,27 +58,40 @@ class Following:
         self.findings += [
             f"{line}; if it was meant, say why: feel321 seal --reason" for line in self._undeclared
         ]
+        self.remarks += [
+            f"{self.study.report}: was changed after the analysis that began at {utc} and did not finish "
+            f"({', '.join(names)}); write it anew: feel321 analyze"
+            for utc, names in self._unfinished.items()
+        ]
 
     def _step(self, data: Mapping[str, Any], place: int) -> None:
-        rewritten = set(data.get("rewritten", ()))
+        rewritten, marks = set(data.get("rewritten", ())), data["marks"]
+        self._is_planned = any(
+            name.endswith(PLAN_FILE) and marks.get(name, before) is not None
+            for name, before in self._state.marks.items()
+        )
         for name, before, after in self._state.take(data):
             if place > self.anchored:
-                self._count(name, before, after)
+                self._count(name, before, after, by=data["by"])
             if before is not None:
                 self._judge(name, before, after, is_rewritten=name in rewritten, by=data["by"])
         if data["by"] == "analysis":
-            self._is_analysing = False
+            self._unfinished.clear()
+        if data["by"] in {"analysis", "seal"}:
+            self._analysing = ""
         if reason := data.get("reason"):
             self.remarks += [f"{line} ({reason})" for line in self._undeclared]
             self._undeclared.clear()
 
-    def _count(self, name: str, before: FileMark | None, after: FileMark | None) -> None:
+    def _count(
+        self, name: str, before: FileMark | None, after: FileMark | None, *, by: str
+    ) -> None:
         what = ""
         if find_kind(name) == GROWING and after is not None:
             what = "recorded" if name.endswith(".jsonl") else "rebuilt"
         elif name.endswith(TOMBSTONE_FILE) and before is None:
             what = "withdrew"
-        elif name == "report/results.json" and after is not None:
+        elif name == "report/results.json" and after is not None and by == "analysis":
             what = "analysed"
         if what:
             self.counts.setdefault(what, set()).add(name)
@@ -77,7 +100,7 @@ class Following:
         self, name: str, before: FileMark, after: FileMark | None, *, is_rewritten: bool, by: str
     ) -> None:
         """Judge what became of a file that was there."""
-        path, kind = self.study.path / name, find_kind(name)
+        path, kind = self.study.path / name, self._find_kind(name)
         since = f"since the checkpoint of {self._when}"
         line = find_line(before.heads, after.heads) if after else 0
         where = (
@@ -98,8 +121,15 @@ class Following:
                 self._undeclared.append(text)
             case "noted":
                 self.remarks.append(text)
-            case "report" if after is not None and not (by == "analysis" or self._is_analysing):
+            case "report" if self._analysing and by != "analysis":
+                self._unfinished.setdefault(self._analysing, []).append(path.name)
+            case "report" if after is not None and by != "analysis":
                 self.findings.append(f"{text}, by no analysis; write it anew: feel321 analyze")
+
+    def _find_kind(self, name: str) -> str:
+        """Find what may become of a file; as long as no plan names the stimuli, the lab decides on them."""
+        is_free = name.startswith("stimuli/") and not self._is_planned
+        return DECIDED if is_free else find_kind(name)
 
     def _judge_growing(
         self, name: str, before: FileMark, after: FileMark | None, *, is_rewritten: bool

@@ -21,6 +21,28 @@ def seal_study(
     return Seal(tip.utc, tip.lines, write_code(tip), tuple(places), tuple(problems))
 
 
+def seal_into(
+    study: StudyFolder,
+    *,
+    folder: Path | None,
+    remote: str,
+    reason: str,
+    passphrase: str,
+    now: Clock,
+) -> Seal:
+    """Seal a study, and keep a further folder or git remote for anchors where it took this one."""
+    before = anchors.read_rules()
+    done: tuple[str, ...] = ()
+    if folder is not None or remote:
+        anchors.add_rules(folder=folder, remote=remote)
+    try:
+        found = seal_study(study, reason=reason, passphrase=passphrase, now=now)
+        done = found.places
+    finally:
+        anchors.settle_rules(before, done)
+    return found
+
+
 @contextmanager
 def sealing_session(
     study: StudyFolder,

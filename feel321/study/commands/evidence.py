@@ -136,10 +136,10 @@ def seal(  # noqa: PLR0913 - one per option
 
     A checkpoint of all journals, plans, settings and tables is chained to checkpoints.jsonl, as after each session. Its
     code, to be printed or written down, and the copies in the chosen places show every later change (feel321 audit).
-    Places and the key belong to this rig, not to the study; they are kept in the user's configuration. A passphrase may
-    also stand in FEEL321_KEY_PASSPHRASE.
+    Places and the key belong to this rig, not to the study; they are kept in anchors.toml of the user's
+    configuration, and a new one only if it took this anchor. A passphrase may also stand in FEEL321_KEY_PASSPHRASE.
     """
-    from feel321.study.auditing import anchors, keys, sealing
+    from feel321.study.auditing import keys, sealing
 
     secret = os.environ.get(keys.PASSPHRASE, "")
     if passphrase and not make_key:
@@ -149,9 +149,9 @@ def seal(  # noqa: PLR0913 - one per option
     if make_key:
         path, fingerprint = sealing.choose_key(passphrase=secret if passphrase else "")
         shared.echo(f"{path}: key {fingerprint}; keep a copy of it elsewhere", err=True)
-    if folder is not None or remote:
-        anchors.add_rules(folder=folder, remote=remote)
-    found = sealing.seal_study(study.folder, reason=reason, passphrase=secret, now=study.now)
+    found = sealing.seal_into(
+        study.folder, folder=folder, remote=remote, reason=reason, passphrase=secret, now=study.now
+    )
     for problem in found.problems:
         shared.warn(problem)
     if as_json:

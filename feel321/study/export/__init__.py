@@ -1,1 +1,1 @@
-"""A study for other people: a dataset that validators accept, and the methods section."""
+"""Export a study for others: a dataset that validators accept, and the methods section."""

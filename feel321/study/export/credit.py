@@ -117,10 +117,10 @@ FIRST = "Written by feel321 export --bids."
 
 
 def write_readme(settings: Settings, *, people: int, simulated: int, missing: Sequence[str]) -> str:
-    """Write the README: what the folder holds, how people were made unrecognisable, and what is not said."""
+    """Write the README: what the folder holds, how people were de-identified, and what is missing."""
     own = settings.publication
     ghosts = f" {simulated} of them are simulated: programs, not people." if simulated else ""
-    unsaid = ["", "Not said in [publication] of the study:", *missing] if missing else []
+    unsaid = ["", "Missing from [publication] of the study:", *missing] if missing else []
     lines = [
         find_title(settings), "", FIRST, "",
         own.description or "No description was given.", "",
@@ -133,8 +133,8 @@ def write_readme(settings: Settings, *, people: int, simulated: int, missing: Se
         "- ro-crate-metadata.json, CITATION.cff: authors, licence, software, apparatus (RO-Crate)", "",
         "Read it with feel321.analysis.read_bids(folder), or analyse it with: feel321 analyze --bids folder", "",
         "De-identification: participants are numbered in random order; times are relative to the start of a session;",
-        "ages are in bands; left out are personal answers, texts that participants typed, notes of experimenters, days",
-        "of the year, names of machines and people, and everything of those who withdrew.",
+        "ages are in bands; personal answers, texts that participants typed, experimenters' notes, dates, names of",
+        "machines and people, and all data of those who withdrew are left out.",
         *unsaid,
     ]  # fmt: skip
     return "\n".join(lines) + "\n"

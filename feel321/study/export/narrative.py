@@ -1,4 +1,4 @@
-"""`methods.md`: the methods section of a paper, written from what was done; what nobody recorded is in brackets."""
+"""`methods.md`: the methods section of a paper, written from what was done; unrecorded details are in brackets."""
 
 from __future__ import annotations
 
@@ -129,11 +129,11 @@ def _tell_participants(settings: Settings, flow: ParticipantFlow) -> Iterator[st
     ethics = "; ".join(settings.publication.ethics) or "[ethics committee and number]"
     if flow.simulated:
         programs = _count(flow.analysed, "simulated participant")
-        yield f"No person took part: the ratings are those of {programs}, which are programs."
+        yield f"No people took part: the ratings come from {programs}, which are programs."
     else:
         yield (
             f"The ratings of {_count(flow.analysed, 'participant')} were analysed ([age, gender, handedness: personal "
-            f"answers are not read]). Each confirmed the page of informed consent; the study was approved by {ethics}. "
+            f"answers are not read]). Each gave informed consent on screen; the study was approved by {ethics}. "
             f"{_count(flow.registered, 'person')} had registered, {flow.began} began, {flow.finished} finished and "
             f"{flow.withdrew} withdrew; the data of those who withdrew were removed."
         ).replace("persons", "people")
@@ -144,7 +144,10 @@ def _tell_participants(settings: Settings, flow: ParticipantFlow) -> Iterator[st
         yield f"Participants were assigned to groups in the order of the design ({groups})."
     yield from ["", "| step | people | judgements |", "|---|---|---|"]
     yield from (f"| {' | '.join(row)} |" for row in flow.to_rows())
-    yield from ["", "Nobody was excluded from the primary analysis after screening; see Analysis."]
+    yield from [
+        "",
+        "No participant was excluded from the primary analysis after screening; see Analysis.",
+    ]
 
 
 def find_used(study: StudyFolder) -> tuple[list[Certificate], set[str]]:
@@ -236,10 +239,10 @@ def _tell_procedure(study: StudyFolder, settings: Settings, flow: ParticipantFlo
     if breaks.every_trials:
         yield f"There was a break of at least {breaks.break_s:g} s after every {breaks.every_trials} trials."
     faults = ", ".join(session.quality.reject) or "nothing"
-    yield f"Trials were rejected and repeated for: {faults}; {flow.rejected} judgements were."
+    yield f"Trials were rejected and repeated for: {faults}. This affected {flow.rejected} judgements."
     if flow.minutes:
         low, high = flow.minutes[0], flow.minutes[-1]
-        yield f"Sessions that were finished took {median(flow.minutes):.0f} min (median; {low:.0f} to {high:.0f})."
+        yield f"Completed sessions took {median(flow.minutes):.0f} min (median; {low:.0f} to {high:.0f})."
 
 
 def _tell_analysis(study: StudyFolder, results: Mapping[str, Any]) -> Iterator[str]:
@@ -263,7 +266,7 @@ def _tell_frozen(study: StudyFolder) -> str:
     when = f"The choices of the analysis were frozen on {frozen.utc[:10]}"
     if frozen.is_late:
         return f"{when}, after {_count(frozen.rated.judgements, 'judgement')} had been made."
-    return f"{when}, before anybody had rated (frozen.json, SHA-256 {frozen.sha256[:12]})."
+    return f"{when}, before any rating was given (frozen.json, SHA-256 {frozen.sha256[:12]})."
 
 
 def _tell_software(settings: Settings, results: Mapping[str, Any]) -> Iterator[str]:

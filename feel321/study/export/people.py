@@ -1,4 +1,4 @@
-"""The people of a dataset under new numbers, and what of them may be passed on."""
+"""Participants of a dataset under new numbers, and which of their data may be passed on."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder
 
 KEY_FILE = ".export.key"
-"""In the study's folder: what the new numbers are drawn with. It is never exported."""
+"""File in the study's folder: the key that draws the new numbers. It is never exported."""
 
 LABEL = re.compile(r"[0-9A-Za-z]+")
 """What BIDS allows as the label of a participant."""

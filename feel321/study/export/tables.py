@@ -27,8 +27,8 @@ YES_NO = {"true": "yes", "false": "no"}
 FLAGS = {"rejected", "simulated", "training_passed"}
 
 OWN = {
-    "participant_id": "participant of this dataset; its numbers say nothing of the order of participation",
-    "state": "how the session ended: finished, or running where it was broken off",
+    "participant_id": "participant of this dataset; numbers are unrelated to the order of participation",
+    "state": "how the session ended: finished, or running if it was interrupted",
     "done": "trials judged",
     "total": "trials planned",
     "age_band": "age in years, in bands of five years; 80 or more as one",
@@ -36,7 +36,7 @@ OWN = {
     "calibration": "certificate of calibration of the rig, numbered",
     "training_passed": "whether the training criterion was met",
 }
-"""Meanings of columns that the data dictionary knows otherwise or not at all."""
+"""Meanings of columns that the data dictionary lacks or defines differently."""
 
 SHOWN = ("participant_id", "simulated", "state", "sessions", "done", "total")
 LAST = ("training_passed", "rig", "calibration")
@@ -54,7 +54,7 @@ class DataSheet:
     meanings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def to_tsv(self) -> bytes:
-        """Write it as BIDS does, which knows no quotes."""
+        """Write it as BIDS does, without quotes."""
         lines = [
             self.columns,
             *([row.get(name, "") or MISSING for name in self.columns] for row in self.rows),

@@ -1,1 +1,1 @@
-"""What a study decides before its ratings are seen: written down, shown as text, and compared with what was done."""
+"""Decisions made before ratings are seen: recorded, shown as text, and compared with what was done."""

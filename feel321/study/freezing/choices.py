@@ -2,7 +2,7 @@
 
 Parsed settings are compared, never the file's text: a comment, the order of keys or a default that is written out
 changes nothing. Recordings count by their names and contents, methods of the lab's own by their names and code,
-wherever the files lie. What decides neither about the ratings nor about their analysis does not count: the study's
+wherever the files lie. Whatever affects neither the ratings nor their analysis does not count: the study's
 name, simulated observers, the ledger, pictures and labels.
 """
 

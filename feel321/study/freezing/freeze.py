@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class FreezeState:
-    """What is frozen, what a freeze would write now, what differs between them, and what speaks against the file."""
+    """What is frozen, what a freeze would write now, what differs between them, and reasons to distrust the file."""
 
     name: str
     frozen: Frozen | None
@@ -54,7 +54,7 @@ def freeze_study(
     if (rated.judgements or rated.participants) and not after_data:
         raise ValueError(
             f"{study.path}: {record.describe_rated(rated)} came before, so it is too late to freeze before the data; "
-            "--after-data freezes all the same, and every result is then exploratory"
+            "--after-data freezes anyway, and every result is then exploratory"
         )
     own = replace(
         _decide(study, participants, former), utc=now().isoformat(timespec="seconds"), rated=rated
@@ -65,7 +65,7 @@ def freeze_study(
     if former is not None and not because:
         raise ValueError(
             f"{study.path / FROZEN_FILE}: frozen on {former.utc[:10]} with other choices ({'; '.join(changes)}); "
-            'say why they change: --because "REASON"'
+            'give the reason: --because "REASON"'
         )
     history = () if former is None else (*former.history, replace(former, history=()))
     if former is not None:

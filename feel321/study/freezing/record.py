@@ -214,7 +214,7 @@ def describe_frozen(study: StudyFolder) -> str:
 
 
 def find_faults(study: StudyFolder) -> list[str]:
-    """Find what speaks against the frozen file: edits, and times that do not agree with the journals."""
+    """Find reasons to distrust the frozen file: edits, and times that do not agree with the journals."""
     try:
         frozen = read_frozen(study)
     except ValueError as error:

@@ -158,10 +158,10 @@ def _write_analysis(one: Frozen) -> Iterator[str]:
 
 def _write_criteria(one: Frozen) -> Iterator[str]:
     alpha = one.choices.get("analysis.alpha")
-    yield f"- Support: the adjusted p of the slope is below {alpha} and its sign is the one of the hypothesis."
+    yield f"- Support: the adjusted p of the slope is below {alpha} and its sign is that of the hypothesis."
     yield f"- Against: the adjusted p is below {alpha} and the sign is the opposite one."
-    yield "- Otherwise the question stays open; a slope that is not significant is no evidence that there is none."
-    yield "- If leaving out a single recording, reducer or stimulus changes the verdict or the sign, it is named."
+    yield "- Otherwise the question stays open; a non-significant slope is not evidence of no effect."
+    yield "- If leaving out a single recording, reducer or stimulus changes the verdict or the sign, it is reported."
 
 
 def _write_materials(one: Frozen) -> Iterator[str]:

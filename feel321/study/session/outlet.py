@@ -35,7 +35,7 @@ SENT: dict[str, tuple[str, ...]] = {
     events.SessionFinished.event: (),
     events.SessionAborted.event: (),
 }
-"""Events that become a marker, and what of each goes along; answers to question pages do not."""
+"""Events that become a marker, and the fields sent with each; answers to question pages are not sent."""
 
 PLAYED = {kind.event for kind in (events.PartPlayed, events.SurfaceStroked)}
 """Events that become two: a playback began and ended."""
@@ -118,7 +118,9 @@ def open_outlet(
     try:
         stream = pylsl.StreamOutlet(info)
     except RuntimeError as error:
-        raise OSError(f"run: LSL opens no outlet ({error}); switch off [session] lsl") from None
+        raise OSError(
+            f"run: LSL cannot open an outlet ({error}); switch off [session] lsl"
+        ) from None
     outlet = EventOutlet(
         lambda text, time: stream.push_sample([text], time), pylsl.local_clock, clock
     )

@@ -89,7 +89,7 @@ class PublicationTable(kinds.TomlTable):
             "title": "what the dataset is called; the study's name is used",
             "description": "what the study was about, in a sentence or two",
             "authors": "who made it; nobody is named",
-            "licence": f"how it may be used, one of {', '.join(LICENCES[:4])}, ...; nobody may, without one",
+            "licence": f"how it may be used, one of {', '.join(LICENCES[:4])}, ...; without one nobody may",
             "ethics": "who approved it, and under which number",
             "institution": "where it was made",
             "funding": 'who paid for it; funding = ["none"] if nobody did',

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.auditing.checkpoints import note_analysis
 from feel321.study.ledger.progress import Tombstone, write_roster, write_tombstone
 from feel321.study.ledger.slots import rebuild_ledger
 from feel321.study.matches import write_matches
@@ -419,6 +420,13 @@ def _(study: StudyFolder) -> None:
     (study.path / "participants.csv").unlink()
 
 
+@cheat("sessions/, the roster and the checkpoints are removed", is_data=False)
+def _(study: StudyFolder) -> None:
+    shutil.rmtree(study.sessions)
+    for name in ("participants.csv", "checkpoints.jsonl"):
+        (study.path / name).unlink(missing_ok=True)
+
+
 @cheat("two participants exchange their folders")
 def _(study: StudyFolder) -> None:
     one, other, third = (folder(study, name) for name in ("sim001", "sim002", "sim009"))
@@ -722,6 +730,12 @@ def _(study: StudyFolder) -> None:
     number = next(one for one in content["numbers"] if isinstance(one["value"], float))
     number["value"] *= 1.5
     path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+@cheat("a number in results.json is edited after an analysis that was killed", is_data=False)
+def _(study: StudyFolder) -> None:
+    note_analysis(study, now=now)
+    CHEATS["a number in results.json is edited"].act(study)
 
 
 @cheat("the headline of the report's page is edited")

@@ -94,7 +94,7 @@ def configure(folder: Path) -> Iterator[None]:
 
 def forget(study: StudyFolder) -> None:
     """Remove the checkpoints, as if there had never been any."""
-    find_chain(study).unlink()
+    find_chain(study).unlink(missing_ok=True)
 
 
 def leave(_study: StudyFolder) -> None:

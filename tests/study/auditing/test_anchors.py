@@ -10,18 +10,24 @@ import shutil
 import signal
 import subprocess
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from feel321.study.auditing import anchors, codes, keys, sealing
-from feel321.study.auditing.checkpoints import Tip, find_chain, note_analysis, read_tip
+from feel321.study.auditing.checkpoints import (
+    Tip,
+    find_chain,
+    note_analysis,
+    read_tip,
+    take_checkpoint,
+)
 from feel321.study.auditing.study import examine
 from feel321.study.cli import main
 from feel321.study.collect import collect_sessions
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import StudyFolder, create_study
 from feel321.study.ledger.progress import write_roster
 from feel321.study.ledger.slots import rebuild_ledger
 from feel321.study.persons.notes import take_note
@@ -168,6 +174,17 @@ def kill_analysis(study: StudyFolder) -> None:
     write_report(study, "third")
 
 
+def build_otherwise(study: StudyFolder) -> StudyFolder:
+    other = StudyFolder(study.path.with_name("begun"))
+    create_study(other.path)
+    for duration in ("0.1", "0.12"):
+        other.settings.write_text(SETTINGS.replace("0.1", duration), encoding="utf-8")
+        build_study(other)
+        seal(other, reason="the beginning")
+    simulate(other, 2)
+    return other
+
+
 HONEST: dict[str, Callable[[StudyFolder], StudyFolder | None]] = {
     "nothing": lambda _: None,
     "sealed twice": lambda study: seal(study) and None,
@@ -189,6 +206,7 @@ HONEST: dict[str, Callable[[StudyFolder], StudyFolder | None]] = {
     "a checkpoint that was killed": lambda study: append(
         find_chain(study), b'{"sequence": 9, "pre'
     ),
+    "the set built anew before anybody came": build_otherwise,
     "an anchor that was killed": lambda study: append(
         next((study.path.parent / "anchors").glob("*/anchors.jsonl")), b'{"chain": "'
     ),
@@ -197,6 +215,7 @@ HONEST: dict[str, Callable[[StudyFolder], StudyFolder | None]] = {
 
 ALWAYS = {
     "more sessions", "a withdrawal", "a line that a kill tore", "a participant of another station",
+    "the set built anew before anybody came",
     "an analysis that was killed", "a checkpoint that was killed", "an anchor that was killed",
 }  # fmt: skip
 """Also in a run that shall be short."""
@@ -213,6 +232,70 @@ def test_what_is_honest_gives_no_finding(study: StudyFolder, what: str) -> None:
     withdraw_participant(study, "sim001", now=utc_now)
     simulate(study, 2)
     assert find(study) == ()
+
+
+def test_a_study_on_another_computer_is_compared_with_anchors_that_were_given(
+    study: StudyFolder, home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FEEL321_CONFIG", str(tmp_path / "reviewer"))
+    study = move(study)
+    assert find(study, extra=[home]) == ()
+    simulate(study, 3)
+    seal(study)
+    assert find(study, extra=[home]) == (), "a copy that goes on"
+    study.ledger_log.unlink(missing_ok=True)
+    find_chain(study).unlink()
+    shutil.rmtree(study.sessions)
+    assert any("no anchor of this chain is in" in text for text in find(study, extra=[home]))
+    simulate_study(study, participants=2, seed=SEED + 1, now=utc_now)
+    assert find(study) == (), "nothing was given"
+    findings = find(study, extra=[home])
+    assert any("no anchor of this chain is in" in text for text in findings)
+    assert any(text.startswith(str(study.journals[0])) for text in findings), "the copy names files"
+
+
+def test_a_rig_that_has_only_anchors_of_others_says_so(study: StudyFolder, tmp_path: Path) -> None:
+    other = move(study)
+    find_chain(other).unlink()
+    take_checkpoint(other, by="seal", now=utc_now)
+    other.path.rename(tmp_path / "renamed")
+    found = examine(StudyFolder(tmp_path / "renamed"))
+    assert found.findings == ()
+    assert any("no anchor of this chain is in" in text for text in found.remarks)
+
+
+def test_a_set_may_be_built_anew_when_everybody_has_withdrawn_not_before(
+    study: StudyFolder,
+) -> None:
+    first, *others = study.participants
+    withdraw_participant(study, first.name, now=utc_now)
+    before = study.manifest.read_bytes()
+    append(study.manifest, b"\n")
+    assert any("manifest.csv" in text and "; restore it" in text for text in find(study))
+    study.manifest.write_bytes(before)
+    for folder in others:
+        withdraw_participant(study, folder.name, now=utc_now)
+    study.settings.write_text(SETTINGS.replace("0.1", "0.12"), encoding="utf-8")
+    build_study(study)
+    assert all("feel321 seal --reason" in text for text in find(study))
+    seal(study, reason="the real study begins")
+    assert find(study) == ()
+    simulate(study, 4)
+    assert find(study) == ()
+
+
+def test_an_analysis_that_was_killed_opens_nothing_for_ever(study: StudyFolder) -> None:
+    kill_analysis(study)
+    (remark,) = (one for one in examine(study).remarks if "did not finish" in one)
+    assert remark.startswith(f"{study.report}: was changed after the analysis that began at ")
+    seal(study)
+    assert remark in examine(study).remarks
+    write_report(study, "edited")
+    assert any("by no analysis" in text for text in find(study))
+    write_report(study, "third")
+    with sealing.sealing_analysis(study):
+        write_report(study, "fourth")
+    assert not any("did not finish" in one for one in examine(study).remarks)
 
 
 # What contradicts.
@@ -353,6 +436,128 @@ def test_seal_and_audit_on_the_command_line(
     study.settings.write_text(SETTINGS + "\n" * 3)
     assert main(["audit", folder, "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["sentence"].startswith("compared with the anchor")
+
+
+# Places.
+
+
+def test_a_place_that_is_not_there_is_not_made_anew(study: StudyFolder, home: Path) -> None:
+    home.rename(home.with_name("unplugged"))
+    (problem,) = seal(study, reason="one").problems
+    assert "there is no such folder now" in problem
+    home.mkdir()  # a mount point
+    (problem,) = seal(study, reason="two").problems
+    assert "connect the drive" in problem
+    assert not list(home.iterdir())
+    assert any("could not be looked at" in text for text in examine(study).remarks)
+    home.rmdir()
+    home.with_name("unplugged").rename(home)
+    assert (seal(study).problems, find(study)) == ((), ())
+
+
+def test_a_place_that_takes_no_anchor_is_not_kept(
+    study: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = anchors.read_rules()
+    assert main(["seal", str(study.path), "--git", str(tmp_path / "nowhere.git")]) == 0
+    assert "takes no anchor" in capsys.readouterr().err
+    assert anchors.read_rules() == before
+    assert not list((tmp_path / "config" / "git").iterdir()), "nor half a clone"
+    url = "https://joe:s3cret@localhost:1/x.git"
+    assert main(["seal", str(study.path), "--git", url]) != 0
+    said = "".join(capsys.readouterr())
+    assert "must hold no password" in said
+    assert "s3cret" not in said
+    assert main(["seal", str(study.path), "--to", str(study.path / "inside")]) != 0
+    assert not (study.path / "inside").exists()
+    assert anchors.read_rules() == before
+
+
+def test_places_are_lists(study: StudyFolder, tmp_path: Path) -> None:
+    (tmp_path / "config" / "anchors.toml").write_text('folders = "/tmp/q"\n', encoding="utf-8")
+    with pytest.raises(ValueError, match=r"anchors\.toml: .*folders must be a list"):
+        seal(study)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no modes")
+def test_nobody_else_may_read_anchors(study: StudyFolder, home: Path, tmp_path: Path) -> None:
+    assert study.path.is_dir()
+    (folder,) = (one for one in home.iterdir() if one.is_dir())
+    found = {one.name: one.stat().st_mode & 0o077 for one in folder.iterdir()}
+    assert found == {"checkpoints.jsonl": 0, "anchors.jsonl": 0}
+    assert not folder.stat().st_mode & 0o077
+    assert not (tmp_path / "config" / "anchors.toml").stat().st_mode & 0o077
+
+
+def test_an_anchor_tells_when_it_was_put_and_by_which_key(study: StudyFolder, home: Path) -> None:
+    _, fingerprint = sealing.choose_key()
+    tip = take_checkpoint(study, by="seal", reason="first", now=utc_now)
+    time.sleep(0.02)
+    begun = utc_now().isoformat(timespec="milliseconds")
+    assert seal(study).utc == tip.utc
+    own = max(anchors.read_kept().witnesses, key=lambda one: one.utc)
+    assert own.utc >= begun > own.checkpoint_utc == tip.utc
+    said = examine(study).sentence
+    assert (
+        f"anchor of {own.utc} in {home} (checkpoint of {tip.utc}, signed by {fingerprint}" in said
+    )
+    (file,) = home.glob("*/anchors.jsonl")
+    content = file.read_bytes()
+    assert seal(study).problems == ()
+    assert file.read_bytes() == content, "the older date is kept"
+    bare = replace(own, key="", signature="", place="")
+    (line,) = (one for one in content.splitlines() if own.key.encode() in one)
+    entry = {k: v for k, v in asdict(bare).items() if k != "place"}
+    file.write_bytes(content.replace(line, json.dumps(entry).encode()))
+    assert any("is not signed; this rig signs with" in text for text in find(study))
+    assert "not signed)" in examine(study).sentence
+
+
+def test_an_anchor_that_cannot_be_read_stops_no_audit(study: StudyFolder, home: Path) -> None:
+    append(study.journals[0], b"{}\n")
+    (file,) = home.glob("*/anchors.jsonl")
+    file.unlink()
+    file.mkdir()
+    found = find(study)
+    assert any(str(study.journals[0]) in text for text in found)
+    assert any(text.startswith(f"{file}: could not be looked at") for text in found), "its own"
+    other = home / "of somebody else" / "anchors.jsonl"
+    other.mkdir(parents=True)
+    assert any(text.startswith(str(other)) for text in examine(study).remarks)
+
+
+def test_a_damaged_chain_is_named_and_so_is_its_copy(study: StudyFolder, home: Path) -> None:
+    append(find_chain(study), b"x\n")
+    (finding,) = find(study)
+    assert finding.startswith(f"{find_chain(study)}, line ")
+    assert finding.endswith(f"{home} holds one")
+    shutil.rmtree(home)
+    assert examine(study).sentence.startswith("the checkpoints cannot be read")
+
+
+def test_two_rigs_push_to_one_remote(
+    study: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    remote, other = tmp_path / "remote.git", StudyFolder(tmp_path / "other")
+    subprocess.run(["git", "init", "-q", "--bare", str(remote)], check=True)
+    shutil.copytree(study.path, other.path)
+    anchors.add_rules(remote=str(remote))
+    assert seal(study, reason="a first one").problems == ()
+    update = anchors._update_clone
+
+    def be_slow(place: str) -> Path:
+        """Let the other rig push between this rig's pull and its push."""
+        clone = update(place)
+        monkeypatch.setattr(anchors, "_update_clone", update)
+        with monkeypatch.context() as patch:
+            patch.setenv("FEEL321_CONFIG", str(tmp_path / "rig 2"))
+            anchors.add_rules(remote=str(remote))
+            assert seal(other, reason="of the other").problems == ()
+        return clone
+
+    monkeypatch.setattr(anchors, "_update_clone", be_slow)
+    assert seal(study, reason="of this one").problems == ()
+    assert (find(study), find(other)) == ((), ())
 
 
 # Kills.
