@@ -157,7 +157,7 @@ def write_everything(study: StudyFolder, out: Path, *, really: bool) -> None:
         say("chart", study.path, "--out", out / "chart")
         say("advise", study.path)
         say("power", study.path, "--participants", "4,6", "--studies", 0)
-        say("export", study.path, "--bids", out / "bids")
+        say("export", study.path, "--bids", out / "bids", "--simulated")
         say("backup", study.path, "--to", out / "safe")
     else:
         make_report(study.report)
