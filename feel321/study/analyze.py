@@ -1,7 +1,7 @@
 """Steps of a study that need the analysis: the report, and the recordings for chart, stress and advise."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import fields, replace
 from itertools import chain, count
 from pathlib import Path
@@ -32,6 +32,7 @@ from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
 from feel321.study.paper import make_paper
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
+from feel321.study.persons.outputs import closing_results
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings
@@ -54,9 +55,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     progress: Progress | None = None,
 ) -> Results:
     """Derive the table of ratings, or take one from elsewhere, and write the report as the study declares it."""
-    if ratings is None or manifest is None:
-        require_study(study.path)
-    settings = read_settings(study.settings) if study.settings.is_file() else None
+    settings = _read_settings(study, ratings, manifest)
     chosen = settings.analysis if settings else AnalysisTable()
     further, about = Further(pd.DataFrame(), ()), About()
     if settings:
@@ -67,7 +66,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     if rivals:
         listed = manifest or study.manifest
         further = add_rivals(study, None if manifest else settings, listed, further=further)
-    with sealing_analysis(study) if out is None else nullcontext():
+    with _closing(study, out):
         return write_report(
             ratings or study.ratings,
             manifest or study.manifest,
@@ -86,6 +85,20 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         )
 
 
+def _read_settings(study: StudyFolder, *inputs: Path | None) -> Settings | None:
+    """Read the settings of a study; where ratings and manifest come from elsewhere, there may be none."""
+    if None in inputs:
+        require_study(study.path)
+    return read_settings(study.settings) if study.settings.is_file() else None
+
+
+@contextmanager
+def _closing(study: StudyFolder, out: Path | None) -> Iterator[None]:
+    sealing = sealing_analysis(study) if out is None else nullcontext()
+    with closing_results(study, out or study.report), sealing:
+        yield
+
+
 def read_study_table(
     study: StudyFolder,
     *,
@@ -94,9 +107,7 @@ def read_study_table(
     metrics: Sequence[str] | None = None,
 ) -> tuple[Table, int]:
     """Read the ratings that a report would be about, and the seed of that report."""
-    if ratings is None or manifest is None:
-        require_study(study.path)
-    settings = read_settings(study.settings) if study.settings.is_file() else None
+    settings = _read_settings(study, ratings, manifest)
     further = None
     if settings and ratings is None:
         stimuli = read_stimuli(study.stimuli)

@@ -62,6 +62,13 @@ def sealing_session(
             warn(problem)
 
 
+def seal_withdrawal(study: StudyFolder, participant: str, *, now: Clock) -> str:
+    """Take a checkpoint when somebody withdrew, where a study has some; returns what went wrong."""
+    if not checkpoints.find_chain(study).is_file():
+        return ""
+    return _note_session(study, participant, lambda: checkpoints.read_entries(study), now=now)
+
+
 def _note_session(
     study: StudyFolder, participant: str, recall: Callable[[], Iterable[Entry]], *, now: Clock
 ) -> str:

@@ -110,12 +110,15 @@ def _remove_personal(study: Study, participant: str, _reason: str) -> str:
 
 
 def _remove_all(study: Study, participant: str, reason: str) -> str:
+    from feel321.study.auditing.sealing import seal_withdrawal
     from feel321.study.persons.withdrawal import withdraw_participant
 
     folder = study.folder
     removed = withdraw_participant(
         folder, participant, now=study.now, reason=reason, warn=shared.warn
     )
+    if problem := seal_withdrawal(folder, participant, now=study.now):
+        shared.warn(problem)
     return (
         f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
         "Copies that feel321 did not make are yours to remove"

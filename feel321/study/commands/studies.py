@@ -77,14 +77,15 @@ def check(
     if method is not None:
         context.exit(_check_method(folder, method, kind, as_json=as_json))
     study = shared.open_study(folder)
-    found = study.check()
-    for text in (*shared.cap(found.remarks), *shared.cap(found.warnings)):
+    found, due = study.check(), shared.describe_due(study)
+    for text in (*shared.cap(found.remarks), *shared.cap(found.warnings), *shared.cap(due)):
         shared.warn(text)
     if as_json:
         shared.print_json({
             "problems": found.problems,
             "warnings": found.warnings,
             "notes": found.notes,
+            "due": due,
             **found.figures,
         })
     else:
@@ -254,10 +255,8 @@ def status(*, study: Study, with_notes: bool, rehearsals: bool, as_json: bool) -
     if as_json:
         shared.print_json(asdict(state))
         return
-    from feel321.study.persons.retention import describe_due
-
-    due = describe_due(study.folder, today=study.now().date())
-    shared.echo("\n".join([state.summary(), *(state.list_notes() if with_notes else []), *due]))
+    notes = state.list_notes() if with_notes else []
+    shared.echo("\n".join([state.summary(), *notes, *shared.describe_due(study)]))
 
 
 @click.command(

@@ -100,7 +100,8 @@ def _read_csv(study: StudyFolder) -> list[dict[str, str]]:
 def write_methods(study: StudyFolder, report: Path) -> None:
     """Write the methods section beside a report, whose `results.json` holds the numbers."""
     results = json.loads(intake.read_text(report / "results.json"))
-    write_text(report / METHODS_FILE, make_methods(study, results))
+    text = make_methods(study, results)
+    write_text(report / METHODS_FILE, text, private=report == study.report)
 
 
 def make_methods(study: StudyFolder, results: Mapping[str, Any]) -> str:

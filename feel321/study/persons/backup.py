@@ -12,9 +12,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import sqlite3
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +35,7 @@ from feel321.files import (
 )
 from feel321.study.folder import LEDGER_FILE, SETTINGS_FILE, StudyFolder
 from feel321.study.ledger import database, progress, slots
-from feel321.study.persons import places, vault
+from feel321.study.persons import places, removal, vault
 from feel321.study.persons.answers import ANSWERS_FILE
 from feel321.study.persons.outputs import (
     MANIFEST,
@@ -49,7 +52,7 @@ from feel321.study.session.journal import SESSION_FILE, find_cut, list_journals
 from feel321.study.session.plan import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from feel321.study.session.journal import Clock
 
@@ -59,6 +62,8 @@ FORMAT = 1
 
 _FIRST = ("ledger", "log", "ratings", "roster", "answers", "matches", "checkpoints")
 """Kinds of places that may lag behind journals and not run ahead."""
+
+_OF_LEDGER = re.compile(r"(sessions|rehearsals)/ledger\.(?!folder).*")
 
 _TRIES = 5
 
@@ -97,7 +102,7 @@ def back_up(
         record_output(study, "backup", target, files=(), now=now)
         copy = _Copy(study, target, follow)
         copy.run()
-        note_withdrawn(target, _list_withdrawn(study))
+        note_withdrawn(target, removal.list_withdrawn(study))
         _write_manifest(target, study, copy, now=now)
         _drop_unnamed(target, {one["sha256"] for one in copy.files.values()})
     size = sum(one["size"] for one in copy.files.values())
@@ -173,6 +178,11 @@ class _Copy:
         kept = self.files.get(_CHAIN)
         return kept is None or digest_file(chain) == kept["sha256"]
 
+    def is_first(self, path: Path) -> bool:
+        """Whether a file is never copied after journals: one that comes up meanwhile is in the next backup."""
+        name = self.name(path)
+        return places.TABLES.get(name) in _FIRST or bool(_OF_LEDGER.fullmatch(name))
+
     def list_noted(self) -> set[str]:
         """List whom the ledger knew when it was copied."""
         sha256 = self.files.get(f"sessions/{LEDGER_FILE}", {}).get("sha256")
@@ -182,15 +192,17 @@ class _Copy:
         """List what is in the study: links are named, and what is unfinished, locks or of SQLite's own is left out."""
         for path in places.walk(self.study.path):
             parts = path.relative_to(self.study.path).parts
-            if (parts[0] in RESULTS) != of_results:
-                continue
             is_part = any(UNFINISHED.fullmatch(one) or TEMPORARY.fullmatch(one) for one in parts)
             if path.is_symlink():
                 note = (
                     f"{path}: is a link, which is not followed; back up {path.resolve()} by itself"
                 )
                 self.notes += [note] if note not in self.notes else []
-            elif not (is_part or path.name.endswith(".lock") or _is_of_sqlite(path)):
+            elif (
+                (parts[0] in RESULTS) == of_results
+                and not (is_part or path.name.endswith(".lock") or _is_of_sqlite(path))
+                and not self.is_first(path)
+            ):
                 yield path
 
     def find_person(self, path: Path) -> str:
@@ -302,10 +314,6 @@ def _drop_unnamed(target: Path, named: set[str]) -> None:
     sync_folder(target / OBJECTS)
 
 
-def _list_withdrawn(study: StudyFolder) -> set[str]:
-    return {one.name for one in study.participants if (one / TOMBSTONE_FILE).exists()}
-
-
 def restore(target: Path, to: Path, *, now: Clock) -> BackedUp:
     """Bring a study back from a backup to a new place, without those who withdrew since; a second call goes on.
 
@@ -315,14 +323,14 @@ def restore(target: Path, to: Path, *, now: Clock) -> BackedUp:
     if to.is_symlink() or (to.exists() and (not to.is_dir() or any(to.iterdir()))):
         raise FileExistsError(f"{to}: is there already, nothing is overwritten; name a new folder")
     live = StudyFolder(Path(manifest["study"]))
-    gone = read_withdrawn(target) | _list_withdrawn(live)
+    gone = read_withdrawn(target) | removal.list_withdrawn(live)
     stage = StudyFolder(to.with_name(f"{to.name}.restoring"))
     make_folder(stage.path)
     with hold_lock(
         stage.path.with_name(f".{to.name}.lock"), busy="it is being restored; let it finish"
     ):
         sweep(stage.path)
-        here = _choose(manifest["files"], gone)
+        here = _choose(manifest["files"], {*gone})
         _drop_others(stage.path, here)
         new = _bring_all_back(target, stage, here)
         for name in manifest["folders"]:
@@ -398,12 +406,14 @@ def _catch_up(stage: StudyFolder) -> None:
                 slots.enter(ledger, entry.participant, own)
 
 
-def _withdraw_again(stage: StudyFolder, gone: set[str], *, now: Clock) -> list[str]:
+def _withdraw_again(stage: StudyFolder, gone: Mapping[str, str], *, now: Clock) -> list[str]:
+    """Withdraw those who left since, as of when they did; earlier versions noted no time."""
     notes: list[str] = []
     known = {path.name for path in stage.participants}
     known |= _read_codes(stage.ledger) if stage.ledger.is_file() else set()
-    for code in sorted(gone & known - _list_withdrawn(stage)):
-        withdraw_participant(stage, code, now=now, reason="withdrew after the backup")
+    for code in sorted(gone.keys() & known - removal.list_withdrawn(stage).keys()):
+        clock = partial(datetime.fromisoformat, gone[code]) if gone[code] else now
+        withdraw_participant(stage, code, now=clock, reason="withdrew after the backup")
         notes.append(f"participant {code}: withdrew after the backup and was not brought back")
     return notes
 

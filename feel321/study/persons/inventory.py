@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import stat
 from collections import defaultdict
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -18,7 +19,7 @@ from feel321.study.ledger.slots import find_place
 from feel321.study.persons import modes, places, retention, vault
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from datetime import date
 
     from feel321.study.folder import StudyFolder
@@ -96,7 +97,7 @@ def read_inventory(study: StudyFolder, *, today: date, participant: str = "") ->
         if participant in {"", *place.participants} or not place.participants:
             found[place.kind].append(place)
     until = _find_until(study)
-    rows = [_make_row(found[kind], until) for kind in places.KINDS if found[kind]]
+    rows = [_make_row(kept, until) for kind in places.KINDS if (kept := _read_facts(found[kind]))]
     due = tuple(retention.describe_due(study, today=today))
     wide = [
         f"{path}: {mode:04o}, should be {least:04o}" for path, mode, least in modes.list_wide(study)
@@ -115,9 +116,21 @@ def _find_until(study: StudyFolder) -> dict[str, str]:
     return until
 
 
-def _make_row(found: Sequence[places.DataPlace], until: dict[str, str]) -> InventoryRow:
+def _read_facts(found: Sequence[places.DataPlace]) -> dict[places.DataPlace, os.stat_result]:
+    """Read what the system says of places; what another process has just removed is not there."""
+    stats = {}
+    for place in found:
+        with suppress(FileNotFoundError):
+            stats[place] = place.path.lstat()
+    return stats
+
+
+def _make_row(
+    known: Mapping[places.DataPlace, os.stat_result], until: dict[str, str]
+) -> InventoryRow:
+    found, stats = list(known), known.values()
     kind = found[0].kind
-    facts, stats = places.KINDS[kind], [place.path.lstat() for place in found]
+    facts = places.KINDS[kind]
     since = datetime.fromtimestamp(min(one.st_mtime for one in stats), UTC)
     named = found[0].path if kind in {"output", "backup"} else facts.pattern
     return InventoryRow(

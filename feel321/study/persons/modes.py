@@ -8,6 +8,7 @@ from shlex import quote
 from typing import TYPE_CHECKING
 
 from feel321.study.persons import places
+from feel321.study.persons.outputs import RESULTS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,17 +20,15 @@ if TYPE_CHECKING:
 def list_wide(study: StudyFolder) -> Iterator[tuple[Path, int, int]]:
     """List files and folders that more people may read than should: path, mode, and the mode that they should have.
 
-    Folders of results that the lab shares on purpose are its own matter, and so is what lies outside the study.
+    What lies outside the study is the lab's own matter.
     """
     if os.name == "nt":
         return
     allowed = 0o750 if study.asks_for("group_readable") else 0o700
     kept = [
-        p.path
-        for p in places.list_places(study)
-        if p.kind not in {"results", "output", "backup", "temporary"}
+        p.path for p in places.list_places(study) if p.kind not in {"output", "backup", "temporary"}
     ]
-    folders = {study.path / name for name in ("sessions", "rehearsals")}
+    folders = {study.path / name for name in ("sessions", "rehearsals", *RESULTS)}
     folders |= {one for path in kept for one in path.parents if folders.intersection(one.parents)}
     for path in sorted(one for one in (*folders, *kept) if one.exists() and not one.is_symlink()):
         mode = stat.S_IMODE(path.stat().st_mode)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.files import digest_file, write_text
+from feel321.files import digest_file, make_folder, write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Clock
@@ -49,13 +51,36 @@ def recording_output(study: StudyFolder, verb: str, path: Path, *, now: Clock) -
     Neither the study's own folders of results need it, nor ratings from elsewhere, for which there is no study.
     """
     path = path.resolve()
-    is_own = path.parent == study.path.resolve() and path.name in RESULTS
-    if not study.settings.is_file() or is_own:
-        yield
+    if not study.settings.is_file() or _is_own(study, path):
+        with closing_results(study, path):
+            yield
         return
     record_output(study, verb, path, files=(), now=now)
     yield
     record_output(study, verb, path, files=list_written(path), now=now)
+
+
+def _is_own(study: StudyFolder, path: Path) -> bool:
+    return path.resolve().parent == study.path.resolve() and path.name in RESULTS
+
+
+@contextmanager
+def closing_results(study: StudyFolder, folder: Path) -> Iterator[None]:
+    """Make a study's own folder of results private before anything is in it, and its files once they are written."""
+    if os.name == "nt" or not study.settings.is_file() or not _is_own(study, folder):
+        yield
+        return
+    is_new, mode = not folder.exists(), 0o750 if study.asks_for("group_readable") else 0o700
+    make_folder(folder, private=True)
+    folder.chmod(mode)
+    try:
+        yield
+    finally:
+        for path in folder.rglob("*"):
+            if not path.is_symlink():
+                path.chmod(mode if path.is_dir() else mode & 0o640)
+        if is_new and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def record_output(
@@ -109,21 +134,26 @@ def settle_outputs(
     _write(study, [replace(one, stale=one.stale or one in marked) for one in left])
 
 
-def read_withdrawn(target: Path) -> set[str]:
-    """Read the codes that are not to come back."""
+def read_withdrawn(target: Path) -> dict[str, str]:
+    """Read who is not to come back, and since when; earlier versions wrote the codes only."""
     path = target / WITHDRAWN
     if not path.exists():
-        return set()
+        return {}
     try:
-        return set(map(str, json.loads(path.read_bytes())))
+        entry = json.loads(path.read_bytes())
+        times = dict.fromkeys(entry, "") if isinstance(entry, list) else dict(entry)
+        _ = [datetime.fromisoformat(utc) for utc in times.values() if utc]
     except (TypeError, ValueError):
-        raise ValueError(f"{path}: must be a list of codes; restore it from a copy") from None
+        raise ValueError(
+            f"{path}: must say which codes withdrew and when; restore it from a copy"
+        ) from None
+    return times
 
 
-def note_withdrawn(target: Path, codes: Iterable[str]) -> None:
-    """Add codes to the list beside a backup."""
-    known = read_withdrawn(target)
-    write_text(target / WITHDRAWN, json.dumps(sorted(known.union(codes))) + "\n", private=True)
+def note_withdrawn(target: Path, gone: Mapping[str, str]) -> None:
+    """Add who withdrew, and when, to the list beside a backup."""
+    text = json.dumps({**read_withdrawn(target), **gone}, indent=1, sort_keys=True)
+    write_text(target / WITHDRAWN, f"{text}\n", private=True)
 
 
 def _name(file: Path, folder: Path) -> str:

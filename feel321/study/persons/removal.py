@@ -121,7 +121,7 @@ def _clear_backup(study: StudyFolder, output: WrittenOutput) -> Iterator[str]:
         yield _describe_away(study, output)
         return
     try:
-        note_withdrawn(output.path, _list_withdrawing(study))
+        note_withdrawn(output.path, list_withdrawn(study))
     except OSError as error:
         yield f"{output.path}: the withdrawal could not be noted there ({error})"
     yield f"{output.path}: is a backup with the participant's data; {_again(study, output)}"
@@ -129,7 +129,7 @@ def _clear_backup(study: StudyFolder, output: WrittenOutput) -> Iterator[str]:
 
 def list_stale(study: StudyFolder) -> Iterator[str]:
     """Name backups that still hold data of those who withdrew, and what was away when they did."""
-    gone = set(_list_withdrawing(study))
+    gone = set(list_withdrawn(study))
     for output in read_outputs(study) if gone else ():
         if output.stale and not _is_here(output):
             yield _describe_away(study, output)
@@ -167,8 +167,16 @@ def _describe_away(study: StudyFolder, output: WrittenOutput) -> str:
     )
 
 
-def _list_withdrawing(study: StudyFolder) -> list[str]:
-    return [one.name for one in study.participants if (one / TOMBSTONE_FILE).exists()]
+def list_withdrawn(study: StudyFolder) -> dict[str, str]:
+    """List who withdrew, and when; at no time where the tombstone cannot be read, which is found elsewhere."""
+    found = {}
+    for folder in study.participants:
+        if (folder / TOMBSTONE_FILE).exists():
+            found[folder.name] = ""
+            with suppress(ValueError):
+                stone = progress.read_tombstone(folder)
+                found[folder.name] = stone.utc if stone else ""
+    return found
 
 
 def _again(study: StudyFolder, output: WrittenOutput) -> str:

@@ -7,7 +7,8 @@ import shutil
 import subprocess
 import sys
 import threading
-from datetime import UTC, datetime
+from datetime import datetime
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,20 +17,16 @@ from feel321.study.auditing.sealing import seal_study, sealing_analysis
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.database import read_ledger
+from feel321.study.ledger.progress import read_tombstone
 from feel321.study.ledger.slots import open_study_ledger
 from feel321.study.persons import backup as backups
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.simulation import simulate_study
+from tests.study.persons.conftest import copy_study, now
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-ASKING = '[[session.questions]]\nuse = "demographics"\n'
-
-
-def now() -> datetime:
-    return datetime.now(UTC)
 
 
 def read_files(study: StudyFolder) -> dict[str, tuple[bytes, int]]:
@@ -43,12 +40,9 @@ def read_files(study: StudyFolder) -> dict[str, tuple[bytes, int]]:
 
 
 @pytest.fixture
-def held(smallest: StudyFolder) -> StudyFolder:
+def held(made_open: StudyFolder, tmp_path: Path) -> StudyFolder:
     """A study in which three have finished."""
-    with smallest.settings.open("a", encoding="utf-8") as file:
-        file.write(ASKING)
-    simulate_study(smallest, participants=3, seed=3, now=now)
-    return smallest
+    return copy_study(made_open, tmp_path / "study")
 
 
 def test_there_and_back_is_bit_for_bit(held: StudyFolder, tmp_path: Path) -> None:
@@ -74,13 +68,14 @@ def test_who_withdrew_is_not_brought_back(held: StudyFolder, tmp_path: Path, kno
     safe = tmp_path / "safe"
     backups.back_up(held, safe, now=now)
     mark = (held.sessions / "sim002" / "session-01.jsonl").read_bytes()
+    now_then = partial(datetime.fromisoformat, "2026-02-03T04:05:06+00:00")
     if known_by == "live study":
         shutil.copytree(safe, tmp_path / "other")  # a copy of the backup that nobody told
-        withdraw_participant(held, "sim002", now=now)
+        withdraw_participant(held, "sim002", now=now_then)
         safe = tmp_path / "other"
     else:
-        withdraw_participant(held, "sim002", now=now)
-        assert json.loads((safe / "withdrawn.json").read_text()) == ["sim002"]
+        withdraw_participant(held, "sim002", now=now_then)
+        assert [*json.loads((safe / "withdrawn.json").read_text())] == ["sim002"]
         if known_by == "next backup":
             backups.back_up(held, safe, now=now)
             kept = [path.read_bytes() for path in (safe / "objects").rglob("*") if path.is_file()]
@@ -94,14 +89,18 @@ def test_who_withdrew_is_not_brought_back(held: StudyFolder, tmp_path: Path, kno
     assert (back.sessions / "sim001" / "session-01.jsonl").exists()
     states = {one.participant: one.state for one in read_ledger(open_study_ledger(back)[0])}
     assert states["sim002"] == "withdrawn"
+    stone = read_tombstone(back.sessions / "sim002")
+    assert stone
+    assert stone.utc == now_then().isoformat(timespec="seconds")
     assert audit_study(back) == []
 
 
-def test_a_backup_while_sessions_run_is_consistent(smallest: StudyFolder, tmp_path: Path) -> None:
-    with smallest.settings.open("a", encoding="utf-8") as file:
-        file.write(ASKING)
+def test_a_backup_while_sessions_run_is_consistent(
+    made_asking: StudyFolder, tmp_path: Path
+) -> None:
+    smallest = copy_study(made_asking, tmp_path / "study")
     thread = threading.Thread(
-        target=lambda: simulate_study(smallest, participants=12, seed=3, now=now)
+        target=lambda: simulate_study(smallest, participants=6, seed=3, now=now)
     )
     thread.start()
     rounds = 0
@@ -112,6 +111,28 @@ def test_a_backup_while_sessions_run_is_consistent(smallest: StudyFolder, tmp_pa
         assert audit_study(back) == [], rounds
         rounds += 1
     thread.join()
+
+
+def test_what_comes_up_after_a_journal_was_copied_is_in_the_next_backup(
+    held: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    later = ("checkpoints.jsonl", "ratings.csv", "participants.csv")
+    kept = {name: (held.path / name).read_bytes() for name in later}
+    for name in later:
+        (held.path / name).unlink()
+    copy_file = backups._Copy.copy
+
+    def copy(self: Any, path: Path) -> None:
+        copy_file(self, path)
+        if path.name == "session-01.jsonl":  # the first session ends just then
+            for name in later:
+                (held.path / name).write_bytes(kept[name])
+
+    monkeypatch.setattr(backups._Copy, "copy", copy)
+    backups.back_up(held, tmp_path / "safe", now=now)
+    assert not {*later} & backups.read_manifest(tmp_path / "safe")["files"].keys()
+    backups.back_up(held, tmp_path / "safe", now=now)
+    assert {*later} <= backups.read_manifest(tmp_path / "safe")["files"].keys()
 
 
 def test_results_that_are_written_meanwhile_are_never_newer_than_their_checkpoint(
@@ -139,7 +160,8 @@ def test_results_that_are_written_meanwhile_are_never_newer_than_their_checkpoin
 
 DYING = """
 import os, signal, sys
-from datetime import UTC, datetime
+from datetime import datetime
+from functools import partial
 from pathlib import Path
 from feel321.study.folder import StudyFolder
 from feel321.study.persons import backup
@@ -171,7 +193,7 @@ for step in steps:
 """
 
 
-@pytest.mark.parametrize("stride", [200, pytest.param(3, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("stride", [500, pytest.param(3, marks=pytest.mark.soak)])
 def test_a_backup_that_is_killed_is_the_old_one_or_the_new(
     held: StudyFolder, tmp_path: Path, stride: int
 ) -> None:
@@ -204,7 +226,7 @@ def test_a_backup_that_is_killed_is_the_old_one_or_the_new(
         assert not list(safe.rglob("*.part"))
 
 
-@pytest.mark.parametrize("stride", [200, pytest.param(5, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("stride", [800, pytest.param(5, marks=pytest.mark.soak)])
 def test_a_restore_that_is_killed_goes_on(held: StudyFolder, tmp_path: Path, stride: int) -> None:
     (root := tmp_path / "kills").mkdir()
     backups.back_up(held, root / "safe", now=now)
@@ -236,7 +258,7 @@ def test_a_restore_that_is_killed_goes_on(held: StudyFolder, tmp_path: Path, str
         (lambda safe: next((safe / "objects").glob("*/*")).write_bytes(b""), "is damaged"),
         (lambda safe: (safe / "backup.json").write_text("{}"), "not a whole backup"),
         (lambda safe: (safe / "backup.json").unlink(), "no backup is there"),
-        (lambda safe: (safe / "withdrawn.json").write_text("7"), "must be a list of codes"),
+        (lambda safe: (safe / "withdrawn.json").write_text("7"), "which codes withdrew and when"),
     ],
 )
 def test_what_is_damaged_is_refused(
