@@ -113,7 +113,7 @@ def _write_author(author: AuthorTable) -> str:
 
 
 FIRST = "Written by feel321 export --bids."
-"""Stands in every README, by which an earlier export is known."""
+"""Stands in every README."""
 
 
 def write_readme(settings: Settings, *, people: int, simulated: int, missing: Sequence[str]) -> str:

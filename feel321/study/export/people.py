@@ -106,11 +106,16 @@ def list_passed_on(study: StudyFolder, participant: str) -> dict[str, str]:
         if is_open or question is None or row["rejected"] == "true" or row["answer"] == "":
             continue
         repeated = row["occasion"] > 1 or question.when == "between"
-        name = f"{row['question']}_{row['occasion']}" if repeated else row["question"]
-        if name == "age":
-            name, row["answer"] = "age_band", band_age(float(row["answer"]))
-        answers[name] = row["answer"]
+        name, answer = blur(row["question"], row["answer"])
+        answers[f"{name}_{row['occasion']}" if repeated else name] = answer
     return answers
+
+
+def blur(question: str, answer: str) -> tuple[str, str]:
+    """Give an answer as it may be passed on, and its name: an age as a band, everything else as it is."""
+    if question.casefold() == "age" and answer.replace(".", "", 1).isdigit():
+        return "age_band", band_age(float(answer))
+    return question, answer
 
 
 def band_age(years: float) -> str:

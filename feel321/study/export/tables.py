@@ -155,8 +155,10 @@ def make_answers(people: Sequence[Person], questions: Sequence[Question]) -> Dat
         return None
     meanings: dict[str, dict[str, Any]] = describe("participants.csv", ["participant_id"])
     for name in found:
-        question = known.get(name) or known.get(name.rpartition("_")[0])
-        meanings[name] = {"Description": OWN.get(name) or (question.question if question else name)}
+        stem = name.rpartition("_")[0]
+        question = known.get(name) or known.get(stem)
+        own = OWN.get(name) or OWN.get(stem)
+        meanings[name] = {"Description": own or (question.question if question else name)}
         if question and question.kind == "likert":
             points = enumerate(question.options, start=1)
             meanings[name]["Levels"] = {

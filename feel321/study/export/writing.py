@@ -8,13 +8,16 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.files import make_folder, sync_folder
+from feel321.files import digest_file, make_folder, sync_folder
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 CRATE = "ro-crate-metadata.json"
-"""Lists every file of a dataset, by which an earlier export is known."""
+"""Lists every file of a dataset with its digest, by which an earlier export is known."""
+
+MARKS = {"#feel321", "#seal"}
+"""What the crate of every export names, and no other program's does."""
 
 Content = bytes | Path
 """What a file holds: bytes, or another file that it is a copy of."""
@@ -32,15 +35,33 @@ def check_target(folder: Path) -> None:
             f"{folder}: must be a folder, got a file or link; choose another name"
         )
     found = list_files(folder) if folder.is_dir() else set()
-    try:
-        crate = json.loads((folder / CRATE).read_bytes()) if CRATE in found else {}
-        known = {entry["@id"] for entry in crate.get("@graph", ())}
-    except (ValueError, TypeError, LookupError, AttributeError):
-        known = set()
-    if strange := sorted(found - known - ({CRATE} if known else set())):
+    known = _read_digests(folder)
+    own = {CRATE} if known else set()
+    for name in sorted(found - own):
+        if name not in known or (folder / name).is_symlink():
+            said = "which no export wrote"
+        elif digest_file(folder / name) != known[name]:
+            said = "which was changed after it was exported"
+        else:
+            continue
         raise FileExistsError(
-            f"{folder}: holds {strange[0]!r}, which no export wrote; move it away, or choose another folder"
+            f"{folder}: holds {name!r}, {said}; move it away, or choose another folder"
         )
+    if found and not known:
+        raise FileExistsError(
+            f"{folder}: holds {CRATE!r} of another program; choose another folder"
+        )
+
+
+def _read_digests(folder: Path) -> dict[str, str]:
+    """Read the digest of each file of an earlier export; nothing where feel321 did not write the crate."""
+    try:
+        graph = json.loads((folder / CRATE).read_bytes())["@graph"]
+        if not {entry["@id"] for entry in graph} >= MARKS:
+            return {}
+        return {str(one["@id"]): str(one["sha256"]) for one in graph if "sha256" in one}
+    except (OSError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        return {}
 
 
 def write_folder(folder: Path, files: Mapping[str, Content]) -> None:

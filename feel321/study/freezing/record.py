@@ -219,11 +219,14 @@ def find_faults(study: StudyFolder) -> list[str]:
         frozen = read_frozen(study)
     except ValueError as error:
         return [str(error)]
-    return (
-        []
-        if frozen is None
-        else [f"{study.path / FROZEN_FILE}: {one}" for one in _list_faults(study, frozen)]
-    )
+    faults = _list_missing(study) if frozen is None else _list_faults(study, frozen)
+    return [f"{study.path / FROZEN_FILE}: {one}" for one in faults]
+
+
+def _list_missing(study: StudyFolder) -> Iterator[str]:
+    """Say that the file was taken away, where a session knows of it."""
+    if path := next((path for path, _, named in list_named(study) if named), ""):
+        yield f"is not there, though {path} names it in its header; restore it from a copy"
 
 
 def _list_faults(study: StudyFolder, frozen: Frozen) -> Iterator[str]:

@@ -38,6 +38,8 @@ def describe_json(state: FreezeState) -> dict[str, Any]:
 def write_state(state: FreezeState) -> str:
     """Write what is frozen, with its history, and what differs now."""
     frozen = state.frozen
+    if frozen is None and state.faults:
+        return "\n".join([f"{state.name}: what was frozen is missing", *state.faults])
     if frozen is None:
         return f"{state.name}: nothing is frozen; freeze it before the first rating: feel321 freeze"
     lines = [f"{state.name}: {describe_written(frozen)}"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import re
 import shutil
@@ -10,14 +11,15 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import pytest
 
-from feel321.study.export import writing
+from feel321.study.export import people, writing
 from feel321.study.export.dataset import ExportChoices, export_bids
-from feel321.study.export.people import KEY_FILE, band_age, name_people
+from feel321.study.export.people import KEY_FILE, band_age, blur, name_people
 from feel321.study.folder import StudyFolder
 from feel321.study.settings.publication import PublicationTable, check_orcid
 from tests.study.export.conftest import PLANTED
@@ -230,13 +232,53 @@ def test_ages_are_bands() -> None:
     ]  # fmt: skip
 
 
+def make_old(**more: str) -> bytes:
+    digest = hashlib.sha256(b"old").hexdigest()
+    marks = [{"@id": "#feel321"}, {"@id": "#seal"}]
+    return json.dumps({"@graph": [*marks, {"@id": "old.txt", "sha256": digest} | more]}).encode()
+
+
+@pytest.mark.parametrize(
+    ("crate", "said"),
+    [
+        (b'{"@graph": [{"@id": "ro-crate-metadata.json"}, {"@id": "old.txt"}]}', "no export wrote"),
+        (make_old().replace(b"#seal", b"#lock"), "no export wrote"),
+        (make_old(sha256="0"), "was changed after it was exported"),
+    ],
+)
+def test_the_crate_of_a_stranger_stays(tmp_path: Path, crate: bytes, said: str) -> None:
+    (tmp_path / "old.txt").write_bytes(b"old")
+    (tmp_path / writing.CRATE).write_bytes(crate)
+    with pytest.raises(FileExistsError, match=f"'old.txt', which {said}"):
+        writing.check_target(tmp_path)
+
+
+def test_an_age_is_a_band_however_often_it_is_asked() -> None:
+    assert blur("age", "76") == blur("Age", "76.0") == ("age_band", "75-79")
+    assert blur("age", "20 to 30") == ("age", "20 to 30")
+    assert blur("tired", "3") == ("tired", "3")
+
+
+def test_every_age_is_asked_for_in_a_column_of_bands(
+    studied: StudyFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = {"question": "age", "personal": "false", "kind": "number", "rejected": "false"}
+    rows = [
+        asked | {"answer": answer, "occasion": place} for place, answer in ((1, "10"), (2, "76"))
+    ]
+    question = SimpleNamespace(when="between", name="age")
+    monkeypatch.setattr(people, "read_answers", lambda _: rows)
+    monkeypatch.setattr(people, "find_question", lambda *_: question)
+    passed = people.list_passed_on(studied, PLANTED["code"])
+    assert passed == {"age_band_1": "10-14", "age_band_2": "75-79"}
+
+
 @pytest.mark.parametrize("last", [0, 1, 7])
 def test_an_interrupted_export_leaves_what_was_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, last: int
 ) -> None:
     files: dict[str, writing.Content] = {f"{number}.txt": b"new" for number in range(8)}
-    crate = json.dumps({"@graph": [{"@id": "old.txt"}]}).encode()
-    writing.write_folder(tmp_path / "old", {"old.txt": b"old", writing.CRATE: crate})
+    writing.write_folder(tmp_path / "old", {"old.txt": b"old", writing.CRATE: make_old()})
     before, write = read_all(tmp_path / "old"), writing._write
 
     def stop(path: Path, content: writing.Content) -> None:

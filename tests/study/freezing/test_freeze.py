@@ -12,6 +12,9 @@ from feel321.study.cli import main
 from feel321.study.freezing.counted import count_ratings
 from feel321.study.freezing.freeze import compare_now, freeze_study
 from feel321.study.freezing.record import describe_frozen, find_faults, read_frozen
+from feel321.study.freezing.standing import make_standing
+from feel321.study.freezing.text import write_state
+from feel321.study.settings.read import read_settings
 from feel321.study.simulation import simulate_study
 
 if TYPE_CHECKING:
@@ -180,6 +183,13 @@ def test_sessions_name_the_file_that_they_were_run_under(
     rate(smallest)
     assert find_faults(smallest) == []
     (smallest.path / "frozen.json").unlink()
+    (missing,) = find_faults(smallest)
+    assert "is not there, though sessions/" in missing
+    assert "names it in its header" in missing
+    standing = make_standing(smallest, read_settings(smallest.settings))
+    assert standing.state == "unsound"
+    assert "it is not there, though sessions/" in standing.sentence
+    assert "is missing" in write_state(compare_now(smallest))
     change(smallest, "[analysis]\nmargin = 4.0\n")
     aside = smallest.sessions.rename(smallest.path / "aside")
     freeze(smallest)
