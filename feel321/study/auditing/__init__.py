@@ -1,1 +1,1 @@
-"""Audit: whether what a study holds is what was recorded."""
+"""Audit: check that a study still holds what was recorded."""

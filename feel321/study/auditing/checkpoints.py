@@ -2,8 +2,8 @@
 
 `checkpoints.jsonl` is a journal like those of sessions: each line holds the digest of the one before, and is on
 the disk when it is written. A checkpoint holds the marks (`marks`) of what is new or changed since the one before, so
-what was once changed stays to be seen. Where nobody keeps a copy, whoever can write to the folder can write the chain
-anew: `anchors` keep its end elsewhere.
+every past change stays visible. Unless a copy is kept, anyone who can write to the folder can rewrite the chain;
+`anchors` keep its end elsewhere.
 """
 
 import uuid
@@ -136,7 +136,7 @@ def take_checkpoint(
 ) -> Tip:
     """Append a checkpoint of what is new or changed, if anything is; of some participants, or of all.
 
-    by: `session`, `simulate`, `analysis` or `seal`; reason: why what the lab decides was changed.
+    by: `session`, `simulate`, `analysis` or `seal`; reason: why settings, texts or methods changed.
     """
     with _open_chain(study, now=now) as journal:
         state = fold(journal.records)

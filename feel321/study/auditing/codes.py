@@ -1,8 +1,8 @@
 """The end of a chain of checkpoints as a code to print, or to write into a lab book: `0031-7QZK-...`.
 
-Crockford's base 32 (no I, L, O and U) in groups of four, with his check symbol modulo 37 at the end: it finds every
-single wrong character and every two that were exchanged. Four characters are the number of lines, sixteen the first
-80 bits of the digest of the last.
+Crockford's base 32 (no I, L, O or U) in groups of four, with his check symbol modulo 37 at the end, which detects any
+single wrong character and any swap of two. Four characters give the number of lines, sixteen the first 80 bits of the
+digest of the last line.
 """
 
 from feel321.study.auditing.checkpoints import Tip

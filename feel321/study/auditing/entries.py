@@ -1,7 +1,7 @@
-"""The ledger's entry of a participant against the journals, besides what is lost.
+"""Compare a participant's ledger entry with the journals; lost data are checked elsewhere.
 
-The ledger may lag behind a journal: a kill may come between a record and the note of it. It may not run ahead, and
-has noted every session that came beyond its opening.
+The ledger may lag behind a journal: a process may be killed between a record and its note. It may not be ahead, and
+must note every session that got past its opening.
 """
 
 from collections.abc import Iterator

@@ -114,8 +114,8 @@ def _compare_anchors(
     for one in others[:1]:
         became = "is another chain than the one" if path.is_file() else "is gone, it was"
         own.findings.append(
-            f"{path}: {became} anchored of this folder in {one.place} at {one.utc}; restore it from a copy, or, where "
-            "another study is meant, give its folder another name"
+            f"{path}: {became} anchored of this folder in {one.place} at {one.utc}; restore it from a copy, or, if "
+            "this is a different study, rename its folder"
         )
     own.anchor = max([*others, *wrong] or ours, key=lambda one: (one.utc, one.lines), default=None)
     _note_keys(ours, own)
@@ -184,7 +184,7 @@ def _note_keys(ours: Sequence[anchors.Witness], own: Evidence) -> None:
     if len(signed) > 1:
         named = ", ".join(f"{key} ({host})" for key, host in signed.items())
         own.remarks.append(
-            f"anchors were signed with several keys: {named}; check that all are rigs of yours"
+            f"anchors were signed with several keys: {named}; check that all belong to your rigs"
         )
 
 

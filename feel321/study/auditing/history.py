@@ -56,7 +56,8 @@ class Following:
         delta = find_delta(self.study, fold(records), marks)
         self._step({**delta, "by": PRESENT}, len(records) + 1)
         self.findings += [
-            f"{line}; if it was meant, say why: feel321 seal --reason" for line in self._undeclared
+            f"{line}; if intended, give the reason: feel321 seal --reason"
+            for line in self._undeclared
         ]
         self.remarks += [
             f"{self.study.report}: was changed after the analysis that began at {utc} and did not finish "
@@ -124,7 +125,9 @@ class Following:
             case "report" if self._analysing and by != "analysis":
                 self._unfinished.setdefault(self._analysing, []).append(path.name)
             case "report" if after is not None and by != "analysis":
-                self.findings.append(f"{text}, by no analysis; write it anew: feel321 analyze")
+                self.findings.append(
+                    f"{text}, but not by an analysis; write it again: feel321 analyze"
+                )
 
     def _find_kind(self, name: str) -> str:
         """Find what may become of a file; the lab decides on stimuli that no plan names, and on unused certificates."""

@@ -6,7 +6,7 @@ change if it is said why; the rig may, for each session's header holds it, and s
 itself. The report changes with each analysis.
 Rendered, measured and motion files are known by their digests in the journals, stimuli by those in the manifest.
 
-`heads` are the first six digits of the digest of every line: they find the line that was changed, they prove nothing.
+`heads` are the first six digits of the digest of every line: they locate a changed line but prove nothing.
 """
 
 import hashlib

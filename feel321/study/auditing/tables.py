@@ -175,7 +175,7 @@ class _Comparison:
         if own:
             return _find_wrong(row, own.pop(0), derived)
         if (name := _name(row, derived.key)) in known:
-            return f"{' '.join(filter(None, name))} stands there once more than in the journals"
+            return f"{' '.join(filter(None, name))} occurs once more often than in the journals"
         return _find_nobody(self.study, row.get("participant") or "")
 
     def _find_missing(
@@ -194,7 +194,7 @@ class _Comparison:
         if late:
             count = "a row" if len(late) == 1 else f"{len(late)} rows"
             self.remarks.append(
-                f"{derived.path}: lacks {count} that the journals have; where they are not newer, it was edited; {ANEW}"
+                f"{derived.path}: lacks {count} that the journals have; unless they are newer, it was edited; {ANEW}"
             )
 
 
@@ -218,7 +218,7 @@ def _find_nobody(study: StudyFolder, who: str) -> str:
     if (study.sessions / who / TOMBSTONE_FILE).is_file():
         return f"holds data of {who}, who withdrew"
     if who and (study.sessions / who).is_dir():
-        return f"a row of {who} of which no journal says anything"
+        return f"a row of {who} that is in no journal"
     return f"a row of {who or 'nobody'}, of whom there is no journal; restore sessions/ from a copy"
 
 

@@ -1,1 +1,1 @@
-"""What a study holds of the people who take part: where it is, who leaves, what is kept apart, copied, and due."""
+"""Personal data in a study: where they are, withdrawal, separate storage, backups, and how long they are kept."""

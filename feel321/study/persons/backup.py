@@ -1,4 +1,4 @@
-"""Backups of a study: a consistent copy while sessions run, and its return without those who withdrew since.
+"""Backups of a study: a consistent copy while sessions run, restored without those who have withdrawn since.
 
 A backup is a folder: `objects/`, each file once under its SHA-256; `backup.json`, which says what the files are called;
 `withdrawn.json`, the codes of those who withdrew. `backup.json` is replaced in one step once all it names is on the
@@ -117,7 +117,7 @@ def _check_apart(study: Path, target: Path) -> None:
     one, other = study.resolve(), target.resolve()
     if one == other or one in other.parents or other in one.parents:
         raise ValueError(
-            f"{target}: lies in the study, or the study in it; name a folder elsewhere"
+            f"{target}: must not contain the study or lie in it; name a folder elsewhere"
         )
 
 
@@ -321,7 +321,9 @@ def restore(target: Path, to: Path, *, now: Clock) -> BackedUp:
     """
     manifest = read_manifest(target)
     if to.is_symlink() or (to.exists() and (not to.is_dir() or any(to.iterdir()))):
-        raise FileExistsError(f"{to}: is there already, nothing is overwritten; name a new folder")
+        raise FileExistsError(
+            f"{to}: already exists, and nothing is overwritten; name a new folder"
+        )
     live = StudyFolder(Path(manifest["study"]))
     gone = read_withdrawn(target) | removal.list_withdrawn(live)
     stage = StudyFolder(to.with_name(f"{to.name}.restoring"))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 OUT_OF_REACH = (
     "what is removed may stay in snapshots and backups of the disk, in spare cells of an SSD and in the journal of the "
     "file system: encrypt the disk, and ask those who run its backups",
-    "copies that people made by hand (mail, USB, cloud folders) are known to them only",
+    "copies that people made by hand (mail, USB, cloud folders) are unknown to feel321",
 )
 
 LEAVES = {
@@ -42,7 +42,7 @@ LEAVES = {
 class InventoryRow:
     """All places of a kind.
 
-    modes: who may read them. encrypted: "yes", "no", or "-" where nothing personal is. until: as `[data]` says.
+    modes: who may read them. encrypted: "yes", "no", or "-" if there is nothing personal. until: from `[data]`.
     """
 
     kind: str
@@ -77,7 +77,7 @@ class Inventory(Result):
         lines = [line for row in self.rows for line in _describe(row)]
         named = {"due": self.due, "open": self.wide, "out of reach": self.notes}
         lines += [f"{name}: {line}" for name, found in named.items() for line in found]
-        return "\n".join(lines) if self.rows else "\n".join(["nothing is kept of anybody", *lines])
+        return "\n".join(lines) if self.rows else "\n".join(["no personal data are kept", *lines])
 
 
 def _describe(row: InventoryRow) -> Iterator[str]:
@@ -162,5 +162,5 @@ def _list_notes(study: StudyFolder) -> Iterator[str]:
             "rewrites the rows, but the server's write-ahead log, its dead rows until VACUUM FULL, and its backups stay"
         )
     if os.name == "nt":
-        yield "Windows knows no modes: who may read the folder is set in its properties"
+        yield "Windows has no file modes: set who may read the folder in its properties"
     yield from OUT_OF_REACH

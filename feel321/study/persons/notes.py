@@ -19,7 +19,7 @@ def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) ->
     folder = study.sessions / participant
     if progress.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, nothing is recorded any longer")
-    begin = f"participant {participant}: no session was begun, so there is no journal; begin it, then take the note"
+    begin = f"participant {participant}: no session has begun, so there is no journal; begin one, then add the note"
     if not list_journals(folder):
         raise ValueError(begin)
     with hold_folder(folder):

@@ -1,4 +1,4 @@
-"""`outputs.jsonl`: what verbs wrote of a study besides its own tables, to be found when somebody withdraws."""
+"""`outputs.jsonl`: files that commands wrote elsewhere from a study, so that a withdrawal can find them."""
 
 from __future__ import annotations
 

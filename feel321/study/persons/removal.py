@@ -1,4 +1,4 @@
-"""Removing files of a person: never through a link, and what cannot be removed is named."""
+"""Remove a person's files: never through a link; files that cannot be removed are listed."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def clear_unfinished(study: StudyFolder) -> Iterator[str]:
         if place.path.is_symlink() and place.kind == "unfinished":
             yield from drop_link(place.path)
         elif place.kind == "unfinished" and place.path.exists():
-            yield f"{place.path}: is being written; once that has ended, run feel321 audit"
+            yield f"{place.path}: is still being written; when it is finished, run feel321 audit"
 
 
 def clear_results(study: StudyFolder) -> Iterator[str]:
@@ -90,7 +90,7 @@ def clear_result(folder: Path) -> Iterator[str]:
 
     remove_results(folder)
     verb = {"report": "analyze", "advice": "advise"}.get(folder.name, folder.name)
-    yield f"{folder}: was removed, for it held the participant's data; write it anew: feel321 {verb}"
+    yield f"{folder}: was removed because it held the participant's data; make it again: feel321 {verb}"
     if folder.exists():
         yield f"{folder}: holds other files; remove those with the participant's data"
 
@@ -222,7 +222,7 @@ def find_data_left(study: StudyFolder) -> Iterator[str]:
             if why := _find_trace(place, participant, study):
                 yield f"{place.path}: {why} {participant}, who withdrew; finish: {_withdraw(study, participant)}"
         if newest and place.kind in {"results", "output"} and _is_older(place.path, newest):
-            yield f"{place.path}: was made before somebody withdrew; remove it, and make it anew"
+            yield f"{place.path}: was made before somebody withdrew; remove it, and make it again"
 
 
 def _find_returned(study: StudyFolder, participant: str) -> Iterator[str]:

@@ -40,7 +40,7 @@ UNLOCK_VARIABLE = "FEEL321_PASSPHRASE"
 
 PERSONAL_FILE = "personal.jsonl"
 
-LOST = "without the passphrase nobody can read these answers, feel321's authors neither"
+LOST = "without the passphrase nobody can read these answers, not even feel321's authors"
 
 _N, _R, _P = 2**15, 8, 1
 _COST = {"name": "scrypt", "n": _N, "r": _R, "p": _P}
