@@ -50,6 +50,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     metrics: Sequence[str] | None = None,
     draws: int | None = None,
     rivals: bool = False,
+    bayes: bool = False,
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> Results:
@@ -79,6 +80,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             further=further,
             info=list_info(settings) if settings else {},
             rules=find_rules(chosen.screening, study.path),
+            bayes=bayes,
             paper=make_paper(settings, further.mountings) if settings else None,
             about=about,
             seed=settings.study.seed if settings else 0,
