@@ -68,11 +68,12 @@ def test_likelihood_is_the_normal_density_with_everything_integrated_out(
     assert np.allclose(found, wanted, rtol=1e-9)
 
 
-def test_draws_hold_the_planted_slope(uneven: pd.DataFrame) -> None:
-    cells = make_cells(uneven, METRICS)
+@pytest.mark.soak
+def test_draws_hold_the_planted_slope(tidy: Callable[..., pd.DataFrame]) -> None:
+    cells = make_cells(tidy(anchors=False), METRICS)
     prepared = posterior.prepare(cells, plan_terms(cells, correlated=False, reducers=True))
     scales = np.full(prepared.layout.fixed.shape[1], 50.0)
-    sampler = posterior.Sampler(draws=100, chains=2, warmup=100)
+    sampler = posterior.Sampler(draws=100, chains=2, warmup=150)
     priors = np.full(len(prepared.names), 15.0)
     found = sampler.sample(prepared.layout, scales, priors, rng=np.random.default_rng(0))
     slopes = found.fixed[..., 1].ravel()  # of the first metric within recordings

@@ -408,10 +408,8 @@ def analyze(  # noqa: PLR0913 - one per option
         _analyze_dataset(dataset, out, has_choices=choices, as_json=as_json)
         return
     study = StudyFolder(folder)
-    if ratings is not None and manifest is None and not study.settings.is_file():
-        raise click.UsageError(
-            "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
-        )
+    if ratings is not None and manifest is None:
+        _require_stimuli(study)
     from feel321.study.analyze import analyze_study
     from feel321.study.export.narrative import write_methods
 
@@ -430,6 +428,14 @@ def analyze(  # noqa: PLR0913 - one per option
         if ratings is None:
             write_methods(study, out or study.report)
     shared.print_results(out or study.report, as_json=as_json)
+
+
+def _require_stimuli(study: StudyFolder) -> None:
+    """Refuse ratings from elsewhere whose stimuli nothing tells."""
+    if not study.settings.is_file():
+        raise click.UsageError(
+            "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
+        )
 
 
 def _analyze_dataset(dataset: Path, out: Path | None, *, has_choices: bool, as_json: bool) -> None:
