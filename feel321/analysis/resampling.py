@@ -32,13 +32,14 @@ class Choices:
 
     draws: bootstrap draws per interval and random pairings per permutation test. margin: difference in points that
     does not matter; None: half the standard deviation of raters' repeated ratings. seed: random seed. rules: the lab's
-    own screening rules.
+    own screening rules. bayes: whether slopes are estimated with priors, too.
     """
 
     draws: int = 2000
     margin: float | None = None
     seed: int = 0
     rules: tuple[Method, ...] = ()
+    bayes: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""

@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 from itertools import chain, count
 from pathlib import Path
 from shlex import quote
+from typing import Any
 
 import pandas as pd
 
@@ -51,6 +52,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     metrics: Sequence[str] | None = None,
     draws: int | None = None,
     rivals: bool = False,
+    bayes: bool = False,
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> Results:
@@ -60,27 +62,25 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     further, about = Further(pd.DataFrame(), ()), About()
     if settings:
         further, about = gather_study(study, settings, metrics, own=ratings is None)
-        own = ratings is None and manifest is None
-        standing = make_standing(study, settings, metrics=metrics or (), draws=draws, own=own)
+        own, asked = not (ratings or manifest), metrics or ()
+        standing = make_standing(study, settings, metrics=asked, draws=draws, own=own)
         about = replace(about, standing=standing)
+    listed = manifest or study.manifest
     if rivals:
-        listed = manifest or study.manifest
         further = add_rivals(study, None if manifest else settings, listed, further=further)
     with _closing(study, out):
         return write_report(
             ratings or study.ratings,
-            manifest or study.manifest,
+            listed,
             out or study.report,
             draws=draws or chosen.draws,
             margin=chosen.margin,
             metrics=metrics or chosen.metrics,
-            sources=list_origins(settings) if settings else {},
             further=further,
-            info=list_info(settings) if settings else {},
             rules=find_rules(chosen.screening, study.path),
-            paper=make_paper(settings, further.mountings) if settings else None,
+            bayes=bayes,
             about=about,
-            seed=settings.study.seed if settings else 0,
+            **_list_declared(settings, further),
             progress=progress,
         )
 
@@ -97,6 +97,16 @@ def _closing(study: StudyFolder, out: Path | None) -> Iterator[None]:
     sealing = sealing_analysis(study) if out is None else nullcontext()
     with closing_results(study, out or study.report), sealing:
         yield
+
+
+def _list_declared(settings: Settings | None, further: Further) -> dict[str, Any]:
+    """List what a study declares for its report, beside its choices."""
+    if settings is None:
+        return {"sources": {}, "info": {}, "paper": None, "seed": 0}
+    return {
+        "sources": list_origins(settings), "info": list_info(settings),
+        "paper": make_paper(settings, further.mountings), "seed": settings.study.seed,
+    }  # fmt: skip
 
 
 def read_study_table(

@@ -350,7 +350,7 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
     # A person's reducers are so many effects.
     for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
         notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
-        margin = _find_margin(part, choices)
+        margin = find_margin(part, choices)
         try:
             pairs, fitted = _compare_reducers(part.rows, margin)
         except ValueError as error:
@@ -387,7 +387,8 @@ def _list_numbers(part: RatingsPart, margin: _Margin, pairs: list[_Pair]) -> Ite
         yield words.count_number(name, count, n=len(pairs), keys="scale level")
 
 
-def _find_margin(part: RatingsPart, choices: Choices) -> _Margin:
+def find_margin(part: RatingsPart, choices: Choices) -> _Margin:
+    """Find how many points do not matter, and why so many."""
     if choices.margin is not None:
         return _Margin(choices.margin, "margin fixed beforehand", len(part.rows))
     sd, n = find_repeat_sd(part.rows)

@@ -374,6 +374,11 @@ Example: feel321 analyze my-study
     is_flag=True,
     help="Also rank all metrics by how well they predict, corrected for how many were tried.",
 )
+@click.option(
+    "--bayes",
+    is_flag=True,
+    help='Also estimate the primary slopes with priors, as a sensitivity analysis; needs pip install "feel321[bayes]".',
+)
 @shared.json_option
 def analyze(  # noqa: PLR0913 - one per option
     folder: Path,
@@ -384,6 +389,7 @@ def analyze(  # noqa: PLR0913 - one per option
     out: Path | None,
     metrics: tuple[str, ...],
     rivals: bool,
+    bayes: bool,
     as_json: bool,
 ) -> None:
     """Relate the ratings to the match metrics and write the report.
@@ -398,14 +404,12 @@ def analyze(  # noqa: PLR0913 - one per option
             "--manifest needs --ratings; give both, or --ratings alone in a study"
         )
     if dataset is not None:
-        choices = bool(ratings or metrics or rivals)
+        choices = bool(ratings or metrics or rivals or bayes)
         _analyze_dataset(dataset, out, has_choices=choices, as_json=as_json)
         return
     study = StudyFolder(folder)
-    if ratings is not None and manifest is None and not study.settings.is_file():
-        raise click.UsageError(
-            "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
-        )
+    if ratings is not None and manifest is None:
+        _require_stimuli(study)
     from feel321.study.analyze import analyze_study
     from feel321.study.export.narrative import write_methods
 
@@ -417,12 +421,21 @@ def analyze(  # noqa: PLR0913 - one per option
             manifest=manifest,
             metrics=metrics or None,
             rivals=rivals,
+            bayes=bayes,
             out=out,
             progress=progress,
         )
         if ratings is None:
             write_methods(study, out or study.report)
     shared.print_results(out or study.report, as_json=as_json)
+
+
+def _require_stimuli(study: StudyFolder) -> None:
+    """Refuse ratings from elsewhere whose stimuli nothing tells."""
+    if not study.settings.is_file():
+        raise click.UsageError(
+            "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
+        )
 
 
 def _analyze_dataset(dataset: Path, out: Path | None, *, has_choices: bool, as_json: bool) -> None:
