@@ -32,7 +32,7 @@ Example: feel321 audit my-study
 @click.option("--code", default="", help="A code that feel321 seal printed.")
 @click.option(
     "--anchors", "places", metavar="DIR", type=shared.FILE, multiple=True,
-    help="A folder with anchors, besides the places that were chosen for this rig; repeatable.",
+    help="A folder with anchors, in addition to those chosen for this rig; repeatable.",
 )  # fmt: skip
 @click.option(
     "--expect",
@@ -92,7 +92,7 @@ def _group(findings: Sequence[str]) -> list[str]:
     for own in files.values():
         lines += own[:PER_FILE]
         if len(own) > PER_FILE:
-            lines.append(f"  and {len(own) - PER_FILE} more of this file (--json lists all)")
+            lines.append(f"  and {len(own) - PER_FILE} more in this file (--json lists all)")
     return shared.cap(lines)
 
 
@@ -121,7 +121,7 @@ Example: feel321 seal my-study
     help="Push anchors to this git remote, from now on.",
 )
 @shared.flag("--make-key", "Make a key for this rig, and sign anchors with it from now on.")
-@shared.flag("--passphrase", "Protect the new key with a passphrase, which is asked for.")
+@shared.flag("--passphrase", "Protect the new key with a passphrase, which you are asked for.")
 @shared.json_option
 def seal(  # noqa: PLR0913 - one per option
     *,
@@ -133,10 +133,10 @@ def seal(  # noqa: PLR0913 - one per option
     passphrase: bool,
     as_json: bool,
 ) -> None:
-    """Record what the study holds, and keep the end of that record elsewhere.
+    """Take a checkpoint of the study, and anchor it elsewhere.
 
-    A checkpoint of all journals, plans, settings and tables is chained to checkpoints.jsonl, as after each session. Its
-    code, to be printed or written down, and the copies in the chosen places show every later change (feel321 audit).
+    A checkpoint of all journals, plans, settings and tables is appended to checkpoints.jsonl, as after each session.
+    Its code (print it or write it down) and the copies kept elsewhere reveal every later change (feel321 audit).
     Places and the key belong to this rig, not to the study; they are kept in anchors.toml of the user's
     configuration, and a new one only if it took this anchor. A passphrase may also stand in FEEL321_KEY_PASSPHRASE.
     """
@@ -175,12 +175,12 @@ Example: feel321 freeze my-study
 )
 @shared.study_argument
 @click.option(
-    "--because", default="", metavar="TEXT", help="Why choices change that were frozen before."
+    "--because", default="", metavar="TEXT", help="Why choices frozen earlier are being changed."
 )
 @click.option(
     "--participants",
     type=click.IntRange(1, 100_000),
-    help="Planned number of participants.  [default: as power says]",
+    help="Planned number of participants.  [default: from feel321 power]",
 )
 @shared.flag(
     "--after-data",

@@ -67,7 +67,7 @@ def export(  # noqa: PLR0913 - one per option
     if r_folder is None or bids_folder is not None:
         if ratings is not None or metrics:
             raise click.UsageError(
-                "--bids takes a whole study; leave out --ratings, --manifest and --metric"
+                "--bids exports a whole study; leave out --ratings, --manifest and --metric"
             )
         _export_bids(
             folder, bids_folder or folder, keep_ids=keep_ids, simulated=simulated, report=report
@@ -95,7 +95,7 @@ def export(  # noqa: PLR0913 - one per option
 def _export_bids(
     folder: Path, target: Path, *, keep_ids: bool, simulated: bool, report: bool
 ) -> None:
-    """Write the dataset, and name what nobody said about it."""
+    """Write the dataset, and list what `[publication]` lacks."""
     from feel321.study.export.dataset import ExportChoices, export_bids
     from feel321.study.folder import require_study
 

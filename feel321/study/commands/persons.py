@@ -25,15 +25,15 @@ Example: feel321 inventory my-study
 """
 )
 @shared.study_argument
-@click.option("--participant", metavar="ID", default="", help="Only what is kept of this one.")
+@click.option("--participant", metavar="ID", default="", help="Only data of this participant.")
 @shared.flag("--due", "Only what is due for removal by [data] in study.toml.")
-@shared.flag("--tighten", "Close files and folders that others may read.")
+@shared.flag("--tighten", "Make files and folders that others may read private.")
 @shared.json_option
 def inventory(*, study: Study, participant: str, due: bool, tighten: bool, as_json: bool) -> None:
-    """List what a study keeps of people, for an ethics form.
+    """List the personal data that a study keeps, for an ethics form.
 
-    What is kept, where, of whom, since when and until when, who may read it, whether it is encrypted, what of it leaves
-    the lab with an export, and what a withdrawal does to it.
+    Shows what is kept, where, about whom, since and until when, who may read it, whether it is encrypted, what an
+    export passes on, and what a withdrawal does to it.
     """
     from feel321.study.persons import inventory as inventories
     from feel321.study.persons import modes
@@ -77,8 +77,8 @@ def withdraw(  # noqa: PLR0913 - one per option
 ) -> None:
     """Remove the data of a participant for good.
 
-    From sessions, rehearsals, tables, results and outputs elsewhere that are as feel321 wrote them; what is left to do
-    by hand is named. The code is not used again; the design slot is free. With --personal only the personal answers go.
+    Data go from sessions, rehearsals, tables, results and unedited outputs elsewhere; anything left to remove by hand
+    is listed. The code is not reused; the design slot is freed. --personal removes the personal answers only.
     """
     if (participant is None) != due:
         raise click.UsageError("withdraw needs --participant ID, or --due; give one of them")
@@ -87,7 +87,7 @@ def withdraw(  # noqa: PLR0913 - one per option
     names = ", ".join(f"{name}{' (personal answers)' * own}" for name, own in tasks) or "nobody"
     question = f"Remove {'what is due' if due else f'all {what}'} of {names} in {study.folder.path} for good?"
     if not is_sure and not sys.stdin.isatty():
-        raise click.UsageError("a terminal is needed to ask whether you are sure; else add --yes")
+        raise click.UsageError("no terminal to ask for confirmation; add --yes")
     if not tasks or (not is_sure and not click.confirm(question, err=True)):
         shared.echo(f"{study.folder.path}: nothing was removed")
         context.exit(0 if not tasks else 1)
@@ -121,7 +121,7 @@ def _remove_all(study: Study, participant: str, reason: str) -> str:
         shared.warn(problem)
     return (
         f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
-        "Copies that feel321 did not make are yours to remove"
+        "Copies that feel321 did not make must be removed by hand"
     )
 
 
@@ -134,8 +134,8 @@ def _remove_all(study: Study, participant: str, reason: str) -> str:
 def backup(*, study: Study, target: Path, as_json: bool) -> None:
     """Copy a study into a folder of backups, also while sessions run.
 
-    Each file once, under its SHA-256; a later backup copies only what is new and replaces the earlier one in one step.
-    Who withdrew is removed from it. Personal answers that are encrypted stay so.
+    Each file is stored once, under its SHA-256; a later backup copies only what is new and replaces the earlier one in
+    one step. Data of those who withdrew are removed. Encrypted personal answers stay encrypted.
     """
     from feel321.study.persons.backup import back_up
 
@@ -156,9 +156,9 @@ def backup(*, study: Study, target: Path, as_json: bool) -> None:
 @shared.json_option
 @click.pass_context
 def restore(context: click.Context, *, source: Path, folder: Path, as_json: bool) -> None:
-    """Bring a study back from a backup, and audit it.
+    """Restore a study from a backup, and audit it.
 
-    Nothing is overwritten: STUDY must be new or empty. Who withdrew since the backup is not brought back. If
+    Nothing is overwritten: STUDY must be new or empty. Those who withdrew since the backup are left out. If
     interrupted, run it again.
     """
     from feel321.study.auditing.study import audit_study

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from feel321.study import analyze
 from feel321.study.actuator import certificate as certificates
 from feel321.study.export import credit, people, tables, writing
 from feel321.study.export.crate import make_crate
-from feel321.study.export.narrative import METHODS_FILE
+from feel321.study.export.narrative import METHODS_FILE, make_methods
 from feel321.study.ledger.progress import note_estimates
 from feel321.study.settings import read
 
@@ -36,6 +37,9 @@ OWN = "derivatives/feel321"
 
 IGNORED = "/data\n/ro-crate-metadata.json\n"
 """`.bidsignore`: what Psych-DS and RO-Crate want and BIDS has no place for."""
+
+
+NO_METHODS = f"{METHODS_FILE}: left out, for no report is of these ratings; feel321 analyze, then export again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +69,8 @@ def export_bids(study: StudyFolder, folder: Path, choices: ExportChoices) -> lis
     gathered = _gather(study, choices)
     files = dict(_list_files(gathered, choices))
     writing.write_folder(folder, files)
-    return gathered.settings.publication.list_missing()
+    old = [] if f"{OWN}/docs/{METHODS_FILE}" in files else [NO_METHODS]
+    return [*gathered.settings.publication.list_missing(), *old]
 
 
 def _gather(study: StudyFolder, choices: ExportChoices) -> _Gathered:
@@ -230,8 +235,9 @@ def _list_derived(gathered: _Gathered, choices: ExportChoices) -> Iterator[tuple
     yield f"{OWN}/README", credit.write_derived_readme(title).encode()
     yield CHOICES, tables.write_json(describe_choices(gathered))
     report = gathered.study.report
-    if (report / METHODS_FILE).is_file():
-        yield f"{OWN}/docs/{METHODS_FILE}", report / METHODS_FILE
+    if (results := _read_current(gathered.study)) is not None:
+        methods = make_methods(gathered.study, results, is_dated=False)
+        yield f"{OWN}/docs/{METHODS_FILE}", methods.encode()
     if not choices.report:
         return
     if not (report / "results.json").is_file():
@@ -242,6 +248,16 @@ def _list_derived(gathered: _Gathered, choices: ExportChoices) -> Iterator[tuple
         )
     for name in sorted(writing.list_files(report)):
         yield f"{OWN}/docs/report/{name}", report / name
+
+
+def _read_current(study: StudyFolder) -> dict[str, Any] | None:
+    """Read the results of a report that was made from these very ratings."""
+    path = study.report / "results.json"
+    if not path.is_file():
+        return None
+    results: dict[str, Any] = json.loads(intake.read_text(path))
+    made_from = results.get("inputs", {}).get("ratings_sha256")
+    return results if made_from == digest_file(study.ratings) else None
 
 
 def describe_choices(gathered: _Gathered) -> dict[str, Any]:

@@ -104,15 +104,15 @@ def write_methods(study: StudyFolder, report: Path) -> None:
     write_text(report / METHODS_FILE, text, private=report == study.report)
 
 
-def make_methods(study: StudyFolder, results: Mapping[str, Any]) -> str:
-    """Make the text of the methods section."""
+def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bool = True) -> str:
+    """Make the text of the methods section; without days where it goes along with a dataset."""
     settings, flow = read_settings(study.settings), count_flow(study)
     parts = {
         "Participants": _tell_participants(settings, flow),
         "Apparatus": _tell_apparatus(study, settings),
         "Stimuli": _tell_stimuli(study),
         "Procedure": _tell_procedure(study, settings, flow),
-        "Analysis": _tell_analysis(study, results),
+        "Analysis": _tell_analysis(study, results, is_dated=is_dated),
         "Data and software": _tell_software(settings, results),
     }
     lines = [f"# Methods: {settings.publication.title or settings.study.name}", ""]
@@ -134,7 +134,7 @@ def _tell_participants(settings: Settings, flow: ParticipantFlow) -> Iterator[st
     else:
         yield (
             f"The ratings of {_count(flow.analysed, 'participant')} were analysed ([age, gender, handedness: personal "
-            f"answers are not read]). Each gave informed consent on screen; the study was approved by {ethics}. "
+            f"answers are not read]). [Informed consent: how given]; the study was approved by {ethics}. "
             f"{_count(flow.registered, 'person')} had registered, {flow.began} began, {flow.finished} finished and "
             f"{flow.withdrew} withdrew; the data of those who withdrew were removed."
         ).replace("persons", "people")
@@ -246,25 +246,28 @@ def _tell_procedure(study: StudyFolder, settings: Settings, flow: ParticipantFlo
         yield f"Completed sessions took {median(flow.minutes):.0f} min (median; {low:.0f} to {high:.0f})."
 
 
-def _tell_analysis(study: StudyFolder, results: Mapping[str, Any]) -> Iterator[str]:
+def _tell_analysis(
+    study: StudyFolder, results: Mapping[str, Any], *, is_dated: bool
+) -> Iterator[str]:
     """Describe the analysis as it was run, in the report's own sentences."""
     inputs = results["inputs"]
     yield (
         f"Predictors: {inputs.get('metrics', '[metrics]')}. Bootstrap draws: {inputs.get('draws', '[draws]')}; seed: "
         f"{inputs.get('seed', '[seed]')}; margin of equivalence: {inputs.get('margin', '[margin]')}."
     )
-    yield _tell_frozen(study)
+    yield _tell_frozen(study, is_dated=is_dated)
     flagged = [one for one in results["numbers"] if one["name"] == "screening_panel.any"]
     for one in flagged:
-        yield f"Screening flagged {one['value']:g} of {one['n']} participants by any rule; all results include them."
+        yield f"Screening flagged {one['value']:g} of {one['n']} participants by any rule; all results include these."
     yield from ["", *(f"- {sentence}" for sentence in results["how"])]
 
 
-def _tell_frozen(study: StudyFolder) -> str:
+def _tell_frozen(study: StudyFolder, *, is_dated: bool) -> str:
     """Say whether the choices had been written down before ratings were seen."""
     if (frozen := read_frozen(study)) is None:
         return "The choices of the analysis were not frozen beforehand."
-    when = f"The choices of the analysis were frozen on {frozen.utc[:10]}"
+    day = f" on {frozen.utc[:10]}" if is_dated else ""
+    when = f"The choices of the analysis were frozen{day}"
     if frozen.is_late:
         return f"{when}, after {_count(frozen.rated.judgements, 'judgement')} had been made."
     return f"{when}, before any rating was given (frozen.json, SHA-256 {frozen.sha256[:12]})."

@@ -68,8 +68,9 @@ def write_folder(folder: Path, files: Mapping[str, Content]) -> None:
     """Write all files beside their place and then move them there together; an earlier export gives way."""
     check_target(folder)
     make_folder(folder.parent)
+    tidy(folder)
     new, old = (folder.with_name(f".{folder.name}.{os.getpid()}.{end}") for end in ("part", "old"))
-    shutil.rmtree(new, ignore_errors=True)
+    make_folder(new, private=True)
     try:
         for name, content in sorted(files.items()):
             _write(new / name, content)
@@ -86,9 +87,30 @@ def write_folder(folder: Path, files: Mapping[str, Content]) -> None:
         shutil.rmtree(old, ignore_errors=True)
 
 
+def tidy(folder: Path) -> None:
+    """Remove what a killed export left beside the folder; an earlier export that it had moved away comes back."""
+    for place in sorted(folder.parent.glob(f".{folder.name}.*")):
+        number, _, end = place.name.removeprefix(f".{folder.name}.").partition(".")
+        if end not in {"part", "old"} or not number.isdecimal() or _is_running(int(number)):
+            continue
+        if end == "old" and not folder.exists():
+            place.rename(folder)
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _is_running(process: int) -> bool:
+    if os.name == "nt" or process == os.getpid():  # to ask would end it there
+        return process != os.getpid()
+    try:
+        os.kill(process, 0)
+    except OSError as error:
+        return isinstance(error, PermissionError)
+    return True
+
+
 def _write(path: Path, content: Content) -> None:
-    make_folder(path.parent)
-    with path.open("wb") as file:
+    make_folder(path.parent, private=True)
+    with open(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600), "wb") as file:  # noqa: PTH123 - private at once
         if isinstance(content, bytes):
             file.write(content)
         else:

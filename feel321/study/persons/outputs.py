@@ -34,7 +34,8 @@ RESULTS = ("report", "chart", "advice", "power")
 class WrittenOutput:
     """What a verb wrote: where, when, and the digest of each file by its name in that folder.
 
-    stale: whether somebody withdrew since, and it could not be cleared.
+    stale: whether somebody withdrew since, and it could not be cleared; study: where the study was, for a copy of it
+    must not clear what the original wrote.
     """
 
     verb: str
@@ -42,6 +43,7 @@ class WrittenOutput:
     utc: str
     files: dict[str, str]
     stale: bool = False
+    study: str = ""
 
 
 @contextmanager
@@ -89,9 +91,9 @@ def record_output(
     """Record the files that a verb has written in a folder; in place of an earlier entry of both."""
     path = path.resolve()
     named = {_name(file, path): digest_file(file) for file in files}
-    utc = now().isoformat(timespec="seconds")
+    utc, place = now().isoformat(timespec="seconds"), str(study.path.resolve())
     others = [one for one in read_outputs(study) if (one.verb, one.path) != (verb, path)]
-    _write(study, [*others, WrittenOutput(verb, path, utc, named)])
+    _write(study, [*others, WrittenOutput(verb, path, utc, named, study=place)])
 
 
 def list_written(path: Path) -> list[Path]:
@@ -114,9 +116,12 @@ def read_outputs(study: StudyFolder) -> list[WrittenOutput]:
     try:
         lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
         return [
-            WrittenOutput(
-                o["verb"], Path(o["path"]), o["utc"], dict(o["files"]), bool(o.get("stale"))
-            )
+            WrittenOutput(**{
+                **o,
+                "path": Path(o["path"]),
+                "files": dict(o["files"]),
+                "stale": bool(o.get("stale")),
+            })
             for o in lines
         ]
     except (AttributeError, KeyError, TypeError, ValueError) as error:

@@ -109,11 +109,20 @@ def clear_outputs(study: StudyFolder) -> Iterator[str]:
     stale: list[WrittenOutput] = []
     for output in read_outputs(study):
         is_backup = output.verb == "backup"
-        left = list((_clear_backup if is_backup else _clear_output)(study, output))
+        clear = _clear_backup if is_backup else _clear_output
+        is_own = output.study in {"", str(study.path.resolve())}
+        left = list(clear(study, output)) if is_own or is_backup else [_describe_foreign(output)]
         yield from left
         (stale if left else gone).append(output)
     if gone or stale:
         settle_outputs(study, gone=gone, stale=stale)
+
+
+def _describe_foreign(output: WrittenOutput) -> str:
+    return (
+        f"{output.path}: was written from {output.study}, of which this is a copy, or which was moved here; remove the "
+        "participant's data there"
+    )
 
 
 def _clear_backup(study: StudyFolder, output: WrittenOutput) -> Iterator[str]:
@@ -199,7 +208,8 @@ def _clear_output(study: StudyFolder, output: WrittenOutput) -> Iterator[str]:
             yield f"{path}: was changed since {output.verb} wrote it; remove the participant's data in it"
         else:
             path.unlink(missing_ok=True)
-    folders = {(output.path / name).parent for name in output.files if name != "."}
+    inner = {output.path / name for name in output.files if name != "."}
+    folders = {one for path in inner for one in path.parents if one.is_relative_to(output.path)}
     for folder in sorted(folders, reverse=True):
         with suppress(OSError):  # holds other files, or is gone
             folder.rmdir()

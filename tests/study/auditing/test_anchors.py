@@ -291,7 +291,7 @@ def test_an_analysis_that_was_killed_opens_nothing_for_ever(study: StudyFolder) 
     seal(study)
     assert remark in examine(study).remarks
     write_report(study, "edited")
-    assert any("by no analysis" in text for text in find(study))
+    assert any("not by an analysis" in text for text in find(study))
     write_report(study, "third")
     with sealing.sealing_analysis(study):
         write_report(study, "fourth")

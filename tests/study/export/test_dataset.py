@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -17,10 +18,13 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 import pytest
 
+from feel321.files import digest_file
 from feel321.study.export import people, writing
 from feel321.study.export.dataset import ExportChoices, export_bids
 from feel321.study.export.people import KEY_FILE, band_age, blur, name_people
 from feel321.study.folder import StudyFolder
+from feel321.study.persons.outputs import WrittenOutput
+from feel321.study.persons.removal import clear_outputs
 from feel321.study.settings.publication import PublicationTable, check_orcid
 from tests.study.export.conftest import PLANTED
 
@@ -292,3 +296,39 @@ def test_an_interrupted_export_leaves_what_was_there(
             writing.write_folder(tmp_path / name, files)
     assert read_all(tmp_path / "old") == before
     assert [path.name for path in tmp_path.iterdir()] == ["old"]
+
+
+def test_what_a_killed_export_left_is_tidied_and_an_earlier_one_returns(tmp_path: Path) -> None:
+    target = tmp_path / "d"
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    (tmp_path / f".d.{ended.pid}.old").mkdir()
+    (tmp_path / f".d.{ended.pid}.old" / "kept.txt").write_text("earlier")
+    (tmp_path / f".d.{ended.pid}.part").mkdir()
+    (tmp_path / ".d.1.part").mkdir()  # of a process that lives
+    writing.tidy(target)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".d.1.part", "d"]
+    assert (target / "kept.txt").read_text() == "earlier"
+
+
+def test_an_export_is_its_owners_alone(dataset: Path) -> None:
+    assert {path.stat().st_mode & 0o077 for path in dataset.rglob("*")} == {0}
+
+
+def test_a_copy_of_a_study_leaves_the_exports_of_the_original(
+    studied: StudyFolder, tmp_path: Path
+) -> None:
+    copied = StudyFolder(tmp_path / "copy")
+    shutil.copytree(studied.path, copied.path)
+    output = tmp_path / "out"
+    output.mkdir()
+    (output / "p.csv").write_text("p")
+    made = WrittenOutput(
+        "export", output, "2026-01-01T00:00:00+00:00", {"p.csv": digest_file(output / "p.csv")}
+    )
+    for place, said in [(str(studied.path.resolve()), 1), (str(copied.path.resolve()), 0)]:
+        text = json.dumps(asdict(replace(made, study=place)) | {"path": str(output)})
+        (copied.path / "outputs.jsonl").write_text(f"{text}\n")
+        told = list(clear_outputs(copied))
+        assert len(told) == said
+        assert output.exists() is bool(said)

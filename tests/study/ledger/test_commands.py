@@ -109,7 +109,7 @@ def test_a_damaged_ledger_is_one_line(begun: Any, say: Say) -> None:
 def test_withdraw_wants_to_be_meant(begun: Any, say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
     code, _, err = say("withdraw", begun.study.path, "--participant", "p01")
     assert (code, err.count("\n")) == (2, 1)
-    assert "a terminal is needed to ask whether you are sure; else add --yes" in err
+    assert "no terminal to ask for confirmation; add --yes" in err
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     for answer, expected in (("n", 1), ("y", 0)):
         monkeypatch.setattr(
@@ -129,9 +129,9 @@ def test_withdraw_says_what_was_removed_and_what_is_left_to_do(begun: Any, say: 
     assert code == 0
     assert out == (
         f"{begun.study.sessions / 'p01'}: removed 2 files; a tombstone keeps the code. "
-        "Copies that feel321 did not make are yours to remove\n"
+        "Copies that feel321 did not make must be removed by hand\n"
     )
-    assert err.startswith(f"feel321: warning: {begun.study.report}: was removed, for it held")
+    assert err.startswith(f"feel321: warning: {begun.study.report}: was removed because it held")
     assert (
         json.loads((begun.study.sessions / "p01" / "withdrawn.json").read_text())["reason"]
         == "moved away"

@@ -233,7 +233,7 @@ def test_derived_tables_are_written_anew_and_the_report_goes(
     with (two.study.path / "participants.csv").open() as file:
         assert [row["participant"] for row in csv.DictReader(file)] == ["p02"]
     assert warnings == [
-        f"{two.study.report}: was removed, for it held the participant's data; write it anew: feel321 analyze",
+        f"{two.study.report}: was removed because it held the participant's data; make it again: feel321 analyze",
         f"{two.study.report}: holds other files; remove those with the participant's data",
     ]
     assert read_files(two.study.report) == {"mine.csv": b"p01"}

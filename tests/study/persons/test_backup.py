@@ -59,7 +59,7 @@ def test_there_and_back_is_bit_for_bit(held: StudyFolder, tmp_path: Path) -> Non
     }
     assert read_ledger(open_study_ledger(back)[0]) == known
     assert (done.notes, audit_study(back)) == ((), [])
-    with pytest.raises(FileExistsError, match="is there already, nothing is overwritten"):
+    with pytest.raises(FileExistsError, match="already exists, and nothing is overwritten"):
         backups.restore(tmp_path / "safe", tmp_path / "back", now=now)
 
 
@@ -272,7 +272,7 @@ def test_what_is_damaged_is_refused(
 
 
 def test_a_backup_has_a_folder_of_its_own(held: StudyFolder, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="lies in the study"):
+    with pytest.raises(ValueError, match="must not contain the study"):
         backups.back_up(held, held.path / "safe", now=now)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").touch()
