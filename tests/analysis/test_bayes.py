@@ -30,6 +30,7 @@ def uneven(tidy: Callable[..., pd.DataFrame]) -> pd.DataFrame:
     return rows.drop(index=[0, 5, 31, 32, 33])
 
 
+@pytest.mark.soak  # a process that has once used JAX must not fork, as tests of kills beside this one do
 def test_likelihood_is_the_normal_density_with_everything_integrated_out(
     uneven: pd.DataFrame,
 ) -> None:

@@ -161,6 +161,7 @@ def add_loudness(verb: click.Command) -> click.Command:
         "quiet": "No progress and no warnings: only results and errors.",
         "verbose": "Print each step as it begins.",
     }
+    verb.context_settings.setdefault("help_option_names", ["-h", "--help"])
     verb.params += [
         click.Option([f"-{name[0]}", f"--{name}"], is_flag=True, is_eager=True, expose_value=False,
             callback=choose, help=text)
