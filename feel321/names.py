@@ -42,6 +42,7 @@ METRIC_INFO: Mapping[str, MetricInfo] = Registry(
         "spectral_match": MetricInfo("spectral match", high=1.0),
         "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
         "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
+        "temporal_match_windowed": MetricInfo("temporal match in windows", low=0.0, high=1.0),
         "level_difference": MetricInfo("level difference", "worse", 0.0, MOST_DB, "dB"),
         "log_spectral_distance": MetricInfo("log-spectral distance", "worse", 0.0, MOST_DB, "dB"),
         "itakura_saito_distance": MetricInfo("Itakura-Saito distance", "worse", 0.0),
@@ -64,7 +65,10 @@ METRIC_INFO: Mapping[str, MetricInfo] = Registry(
 """Name of a metric, the match metrics first -> which way it points, its bounds, and how it is called on a page."""
 
 MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
-"""The match metrics: what `build` writes into every manifest."""
+"""The match metrics: what is compared with delivered signals and over orientations, too."""
+
+WRITTEN = (*MATCHES, "temporal_match_windowed")
+"""The metrics that `build` writes into every manifest."""
 
 MEASURES: Mapping[str, str] = Registry(
     "measure",

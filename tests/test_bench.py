@@ -156,6 +156,8 @@ def test_the_machine_is_described(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(Path(__file__).parent / "bench")
     import figures
 
+    for name in ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"):
+        monkeypatch.delenv(name, raising=False)
     plain = figures.describe_machine()
     assert plain["versions"].keys() >= {"python", "numpy", "scipy", "feel321"}
     monkeypatch.setenv("OPENBLAS_CORETYPE", "Prescott")

@@ -101,7 +101,7 @@ def write_metrics(folder: Path) -> None:
     write(
         folder / "index.rst",
         title("Metrics"),
-        "How well one axis stands for three: ``METRICS[name](acceleration, reduced, rate_hz)``. The first three are the"
+        "How well one axis stands for three: ``METRICS[name](acceleration, reduced, rate_hz)``. The first four are the"
         " match metrics; the others are their rivals (:doc:`/rivals`).",
         table(("metric", "compares", "range"), rows, widths="30 45 25"),
     )

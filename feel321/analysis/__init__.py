@@ -90,7 +90,7 @@ _OLD = {
     "Choices": "resampling:Choices",
     "Context": "tradeoff.advise.scene:Context|the arguments of advise",
     "Number": "words:Number",
-    "Precision": "primary.sensitivity:SlopePrecision",
+    "Precision": "primary.precision:SlopePrecision",
     "Rated": "tradeoff.advise.scene:Rated|the arguments of advise",
     "Section": "report.section:Section",
     "Tolerance": "tradeoff.advise.scene:Tolerance|advise(weber=...)",

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from feel321.analysis.primary import rcode
 from feel321.analysis.primary.model import Slopes, fit_slopes
-from feel321.analysis.primary.plan import ITEM, RATING, SCENE, WHO, make_cells
+from feel321.analysis.primary.plan import ITEM, LEVEL, RATING, SCENE, WHO, make_cells
 from feel321.analysis.report import parts
 from feel321.analysis.report.folder import write_flags
 from feel321.analysis.resampling import Choices
@@ -211,6 +211,8 @@ def _fit_models(
             rows = rows.assign(
                 **dict(zip((f"{name}{end}" for end in PARTS[1:]), values, strict=True))
             )
+        if LEVEL in items:
+            rows = rows.assign(**{LEVEL: rows["stimulus"].map(items[LEVEL])})
         yield ExportedModel(part, rows, found)
 
 
@@ -317,7 +319,8 @@ report <- function(fit, scale, level, penalised = FALSE) {
 NOTES = """\
 # Columns: METRIC as in the manifest; METRIC_b its mean over the recording's stimuli (differences between recordings);
 # METRIC_w the metric less that mean (differences within recordings); METRIC_step = METRIC_w in steps (see slopes.csv,
-# such as 0.1 of a match), so that its slope is in points of rating per step.
+# such as 0.1 of a match), so that its slope is in points of rating per step; level_db the stimulus's level in dB less
+# the mean of its recording's.
 """
 
 
@@ -350,6 +353,7 @@ def _write_model(model: ExportedModel, names: Mapping[str, str]) -> str:
         *(["part <- average_repeats(part)"] if cells.averaged else []),
         *(f"# Reduced: {reason}" for reason in terms.reductions),
         *_explain(terms.random),
+        f"# feel321 believes at most {terms.most_df:g} degrees of freedom.",
         f"fit <- {rcode.write_fit(formula, 'part', penalty=terms.penalty)}",
         f"found[[length(found) + 1]] <- report(fit, {scale}, {level}{penalised})",
         "",
@@ -359,11 +363,11 @@ def _write_model(model: ExportedModel, names: Mapping[str, str]) -> str:
 
 EXPLAINED = {
     WHO: "participants differ in their mean and in their slopes (|| : without correlations)",
-    SCENE: "recordings differ in their mean",
+    SCENE: "recordings differ in their mean, and in their slopes where these stand before the bar",
     ITEM: "stimuli differ for reasons not captured by the metrics",
     f"{WHO}:{SCENE}": "each participant has an own mean for each recording",
     f"{WHO}:{ITEM}": "a participant's repeats of one stimulus share their mean",
-    "source": "recordings of one source share their mean",
+    "source": "recordings of one source share their mean and their slopes",
     "source:reducer": "stimuli of one source that were reduced alike share their mean",
     "reducer": "reducers differ for reasons not captured by the metrics",
     f"{WHO}:reducer": "each participant has an own opinion of each reducer",

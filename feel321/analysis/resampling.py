@@ -31,8 +31,8 @@ class Choices:
     """Choices that were made before the ratings were seen.
 
     draws: bootstrap draws per interval and random pairings per permutation test. margin: difference in points that
-    does not matter; None: half the standard deviation of raters' repeated ratings. seed: random seed. rules: the lab's
-    own screening rules. bayes: whether slopes are estimated with priors, too.
+    does not matter; None: nobody chose one, so equivalence is not tested. seed: random seed. rules: the lab's own
+    screening rules. bayes: whether slopes are estimated with priors, too.
     """
 
     draws: int = 2000

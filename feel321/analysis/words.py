@@ -367,11 +367,12 @@ def count_number(name: str, value: int, *, n: int, keys: str = "") -> Number:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One of the lines that open a report."""
+    """One of the lines that open a report; clause: what the first sentence says of it, where no card does."""
 
     text: str
     subject: str = ""
     lead: str = ""
+    clause: str = ""
 
     def __str__(self) -> str:
         """Write it as a sentence of its own."""
@@ -381,7 +382,11 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """The conclusion about one metric, for a program to read; reason: why it is not confirmatory."""
+    """The conclusion about one metric, for a program to read.
+
+    few: units, such as "4 reducers", of which there are so few that a finding is a hint, or that a slope is not
+    estimable. reason: why it is not confirmatory.
+    """
 
     scale: str
     level: str
@@ -393,5 +398,7 @@ class Claim:
     better_than: tuple[str, ...] = ()
     higher: str = "better"
     hinge: str = ""
+    few: tuple[str, ...] = ()
     status: str = EXPLORATORY
     reason: str = ""
+    beyond_level: str = ""

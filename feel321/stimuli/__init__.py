@@ -18,6 +18,7 @@ from feel321.stimuli.match import (
     spectral_match_details,
     temporal_match,
     temporal_match_details,
+    temporal_match_windowed,
 )
 from feel321.stimuli.metrics import METRICS, match
 from feel321.stimuli.recording import Recording, Reduced
@@ -78,6 +79,7 @@ __all__ = [
     "spectrogram",
     "temporal_match",
     "temporal_match_details",
+    "temporal_match_windowed",
     "write_wav",
 ]
 

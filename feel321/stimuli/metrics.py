@@ -10,7 +10,12 @@ from numpy.typing import ArrayLike
 from feel321.doors import Registry, name_of
 from feel321.names import MATCHES
 from feel321.stimuli.guard import find_metric
-from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
+from feel321.stimuli.match import (
+    spectral_match,
+    spectral_match_bounded,
+    temporal_match,
+    temporal_match_windowed,
+)
 from feel321.stimuli.recording import Reduced, Signal, as_pair, check_acceleration, coerce_real
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.catalog import RIVALS
@@ -25,6 +30,7 @@ METRICS: Registry[Metric] = Registry(
         "spectral_match": spectral_match,
         "temporal_match": temporal_match,
         "spectral_match_bounded": spectral_match_bounded,
+        "temporal_match_windowed": temporal_match_windowed,
         **{name: rival.metric for name, rival in RIVALS.items()},
     },
     find=find_metric,

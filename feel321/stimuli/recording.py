@@ -120,6 +120,12 @@ class Recording(Result):
         """Time of each sample in s, from 0."""
         return np.arange(self.n_samples) / self.rate_hz
 
+    def __array__(
+        self, dtype: DTypeLike = None, *, copy: bool | None = None
+    ) -> NDArray[np.generic]:
+        """Return the samples."""
+        return np.array(self.acceleration, dtype, copy=copy)
+
     def crop(self, start_s: float, end_s: float) -> Recording:
         """Keep a part.
 
@@ -227,7 +233,7 @@ class Reduced(Result):
         self, dtype: DTypeLike = None, *, copy: bool | None = None
     ) -> NDArray[np.generic]:
         """Return the samples."""
-        return np.array(self.samples, dtype) if copy else np.asarray(self.samples, dtype)
+        return np.array(self.samples, dtype, copy=copy)
 
     def __len__(self) -> int:
         """Count the samples."""

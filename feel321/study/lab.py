@@ -144,7 +144,7 @@ def open_lab(
         hand = stack.enter_context(_open_hand(plan, journal, stimuli, lab=lab))
         own = {} if lab.rig.keys == USUAL else {"keys": lab.rig.keys.model_dump(mode="json")}
         if lab.lsl or lab.settings.session.lsl:
-            stack.enter_context(open_outlet(journal, clock, participant=plan.participant))
+            stack.enter_context(open_outlet(journal, clock))
         journal.write(DeviceOpened({**output.identity, **own}))
         exploration = stack.enter_context(_open_exploration(plan, window, lab=lab, clock=clock))
         yield ScreenPresenter(

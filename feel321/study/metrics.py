@@ -1,6 +1,7 @@
 """Further metrics of a study's stimuli, measured from its recordings: rivals, and over orientations of the sensor."""
 
 import os
+import warnings
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -113,11 +114,13 @@ def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread
         digests[source.name] = recording.sha256
         sources.append(replace(source, size=recording.acceleration.size))
     recipe = make_recipe(settings, study.path)
+    lead = "The recordings cannot be read as they were when the set was built"
     try:
-        problems = problems or find_changes(study.stimuli, recipe, digests)
+        if not problems and (problems := find_changes(study.stimuli, recipe, digests)):
+            lead = "The settings differ from those of the built set, which this analysis is about"
     except (OSError, ValueError) as error:
         problems = [str(error)]
-    reason = problems[0].splitlines()[0].rstrip(".") if problems else ""
+    reason = f"{lead} ({problems[0].splitlines()[0].rstrip('.')})" if problems else ""
     return sources, recipe, reason
 
 
@@ -153,7 +156,8 @@ def measure_rotations(
     """
     recordings, recipe, reason = _read_unchanged(study, settings)
     if reason:
-        note = f"Rotation statistics of the metrics are left out: {reason}."
+        note = f"{reason}. Rotation statistics of the metrics are left out."
+        warnings.warn(note, stacklevel=2)
         return Further(pd.DataFrame(), (note,))
     wanted = settings.analysis.metrics if metrics is None else metrics
     effort = DECLARED if set(wanted) & set(ROTATIONS) else 1

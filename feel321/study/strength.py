@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from feel321.protocols.trial import SURFACE
-from feel321.stimuli.sets.anchors import to_db
+from feel321.stimuli.sets.anchors import ANCHOR, to_db
 from feel321.stimuli.sets.build import Foreseen
-from feel321.stimuli.sets.manifest import StimulusSet
+from feel321.stimuli.sets.manifest import StimulusSet, find_raised
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, Recipe
 from feel321.stimuli.sets.render import find_headroom_cost
 from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold
@@ -35,6 +35,9 @@ REACH_DB = 12.0
 COSTLY_DB = 1.0
 """A recording that takes less headroom from the others is not worth a line."""
 
+
+LEAST_DB = 0.05
+"""Anchors that are less below the strength of their recording are as strong as it, to the digits that are shown."""
 
 MOST_LISTED = 50
 """Recordings whose levels are listed; all are among the figures."""
@@ -60,7 +63,10 @@ def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Reci
         warnings=(
             *(unfelt if is_accepted else ()),
             *weak,
-            *_compare_with_surface(settings, [one.gain for one in foreseen]),
+            *find_raised(
+                (one.recording, one.level, one.gain) for one in foreseen if one.role != ANCHOR
+            ),
+            *_compare_with_surface(settings, [one.gain for one in foreseen if one.role != ANCHOR]),
             *_find_out_of_reach(settings),
         ),
         notes=(*describe_gains(foreseen, recipe), *_list_levels(levels)),
@@ -92,24 +98,40 @@ def _find_out_of_reach(settings: Settings) -> Iterator[str]:
 class _Played(NamedTuple):
     recording: str
     reducer: str
+    role: str
     level: str
     gain: float
     peak_m_s2: float
+    sensation_db: float
 
 
 def describe_gains(foreseen: Iterable[Foreseen], recipe: Recipe) -> list[str]:
     """Describe by which gains stimuli are played, and what one recording's peak costs the others."""
     played = [
-        _Played(one.recording, one.reducer, one.level, one.gain, one.peak_m_s2) for one in foreseen
+        _Played(
+            one.recording,
+            one.reducer,
+            one.role,
+            one.level,
+            one.gain,
+            one.peak_m_s2,
+            _own_level(one, recipe),
+        )
+        for one in foreseen
     ]
     return _describe_gains(played, recipe)
 
 
 def _describe_gains(played: Sequence[_Played], recipe: Recipe) -> list[str]:
+    weaker = _find_weak_anchors(played)
+    played = [one for one in played if one.role != ANCHOR]  # they have no say in the gain
     gains = [one.gain for one in played if one.level == "as_is"]
     scope = {ONE_GAIN: "one for the whole set", GAIN_PER_RECORDING: "one per recording"}
     how = f"gain, {scope.get(str(recipe.gain), 'as given in study.toml')}"
-    lines = [f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how]
+    lines = [
+        f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how,
+        *weaker,
+    ]
     if recipe.gain != ONE_GAIN:
         return lines
     loudest: dict[str, tuple[float, str]] = {}
@@ -124,6 +146,26 @@ def _describe_gains(played: Sequence[_Played], recipe: Recipe) -> list[str]:
             f'recordings are played {cost_db:.1f} dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that'
         )
     return lines
+
+
+def _find_weak_anchors(played: Sequence[_Played]) -> list[str]:
+    """Find anchors that would not fit the headroom at the strength of their recording: one line for all."""
+    gains = {(one.recording, one.level): one.gain for one in played if one.role == "test"}
+    levels = {(one.recording, one.level): one.sensation_db for one in played if one.role == "test"}
+    short: dict[str, float] = {}
+    for one in played:
+        if one.role == ANCHOR:
+            place = one.recording, one.level
+            is_equal = one.level == "equal_intensity"
+            by_db = levels[place] - one.sensation_db if is_equal else to_db(gains[place] / one.gain)
+            short[one.recording] = max(by_db, short.get(one.recording, 0.0))
+    weak = [name for name, by_db in short.items() if by_db >= LEAST_DB]
+    if not weak:
+        return []
+    return [
+        f"anchors of {len(weak)} of {len(short)} recordings, such as {weak[0]!r}, are up to "
+        f"{max(short.values()):.1f} dB weaker than their recording: their peaks reach the headroom"
+    ]
 
 
 def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
@@ -142,11 +184,20 @@ def describe_built(settings: Settings, stimuli: StimulusSet) -> list[str]:
     """Describe the gains of a built set, beside a real surface too, and how many of its stimuli cannot be felt."""
     recipe = make_recipe(settings, stimuli.folder.parent)
     heard = [
-        _Played(one.recording, one.reducer, one.level, one.gain, recipe.full_scale_m_s2 * one.peak)
+        _Played(
+            one.recording,
+            one.reducer,
+            one.role,
+            one.level,
+            one.gain,
+            recipe.full_scale_m_s2 * one.peak,
+            one.sensation_level_db,
+        )
         for one in stimuli
     ]
     unfelt = filter(None, [find_unfelt(settings, stimuli)])
-    beside = _compare_with_surface(settings, [one.gain for one in stimuli])
+    tests = [one.gain for one in stimuli if one.role != ANCHOR]
+    beside = _compare_with_surface(settings, tests)
     return [*_describe_gains(heard, recipe), *beside, *unfelt, *stimuli.warnings]
 
 
@@ -204,9 +255,8 @@ def _list_weak(weak: Sequence[Foreseen], recipe: Recipe) -> str:
 
 def _advise(own: Sequence[Foreseen], weak: Sequence[Foreseen], recipe: Recipe) -> str:
     """Suggest what helps weak stimuli of a recording: its own gain, a stronger rig, or leaving something out."""
-    room_db = (
-        energy_db(recipe.headroom * recipe.full_scale_m_s2, max(one.peak_m_s2 for one in own)) * 2
-    )
+    peak = max(one.peak_m_s2 for one in own if one.role != ANCHOR)
+    room_db = energy_db(recipe.headroom * recipe.full_scale_m_s2, peak) * 2
     least = min((_own_level(one, recipe) for one in weak), default=0.0)
     if least == -inf:
         return "leave out the recording or these reducers"

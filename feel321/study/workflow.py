@@ -3,6 +3,7 @@
 import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,11 @@ from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
 from feel321.stimuli.condition import condition, fade
+from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.anchors import quietest_hz
+from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.anchors import weigh_bands
 from feel321.stimuli.sets.build import (
     Facts,
     Foreseen,
@@ -213,7 +217,7 @@ def _try_recording(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
         ready = condition(recording, recipe.conditioning)
         fade(ready.acceleration, ready.rate_hz, fade_s=recipe.fade_s)
         if recipe.anchors:
-            quietest_hz(ready)
+            weigh_bands(ready)
     except ValueError as error:
         raise ValueError(f"recording {recording.name!r}: {error}") from None
     return np.asarray(np.einsum("in,jn->ij", ready.acceleration, ready.acceleration))
@@ -447,6 +451,7 @@ def find_warnings(
 
     remarks = [f"{study.settings.name}: {remark}" for remark in list_remarks(settings)]
     remarks += find_copies(recordings)
+    remarks += _find_slow(settings, recordings)
     remarks += describe_wide(study)
     language = find_language(settings, study.path)
     if isinstance(language, Path) and (borrowed := list_borrowed(language)):
@@ -459,3 +464,29 @@ def find_warnings(
         make_design(settings), read_stimuli(study.stimuli), "check", number=1, simulated=False
     )
     return remarks + [f"order 'random': {line}" for line in find_crowding(plan.trials)]
+
+
+LEAST_WINDOW = 16
+"""Samples: the main lobe is 3 bins wide, so offset and Nyquist frequency reach 4 of 9 bins; of fewer, half or more."""
+
+
+def _find_slow(settings: Settings, recordings: Sequence[Facts]) -> Iterator[str]:
+    """Name recordings whose rate narrows the band of the matches, or leaves windows few samples."""
+    windowed = [
+        name
+        for name in settings.stimuli.reducers
+        if name in REDUCERS and "window_s" in signature(REDUCERS[name]).parameters
+    ]
+    for one in recordings:
+        where = f"recording {one.name!r}, at {one.rate_hz:g} Hz"
+        if (high_hz := one.rate_hz / 2) < HIGHEST_HZ:
+            yield (
+                f"{where}: holds nothing above {high_hz:g} Hz, so its matches compare less than 20 to "
+                f"{HIGHEST_HZ:g} Hz; use a recording of {2 * HIGHEST_HZ:g} Hz or more, or report the band"
+            )
+        samples = window_samples(DEFAULT_WINDOW_S, one.rate_hz)
+        if windowed and samples < LEAST_WINDOW:
+            yield (
+                f"{where}: a window of {1e3 * DEFAULT_WINDOW_S:g} ms has {samples} samples, {LEAST_WINDOW} are the "
+                f"least that resolve a spectrum; leave out {', '.join(windowed)}, or record faster"
+            )

@@ -185,7 +185,7 @@ def test_scatter_states_its_finding_with_interval_and_n(table: pd.DataFrame) -> 
 def test_a_scatter_describes_and_leaves_what_is_shown_to_the_verdicts(
     table: pd.DataFrame, value: float, low: float, high: float, said: str
 ) -> None:
-    one = find(table).panels[0].associations[-1]
+    one = find(table).panels[0].associations[0]
     found = replace(one, metric="temporal_match", value=value, low=low, high=high)
     lead = "Realism (level as is) against temporal match, over all stimuli: "
     assert describe_relation("realism", found, "as_is") == lead + said
@@ -203,7 +203,7 @@ def test_small_multiples_hold_every_scale_and_metric(tidy: Callable[..., pd.Data
         (one,) = (a for a in panel.associations if (a.metric, a.method) == (metric, "pearson"))
         assert axes.get_title(loc="left").startswith(f"r = {one.value:.2f} ")
     title = " ".join(figure.get_suptitle().split())
-    assert title.startswith("Mean ratings against spectral match and temporal match Pearson r over")
+    assert title.startswith("Mean ratings against spectral match and temporal match r: Pearson, in")
 
 
 def test_levels_are_named_where_there_are_several(table: pd.DataFrame) -> None:

@@ -17,13 +17,14 @@ from feel321.analysis.report.front import (
     QUESTIONS,
     VERDICTS,
     MetricCard,
+    _list_unflagged,
     describe_turn,
     explain_blank,
     group_sections,
     order_scales,
     write_headline,
 )
-from feel321.analysis.report.raters import _describe_changes
+from feel321.analysis.report.raters import _conclude_panels, _describe_changes, list_changes
 from feel321.analysis.report.section import Section
 from feel321.analysis.table.items import Table
 from feel321.analysis.words import Line, keep_together, make_number
@@ -87,13 +88,11 @@ def test_sentences_as_they_are_read() -> None:
     assert write_headline(none, [], SIZES) == (
         "Whether the ratings on both rating scales follow spectral match is open."
     )
-    few = [
-        *SIZES[:1],
-        make_number("size.recording", 3, "count", n=9),
-        make_number("size.source", 3, "count", n=9),
-    ]
-    assert "(with 3 recordings, a hint rather than a result)." in write_headline(both, [], few)
-    assert "hint" not in write_headline(none, [], few)
+    few = [replace(card, few=("3 recordings",)) for card in both]
+    assert "(with 3 recordings, a hint rather than a result)." in write_headline(few, [], SIZES)
+    assert "hint" not in write_headline(
+        [replace(card, few=("3 reducers",)) for card in none], [], SIZES
+    )
     table = pd.DataFrame({
         "ratings": ["realism, as_is", "mushra, as_is"],
         "reducer": "mag321",
@@ -134,41 +133,67 @@ def test_a_slope_that_turns_alone_is_said() -> None:
         for name in ("spectral_match", "temporal_match")
     )
     found = {"correlation": 0.85, "correlation_low": 0.6, "correlation_high": 0.95}
-    turned = replace(temporal, direction="lower", effect=-27.5, **found)
+    lower = {"direction": "lower", "effect": -27.5, "given": ("spectral_match",)}
+    turned = replace(temporal, **lower, **found)
     told = write_headline([spectral, turned], [], SIZES)
     assert told.endswith(
         "(at equal spectral match, higher temporal match goes with lower ratings, but alone with higher ratings)."
     )
     assert "opposite" in told
-    assert describe_turn(replace(temporal, **found), [spectral]) == ""
-    unsure = describe_turn(replace(turned, correlation_low=-0.1), [spectral, turned])
+    assert describe_turn(replace(temporal, **found)) == ""
+    unsure = describe_turn(replace(turned, correlation_low=-0.1))
     assert unsure.endswith("; alone, its direction is open")
 
 
-def test_judgements_without_cards_are_the_finding() -> None:
+def test_every_protocol_with_a_verdict_is_in_the_sentence() -> None:
+    asked = ("triplets show this", "preferences show that", "0 of 4 were distinguished")
     lines = [
         Section("primary", "", verdict=(Line("nothing"),)),
-        Section("discrimination", "", verdict=(Line("0 of 4"),)),
+        Section("choices", "", verdict=[Line("at length", clause=one) for one in asked[:2]]),
+        Section("discrimination", "", verdict=(Line("at length", clause=asked[2]),)),
     ]
-    assert write_headline([], lines, SIZES) == "0 of 4"
+    card = make_card("realism", "spectral_match", "open")
+    for cards in ([], [card]):
+        said = write_headline(cards, lines, SIZES).casefold()
+        assert all(one in said for one in asked)
+        assert ("realism" in said) == bool(cards)
 
 
-def test_hints_and_reasons_count_people() -> None:
-    sizes = [
-        make_number(f"size.{name}", 1, "count", n=9)
-        for name in ("participant", "recording", "source")
-    ]
-    card = make_card("realism", "spectral_match", "predicts", hinge="the recording r")
-    assert write_headline([card], [], sizes) == (
-        "Spectral match predicts realism ratings (with 1 participant and 1 recording, a hint rather than a result), "
+def test_a_verdict_that_changes_without_flagged_raters_is_in_the_sentence() -> None:
+    card = make_card("mushra", "temporal_match", "predicts", effect=3.0)
+    flagged = [*SIZES, make_number("screening_panel.any", 13, "count", n=16)]
+    assert "13" not in write_headline([card], [], flagged)
+    for verdict, said in (("open", "is open"), ("not_estimable", "cannot be estimated")):
+        told = write_headline([replace(card, unflagged=verdict)], [], flagged)
+        assert "without the 13 of 16 raters whom screening rules flag" in told
+        assert told.endswith(f"{said}.")
+    told = write_headline([replace(card, unflagged="predicts")], [], flagged)
+    assert told.endswith("in the opposite direction.")
+
+
+def test_few_people_recordings_or_reducers_are_named() -> None:
+    units = ("3 people", "4 reducers")
+    card = make_card("realism", "spectral_match", "predicts", hinge="the recording r", few=units)
+    assert write_headline([card], [], SIZES) == (
+        "Spectral match predicts realism ratings (with 3 people and 4 reducers, a hint rather than a result), "
         "which hinges on the recording r."
     )
-    is_open = replace(card, verdict="open", direction="")
-    assert write_headline([is_open], [], SIZES).endswith(
-        "is open, which hinges on the recording r."
+    blank = replace(card, verdict="not_estimable", direction="", hinge="")
+    assert write_headline([blank], [], SIZES).endswith(
+        "cannot be estimated with 3 people and 4 reducers."
     )
-    assert explain_blank(sizes).startswith("1 participant and 1 recording: at least ")
-    assert explain_blank(SIZES).startswith("too few degrees of freedom")
+    assert explain_blank(blank).startswith("3 people and 4 reducers: at least ")
+    assert explain_blank(replace(blank, few=())).startswith("too few degrees of freedom")
+
+
+def test_a_card_says_what_its_effect_and_its_correlation_are_of() -> None:
+    found = {"effect": 4.0, "effect_low": 1.0, "effect_high": 7.0, "correlation": 0.5}
+    card = make_card("realism", "spectral_match", "predicts", **found)
+    joint = replace(card, given=("temporal_match",))
+    assert joint.condition == "at equal temporal match"
+    assert joint.r.endswith("metric alone")
+    assert card.condition == ""
+    assert not card.r.endswith("alone")
 
 
 def test_scales_come_in_the_order_of_the_study() -> None:
@@ -214,12 +239,18 @@ def test_cards_hold_the_numbers_of_the_results(report: Path) -> None:
         (line,) = [
             text
             for text in re.findall(r"<li>.*?</li>", own, flags=re.DOTALL)
-            if place[2].replace("_", " ") in text.casefold()
+            if f"<span>{place[2].replace('_', ' ')}" in text.casefold()
         ]
         made = MetricCard(**{
             key: math.nan if value is None else value for key, value in card.items()
         })
-        for told in (made.points, made.r, VERDICTS[made.verdict], f'aria-label="{made.described}"'):
+        for told in (
+            made.points,
+            made.condition,
+            made.r,
+            VERDICTS[made.verdict],
+            f'aria-label="{made.described}"',
+        ):
             assert told in line
     assert keep_together(results["headline"]) in page
 
@@ -231,16 +262,27 @@ def test_tables_from_elsewhere_open_with_the_question(report: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "said"),
-    [(0.5, 3.0, "alters no"), (-1.0, 3.0, "changes whether"), (math.nan, math.nan, None)],
+    ("p", "tenth", "changes"),
+    [(0.001, 3.0, False), (0.04, 3.0, True), (0.001, -3.0, True), (math.nan, math.nan, True)],
 )
-def test_what_flagged_raters_do_to_the_slopes_is_said(
-    low: float, high: float, said: str | None
+def test_verdicts_without_flagged_raters_are_adjusted_as_the_primary_ones(
+    p: float, tenth: float, *, changes: bool
 ) -> None:
-    place = {"_ratings": "mushra, as_is", "metric": "temporal_match"}
-    whole = place | {"panel": "everyone", "tenth_low": 1.0, "tenth_high": 2.0}
-    rest = place | {"panel": "any", "tenth_low": low, "tenth_high": high}
-    told = list(_describe_changes([whole, rest]))
-    assert len(told) == (said is not None)
-    assert all(said in one for one in told)
-    assert all("temporal match (MUSHRA, as is)" in one for one in told if "changes" in one)
+    rows = [
+        {
+            "scale": "mushra",
+            "level": "as_is",
+            "panel": panel,
+            "metric": metric,
+            "p": p,
+            "tenth": tenth,
+        }
+        for panel, p, tenth in (("everyone", 0.001, 3.0), ("any", p, tenth))
+        for metric in ("spectral_match", "temporal_match")
+    ]
+    found = _conclude_panels(rows)
+    metrics = {row["metric"] for row in list_changes(found)}
+    assert metrics == ({"spectral_match", "temporal_match"} if changes else set())
+    section = Section("raters", "", tables={"slopes_without_hits": found})
+    assert {place[2] for place, _ in _list_unflagged([section])} == metrics
+    assert ("changes no verdict" in _describe_changes(found)) != changes

@@ -184,12 +184,15 @@ def test_one_of_several_scales_is_chosen_in_single_comparisons(
             call(both, scale="realsim")
 
 
-def test_the_usual_margin_is_half_the_spread_of_repeats(rows: pd.DataFrame) -> None:
-    differences = np.random.default_rng(4).normal(0, 6, len(rows))
-    again = rows.assign(rating=rows["rating"] + differences)
-    found = analysis.compare_reducers(pd.concat([rows, again], ignore_index=True), "x", "y")
-    half = np.sqrt(np.mean(differences**2) / 2) / 2
-    assert (found.margin_low, found.margin_high) == pytest.approx((-half, half))
+def test_without_a_margin_there_are_intervals_and_no_verdict(rows: pd.DataFrame) -> None:
+    found = analysis.compare_reducers(rows, "x", "y")
+    chosen = analysis.compare_reducers(rows, "x", "y", margin=5)
+    assert found.equivalent is None
+    assert found.non_inferior is None
+    assert np.isnan([found.margin_low, found.margin_high, found.p_equivalence]).all()
+    assert found.low < found.low90 < found.estimate < found.high90 < found.high
+    within = chosen.low90 > -5 and chosen.high90 < 5
+    assert (chosen.low90, chosen.equivalent) == (found.low90, within)
 
 
 def test_papers_and_r_get_the_model_that_was_fitted(rows: pd.DataFrame, tmp_path: Path) -> None:

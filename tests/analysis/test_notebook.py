@@ -108,8 +108,6 @@ def test_two_reducers_are_compared_as_the_report_compares_them(realism: results.
     assert found == analysis.compare_reducers(realism, "mag321", "dft321", low=-6, high=6)
     turned = analysis.compare_reducers(realism, "dft321", "mag321")
     assert turned.estimate == pytest.approx(-found.estimate)
-    assert turned.margin_high > 0
-    assert "half the standard deviation" in turned.notes[0]
 
 
 @pytest.mark.parametrize(
@@ -128,10 +126,8 @@ def test_comparisons_that_cannot_be(
         analysis.compare_reducers(realism, **{"first": "mag321", "second": "dft321"} | options)
 
 
-def test_without_repeats_or_others_a_comparison_needs_more(realism: results.Table) -> None:
+def test_without_others_a_comparison_needs_more(realism: results.Table) -> None:
     once = realism.rows[realism.rows["repeat"] == "1"]
-    with pytest.raises(ValueError, match="margin must be given, because nobody rated a stimulus"):
-        analysis.compare_reducers(once, "mag321", "dft321")
     alone = once[(once["participant"] == "p00") & (once["recording"] == "rec0")]
     with pytest.raises(ValueError, match="nothing is left to judge a difference by"):
         analysis.compare_reducers(alone, "mag321", "dft321", margin=5)

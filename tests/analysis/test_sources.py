@@ -26,7 +26,7 @@ PLAIN = (
     "rating ~ 1 + sm_w + tm_w + sm_b + tm_b + (1 + sm_w + tm_w || participant) + (1 | recording) + (1 | item)"
     " + (1 | participant:recording)"
 )
-SHARED = " + (1 | source) + (1 | source:reducer)"
+SHARED = " + (1 + sm_w + tm_w || source) + (1 | source:reducer)"
 REDUCERS = " + (1 | reducer) + (1 | participant:reducer)"
 
 
@@ -78,7 +78,7 @@ def test_the_model_holds_what_recordings_of_a_source_share(rows: pd.DataFrame) -
 
 def test_without_shared_sources_nothing_changes(rows: pd.DataFrame) -> None:
     plain = fit_primary(rows.drop(columns="source"), METRICS)
-    assert plain.formula == PLAIN + REDUCERS
+    assert plain.formula == PLAIN.replace("(1 | rec", "(1 + sm_w + tm_w || rec") + REDUCERS
     assert plain.n_sources == plain.n_recordings == 15
     for alone in (rows["recording"] + 100, None, ""):
         model = fit_primary(rows.assign(source=alone), METRICS)
@@ -88,7 +88,7 @@ def test_without_shared_sources_nothing_changes(rows: pd.DataFrame) -> None:
 
 def test_one_source_speaks_of_no_other(rows: pd.DataFrame) -> None:
     model = fit_primary(rows[rows["source"] == 2], METRICS)
-    assert "(1 | source)" not in model.formula
+    assert "| source)" not in model.formula
     assert model.formula.endswith(" + (1 | source:reducer) + (1 | participant:reducer)")
     assert not model.slopes["estimable"].any()
     assert (
@@ -100,7 +100,7 @@ def test_one_source_speaks_of_no_other(rows: pd.DataFrame) -> None:
 
 def test_reducers_of_their_own_in_every_recording_need_no_term(rows: pd.DataFrame) -> None:
     other = rows.assign(reducer=rows["reducer"] + 10 * rows["recording"])
-    assert fit_primary(other, METRICS).formula == PLAIN + " + (1 | source)"
+    assert fit_primary(other, METRICS).formula == PLAIN + " + (1 + sm_w + tm_w || source)"
 
 
 def test_sources_are_left_out_whole(rows: pd.DataFrame) -> None:

@@ -98,8 +98,9 @@ def test_ratings_may_be_a_data_frame() -> None:
     assert len(table.rows) == len(frame) - 1
     assert set(table.rows["role"]) == {"test"}
     assert not table.rows["simulated"].any()
-    advice = analysis.advise(BUMPS, ratings=frame)
-    assert advice == analysis.advise(BUMPS, ratings=table)
+    advice = analysis.advise(BUMPS, ratings=frame, margin=5.0)
+    assert advice == analysis.advise(BUMPS, ratings=table, margin=5.0)
+    assert not analysis.advise(BUMPS, ratings=table).rated
     assert advice.rated == ("bumps",)
     means = {row["reducer"]: row["mean"] for row in compute.rate_reducers(table.rows, seed=0)}
     assert means == pytest.approx({"pca321": 40, "dft321_principal": 80}, abs=2)

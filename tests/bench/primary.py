@@ -34,7 +34,7 @@ from feel321.analysis.mixed.optimum import (
 )
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import Terms, centre_twice, make_cells, plan_terms
-from feel321.analysis.primary.sensitivity import SlopePrecision, find_own, find_variances
+from feel321.analysis.primary.precision import SlopePrecision, find_own, find_variances
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS

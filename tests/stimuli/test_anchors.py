@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,13 @@ from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import spectral_match, temporal_match
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS, low_anchor, mid_anchor, quietest_hz
+from feel321.stimuli.sets.anchors import (
+    ANCHORS,
+    loudest_levels,
+    low_anchor,
+    mid_anchor,
+    weigh_bands,
+)
 from feel321.stimuli.synthesis import SCENES, make_scene
 
 
@@ -58,8 +66,36 @@ def test_the_mid_anchor_keeps_the_envelope_and_the_low_one_does_not() -> None:
 def test_anchors_hum_where_the_recording_is_quiet(
     gaps: tuple[tuple[float, float, float], ...], anywhere: float, easily_felt: float
 ) -> None:
-    expected = pytest.approx(anywhere, rel=0.05), pytest.approx(easily_felt, rel=0.05)
-    assert quietest_hz(with_gaps(*gaps)) == expected
+    frequencies, shares = weigh_bands(with_gaps(*gaps))
+    for centre, share in ((anywhere, 0.1), (easily_felt, 0.9)):
+        assert shares[abs(frequencies / centre - 1) < 0.05].sum() == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "recording",
+    [
+        *(make_scene(name, duration_s=0.5) for name in SCENES),
+        # Two gaps that are equally deep, and silence.
+        with_gaps((70, 15, 0.01), (140, 30, 0.01), (700, 90, 0.001)),
+        with_gaps((60, 41, 0.0), (700, 200, 0.0)),
+        Recording(np.outer([1, 2, 0], make_scene("hard_taps").acceleration[0]), 1e4, "one_axis"),
+    ],
+    ids=lambda one: one.name,
+)
+def test_a_change_in_the_last_digits_changes_an_anchor_by_as_little(recording: Recording) -> None:
+    acceleration = recording.acceleration
+    noise = np.random.default_rng(1).standard_normal(acceleration.shape)
+    nearly = replace(recording, acceleration=acceleration * (1 + 1e-13 * noise), sha256="")
+    for make in ANCHORS.values():
+        one, other = (make(condition(two), np.random.default_rng(0)) for two in (recording, nearly))
+        assert np.linalg.norm(one - other) < 1e-9 * np.linalg.norm(one)
+
+
+def test_a_mid_anchor_as_strong_as_its_recording_has_no_higher_peaks() -> None:
+    taps = condition(make_scene("hard_taps"))
+    anchor = mid_anchor(taps, np.random.default_rng(0))
+    levels = [loudest_levels(one, taps.rate_hz)["contactor"] for one in (taps.acceleration, anchor)]
+    assert np.abs(anchor).max() * levels[0] / levels[1] <= np.abs(taps.acceleration).max()
 
 
 @pytest.mark.parametrize("mixing", [np.diag([1, 1e-5, 1e-7]), [[1, 0, 0], [1, 1e-6, 0], [0, 0, 1]]])

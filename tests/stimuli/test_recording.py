@@ -9,6 +9,7 @@ from feel321.stimuli.recording import (
     STANDARD_GRAVITY,
     UNITS,
     Recording,
+    Reduced,
     check_acceleration,
     check_rate,
 )
@@ -133,3 +134,15 @@ def test_a_crop_may_end_where_the_recording_ends_but_for_rounding() -> None:
     assert recording.crop(0, recording.duration_s * (1 + 1e-12)).n_samples == 700
     with pytest.raises(ValueError, match="0 <= start < end <="):
         recording.crop(0, recording.duration_s * 1.001)
+
+
+@pytest.mark.parametrize(
+    "signal", [Recording(np.ones((3, 4)), 100, "a"), Reduced(np.ones(4), 100.0, "dft321")]
+)
+def test_numpy_takes_a_signal_as_its_samples(signal: Recording | Reduced) -> None:
+    own = signal.acceleration if isinstance(signal, Recording) else signal.samples
+    assert np.shares_memory(np.asarray(signal), own)
+    assert not np.shares_memory(np.array(signal, copy=True), own)
+    assert np.asarray(signal, np.float32).dtype == np.float32
+    with pytest.raises(ValueError, match="copy"):
+        np.asarray(signal, np.float32, copy=False)

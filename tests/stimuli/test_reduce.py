@@ -213,6 +213,37 @@ def test_adaptive_pca_follows_an_axis_that_turns_without_jumping() -> None:
     assert fixed.var() < 0.6 * reduced.var()
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_adaptive_pca_noise_in_pauses_does_not_choose_the_sign_of_what_follows(seed: int) -> None:
+    at = np.arange(5000) % 1250
+    taps = np.exp(-at / 15) * np.sin(2 * np.pi * 0.2 * at)
+    acceleration = np.outer((0.6, -0.64, 0.48), taps)
+    sensor = 1e-3 * np.linalg.norm(taps) * noise(2, 3, 5000, seed=seed) / np.sqrt(3 * 5000)
+    one, other = pca321_adaptive(acceleration + sensor, RATE)
+    assert abs(np.corrcoef(one, taps)[0, 1]) > 0.999
+    apart = min(np.linalg.norm(one - other), np.linalg.norm(one + other))
+    assert apart < 0.005 * np.linalg.norm(one)
+
+
+@pytest.mark.parametrize("gain", [2.0**-30, 1e-3, 7.0])
+def test_adaptive_pca_follows_any_gain(gain: float) -> None:
+    acceleration = noise(3, 2000) * (1 + np.sin(np.arange(2000) / 200)) ** 4
+    expected = gain * pca321_adaptive(acceleration, RATE)
+    np.testing.assert_allclose(pca321_adaptive(gain * acceleration, RATE), expected, rtol=1e-9)
+
+
+def test_adaptive_pca_axes_that_point_against_each_other_fade_through_zero() -> None:
+    """Strong along x, then a whisper whose axis turns until it points against the memory: nothing is undefined."""
+    n = 4000
+    angle = np.where(np.arange(n) < n // 2, 0.0, np.linspace(-4 * np.pi, 4 * np.pi, n))
+    size = np.where(np.arange(n) < n // 2, 1.0, 1e-3)
+    acceleration = size * noise(n) * np.array([np.cos(angle), np.sin(angle), 0 * angle])
+    reduced = pca321_adaptive(acceleration, RATE)
+    assert np.all(np.abs(reduced) <= np.linalg.norm(acceleration, axis=0) * (1 + 1e-12))
+    opposed = pca321_adaptive(acceleration[:, n // 2 :], RATE)
+    assert np.sign(reduced[n // 2 + 100 :] * opposed[100:]).min() == -1
+
+
 def test_adaptive_pca_keeps_its_axis_through_rest_and_ignores_a_constant_offset() -> None:
     wave = np.r_[noise(500), np.zeros(500), noise(500, seed=1)]
     acceleration = np.outer((0.0, 0.8, -0.6), wave)
@@ -237,21 +268,21 @@ def test_adaptive_pca_sign_is_not_left_to_rounding_either() -> None:
 
 
 def test_adaptive_pca_against_a_loop_over_segments() -> None:
-    n, hop = 310, 20
-    acceleration = noise(3, n) * np.array([[1.0], [3.0], [0.5]]) + 2.0
+    n, hop = 1510, 20
+    acceleration = noise(3, n) * np.array([[1.0], [1.5], [0.5]]) + 2.0
     window = 0.5 - 0.5 * np.cos(np.pi * np.arange(2 * hop) / hop)
     padded = np.pad(acceleration, ((0, 0), (hop, 3 * hop)))
     inside = np.pad(np.ones(n), (hop, 3 * hop))
-    turning, before = np.zeros(padded.shape), np.ones(3)
+    turning, memory = np.zeros(padded.shape), np.zeros(3)
     for start in range(0, n + hop, hop):
         part = slice(start, start + 2 * hop)
         weight = window * inside[part]
         covariance = np.cov(padded[:, part], aweights=weight, ddof=0)
         axis = np.linalg.eigh(covariance)[1][:, -1]
-        axis *= 1 if axis @ before >= 0 else -1
+        axis *= 1 if axis @ (memory if memory.any() else np.ones(3)) >= 0 else -1
         turning[:, part] += np.outer(axis, window)
-        before = axis
-    turning /= np.maximum(np.linalg.norm(turning, axis=0), 1e-300)
+        memory = np.exp(-hop / RATE) * memory + axis * np.trace(covariance) * weight.sum()
+    turning /= np.maximum(np.linalg.norm(turning, axis=0), np.sqrt(0.5))
     expected = (turning * padded).sum(axis=0)[hop : hop + n]
     np.testing.assert_allclose(
         pca321_adaptive(acceleration, RATE, window_s=0.04), expected, atol=1e-9

@@ -9,6 +9,7 @@ import pytest
 
 from feel321.protocols.texts import CATALOG, read_texts, write_copy
 from feel321.protocols.trial import ASIDE
+from feel321.stimuli.sets.build import Facts
 from feel321.stimuli.wav import write_wav
 from feel321.study.cli import main
 from feel321.study.session.journal import digest
@@ -193,3 +194,17 @@ def test_the_texts_are_written_to_be_edited(
     assert "already exists and is not overwritten" in capsys.readouterr().err
     assert main(["texts", str(study.path), "--language", "fr"]) == 1
     assert capsys.readouterr().err == "feel321: language must be one of de, en; got 'fr'\n"
+
+
+@pytest.mark.parametrize(("rate_hz", "count"), [(2000.0, 0), (1800.0, 1), (100.0, 2)])
+def test_a_slow_recording_is_named_with_its_band_and_its_windows(
+    study: StudyFolder, rate_hz: float, count: int
+) -> None:
+    text = study.settings.read_text(encoding="utf-8").replace("sax321", "dft321_windowed")
+    study.settings.write_text(text, encoding="utf-8")
+    facts = [Facts("slow", "", rate_hz, 1.0, ())]
+    found = find_warnings(study, read_settings(study.settings), facts)
+    slow = [line for line in found if line.startswith("recording 'slow'")]
+    assert len(slow) == count
+    assert all(f"{rate_hz / 2:g} Hz" in line for line in slow[:1])
+    assert all("4 samples" in line for line in slow[1:])

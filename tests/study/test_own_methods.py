@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from feel321.study.analyze import read_study_table
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.study import Study
 
 SMALL = {
@@ -61,6 +63,37 @@ def test_every_step_takes_the_labs_own_methods_and_a_change_of_them_is_named(
     study.seal(reason="tried something")
     assert study.audit().findings == ()
     assert {path: path.read_bytes() for path in folder.glob("sessions/*/*.jsonl")} == journals
+
+
+PLACE = "methods/mine.py:my_match"
+MINE = """
+def my_match(acceleration, reduced, rate_hz):
+    return -float(abs(reduced - acceleration.mean(axis=0)).mean())
+"""
+
+
+@pytest.mark.parametrize(
+    ("measured", "declared"),
+    [("", PLACE), (PLACE, "my_match"), (PLACE, PLACE), ("", "envelope_correlation")],
+)
+def test_a_metric_is_declared_once_wherever_it_is_named(
+    study: StudyFolder, measured: str, declared: str
+) -> None:
+    (study.path / "methods").mkdir()
+    (study.path / "methods" / "mine.py").write_text(MINE)
+    text = study.settings.read_text().replace("[stimuli]", f'[stimuli]\nmetrics = ["{measured}"]')
+    text = text.replace('metrics = [""]', "")
+    metrics = f'metrics = ["{declared}", "temporal_match"]'
+    study.settings.write_text(text.replace("[analysis]", f"[analysis]\n{metrics}"))
+    one = Study.open(study.path)
+    assert one.check().problems == ()
+    one.build()
+    assert one.check().problems == ()
+    one.simulate(1, rng=1)
+    name = declared.rpartition(":")[2]
+    table, _ = read_study_table(study)
+    assert table.metrics == (name, "temporal_match")
+    assert table.rows[name].notna().any()
 
 
 def test_check_method_reports_each_check_and_fails_where_one_does(

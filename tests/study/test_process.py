@@ -75,6 +75,14 @@ def test_nothing_heavy_is_imported_at_start_up(module: str) -> None:
     assert HEAVY & set(done.stdout.split()) == set()
 
 
+def test_python_runs_the_package_as_the_command_line() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "feel321", "biuld"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("feel321: No such command 'biuld'")
+
+
 @pytest.mark.parametrize(
     "arguments", [["--help"], ["--version"], ["reduce", "--help"], ["analyze", "--help"]]
 )

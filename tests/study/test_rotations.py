@@ -167,10 +167,13 @@ def test_other_recordings_or_settings_leave_them_out(
 ) -> None:
     (tmp_path / "study.toml").write_text(STUDY.replace(old, new), encoding="utf-8")
     (tmp_path / "stimuli").symlink_to(lab.stimuli)
-    found = measure(StudyFolder(tmp_path))
+    with pytest.warns(UserWarning, match="Rotation statistics") as told:
+        found = measure(StudyFolder(tmp_path))
     assert found.metrics.equals(pd.DataFrame())
     (note,) = found.notes
-    assert note.startswith("Rotation statistics of the metrics are left out: ")
+    assert str(told[0].message) == note
+    assert ("settings differ from those of the built set" in note) == ("gone" not in new)
+    assert note.endswith("Rotation statistics of the metrics are left out.")
     assert reason in note
     assert "\n" not in note
 
@@ -179,6 +182,7 @@ def test_a_set_without_its_recipe_leaves_them_out(lab: StudyFolder, tmp_path: Pa
     (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
     (tmp_path / "stimuli").mkdir()
     (tmp_path / "stimuli" / "manifest.csv").write_bytes(lab.manifest.read_bytes())
-    found = measure(StudyFolder(tmp_path))
+    with pytest.warns(UserWarning, match="Rotation statistics"):
+        found = measure(StudyFolder(tmp_path))
     assert found.metrics.empty
     assert "manifest.json" in found.notes[0]

@@ -224,7 +224,7 @@ def test_real_recordings_below_threshold_are_found_and_a_gain_of_their_own_helps
 def foresee(recording: str = "oak", reducer: str = "dft321", **own: float) -> Foreseen:
     """A stimulus without samples."""
     levels = dict.fromkeys(THRESHOLDS, 10 ** (own.get("level_db", 20.0) / 20))
-    measured = Measured(own.get("peak_m_s2", 1.0), levels, 1.0, 1.0, 1.0)
+    measured = Measured(own.get("peak_m_s2", 1.0), levels, 1.0, 1.0, 1.0, 1.0)
     return Foreseen(recording, reducer, "test", "", measured, "as_is", gain=1.0)
 
 
@@ -236,6 +236,14 @@ def test_a_recording_that_costs_the_others_a_decibel_is_named(louder_db: float, 
     assert all("the peak of recording 'oak' (dft321) sets the gain" in line for line in lines)
 
 
+def test_an_anchor_that_does_not_fit_is_named_and_has_no_say_in_the_gain() -> None:
+    anchor = replace(foresee(reducer="anchor_mid", peak_m_s2=90.0), role="anchor", gain=0.5)
+    alone = describe_gains([foresee()], Recipe())
+    lines = describe_gains([foresee(), foresee("ash"), anchor], Recipe())
+    assert [line for line in lines if not line.startswith("anchors")] == alone
+    assert any("such as 'oak'" in line and "reach the headroom" in line for line in lines)
+
+
 def test_a_gain_of_its_own_is_limited_by_the_loudest_stimulus_of_the_recording(
     study: StudyFolder,
 ) -> None:
@@ -245,6 +253,14 @@ def test_a_gain_of_its_own_is_limited_by_the_loudest_stimulus_of_the_recording(
     assert line.endswith(
         'mag321 5.0 dB; gain = "per_recording" plays this recording 6.0 dB stronger'
     )
+
+
+def test_a_recording_that_is_raised_by_more_than_40_db_is_named_before_the_build(
+    study: StudyFolder,
+) -> None:
+    foreseen = [replace(foresee(name), gain=gain) for name, gain in (("oak", 99.0), ("ash", 200.0))]
+    (line,) = find_strength(read_settings(study.settings), foreseen, Recipe()).warnings
+    assert line.startswith("ash: played 46 dB stronger than it was recorded")
 
 
 def test_silence_cannot_be_felt(study: StudyFolder) -> None:

@@ -158,6 +158,11 @@ def test_odd_forms_of_a_setting_are_changed_or_refused(before: str, after: str |
         assert change_settings(before, changes) == after
 
 
+@pytest.mark.parametrize("text", ["", "[study]\nname = 'a'\n", "[analysis]\ndraws = 200\n"])
+def test_none_brings_back_the_default_of_a_setting_that_is_not_written(text: str) -> None:
+    assert change_settings(text, {"analysis.margin": None}) == text
+
+
 def test_line_ends_stay_and_a_broken_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_bytes(b"\xef\xbb\xbf" + SHORT.replace("\n", "\r\n").encode())

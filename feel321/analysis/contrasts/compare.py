@@ -109,7 +109,7 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
         Its degrees of freedom (Satterthwaite's, for a mixed model); infinity for a normal estimate.
     low, high : float
         Ends of the margin, in the estimate's unit, fixed before seeing data: the largest difference that
-        would not matter. Half the spread with which people repeat their own ratings is a defensible default.
+        would not matter. One that is computed from the ratings themselves grows with their noise.
 
     Returns
     -------
@@ -147,12 +147,19 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
         raise ValueError(f"low must be below high, got {low} with high {high}; swap them")
     t_low, t_high = (estimate - low) / se, (estimate - high) / se
     p_low, p_high = float(t.sf(t_low, df)), float(t.cdf(t_high, df))
-    half = float(t.ppf(1 - SIGNIFICANCE, df)) * se
-    p = max(p_low, p_high)
+    p, (low90, high90) = max(p_low, p_high), find_interval90(estimate, se, df)
     return Equivalence(
         estimate, t_low, p_low, t_high, p_high, p,
-        low90=estimate - half, high90=estimate + half, low=low, high=high, equivalent=p < SIGNIFICANCE,
+        low90=low90, high90=high90, low=low, high=high, equivalent=p < SIGNIFICANCE,
     )  # fmt: skip
+
+
+def find_interval90(estimate: float, se: float, df: float) -> tuple[float, float]:
+    """Find the 90 % interval, which lies within a margin exactly if two one-sided tests at 5 % show equivalence."""
+    from scipy.stats import t
+
+    half = float(t.ppf(1 - SIGNIFICANCE, df)) * se
+    return estimate - half, estimate + half
 
 
 def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> NonInferiority:
@@ -318,20 +325,21 @@ class ReducerDifference(Result):
         The reducers; the difference is first minus second.
     estimate, se, df, p : float
         Difference in points, its standard error, Satterthwaite's degrees of freedom, and two-sided p.
-    low, high : float
-        95 % interval of the difference.
+    low, high, low90, high90 : float
+        95 % and 90 % interval of the difference; equivalence is shown where the latter lies within the margin.
     margin_low, margin_high : float
-        The largest differences that would not matter.
+        The largest differences that would not matter; NaN where nobody chose any.
     p_equivalence, p_non_inferiority : float
-        That the difference lies within the margin; that the first is not worse than the second by more than it.
-    equivalent, non_inferior : bool
-        Whether these are below .05.
+        That the difference lies within the margin; that the first is not worse than the second by more than it; NaN
+        without a margin.
+    equivalent, non_inferior : bool or None
+        Whether these are below .05; None without a margin.
     n : int
         Participant x stimulus cells.
     formula : str
         The mixed model.
     notes : tuple of str
-        Where the margin comes from, and what was left out.
+        What was left out.
     """
 
     first: str
@@ -342,12 +350,14 @@ class ReducerDifference(Result):
     p: float
     low: float
     high: float
+    low90: float
+    high90: float
     margin_low: float
     margin_high: float
     p_equivalence: float
     p_non_inferiority: float
-    equivalent: bool
-    non_inferior: bool
+    equivalent: bool | None
+    non_inferior: bool | None
     n: int
     formula: str
     notes: tuple[str, ...] = ()
@@ -375,8 +385,8 @@ def compare_reducers(  # noqa: PLR0913 - which rows, and the margin in either fo
     scale, level : str, optional
         Which ratings; needed where there are several scales or levels.
     margin : float, optional
-        Largest difference in points that would not matter, fixed before seeing data. Left out, half the standard
-        deviation with which people repeat their ratings.
+        Largest difference in points that would not matter, fixed before seeing data. Left out, neither equivalence nor
+        non-inferiority is tested: a margin taken from the data grows with their noise.
     low, high : float, optional
         The same where both sides differ, instead of `margin`: -5 and 5 are a margin of 5.
 
@@ -413,16 +423,20 @@ def compare_reducers(  # noqa: PLR0913 - which rows, and the margin in either fo
         check_name(name, rated, what)
     if first == second:
         raise ValueError(f"second must be another reducer than the first, got {second!r} twice")
-    (low, high), more_notes = _find_margin(rows, margin, (low, high))
+    ends = _find_margin(margin, (low, high))
     fit, terms, n = fit_reducers(rows, rated)
     found = contrast(fit, {terms[first]: 1, terms[second]: -1})
     numbers = found.estimate, found.se, found.df
-    same = equivalence(*numbers, low=low, high=high)
-    worse = non_inferiority(*numbers, margin=low)
+    same = worse = None
+    if ends is not None:
+        same = equivalence(*numbers, low=ends[0], high=ends[1])
+        worse = non_inferiority(*numbers, margin=ends[0])
     return ReducerDifference(
-        first, second, *numbers, found.p, found.low, found.high, low, high,
-        p_equivalence=same.p, p_non_inferiority=worse.p, equivalent=same.equivalent,
-        non_inferior=worse.non_inferior, n=n, formula=fit.formula, notes=(*notes, *more_notes),
+        first, second, *numbers, found.p, found.low, found.high, *find_interval90(*numbers),
+        *(ends or (math.nan, math.nan)),
+        p_equivalence=same.p if same else math.nan, p_non_inferiority=worse.p if worse else math.nan,
+        equivalent=same.equivalent if same else None, non_inferior=worse.non_inferior if worse else None, n=n,
+        formula=fit.formula, notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -436,36 +450,19 @@ def fit_reducers(rows: DataFrame, names: Sequence[str]) -> tuple[MixedFit, dict[
     return fit_mixed(_write_formula(cells), cells), terms, len(cells)
 
 
-def find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
-    """Find the standard deviation of a rater's repeated ratings (NaN without repeats), and how many are repeated."""
-    cells = rows.groupby(["participant", "item"], observed=True)["rating"]
-    repeated = cells.transform("size") > 1
-    n = int(repeated.sum())
-    freedom = n - len(rows[repeated].groupby(["participant", "item"], observed=True))
-    left = (rows["rating"] - cells.transform("mean"))[repeated]
-    return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), n
-
-
 def _find_margin(
-    rows: DataFrame, margin: float | None, ends: tuple[float | None, float | None]
-) -> tuple[tuple[float, float], tuple[str, ...]]:
+    margin: float | None, ends: tuple[float | None, float | None]
+) -> tuple[float, float] | None:
     low, high = ends
     if low is not None and high is not None and margin is None:
-        return (low, high), ()
+        return low, high
     if low is not None or high is not None:
         raise ValueError("margin must be one number, or low and high both, got another combination")
     if margin is None:
-        sd, _ = find_repeat_sd(rows)
-        if not sd > 0:
-            raise ValueError(
-                "margin must be given, because nobody rated a stimulus twice differently; fix it in points"
-            )
-        margin = sd / 2
-        note = "The margin is half the standard deviation with which people repeat their ratings."
-        return (-margin, margin), (note,)
+        return None
     if not margin > 0:
         raise ValueError(f"margin must be above 0 points, got {margin}")
-    return (-margin, margin), ()
+    return -margin, margin
 
 
 def _write_formula(cells: DataFrame) -> str:

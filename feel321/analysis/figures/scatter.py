@@ -18,6 +18,7 @@ from feel321.analysis.words import (
     format_count,
     format_interval,
     format_level,
+    format_method,
     format_name,
     format_number,
     format_span,
@@ -79,7 +80,7 @@ def draw_scatter(
         people = format_count(association.n_participants, "participant")
         style.add_title(
             figure,
-            f"{describe_relation(panel.scale, association, level)}\n{association.method.capitalize()}, 95 % two-way "
+            f"{describe_relation(panel.scale, association, level)}\n{format_method(association.method)}, 95 % two-way "
             f"interval; {association.n_items} stimuli of {size}, {people}",
         )
     return figure
@@ -108,15 +109,16 @@ def draw_scatters(
         for axes, metric in zip(grid[-1], metrics, strict=True):
             axes.set_xlabel(style.fit_text(format_axis(metric), style.WIDTH_CM / len(metrics) - 1))
         names = join_words([format_name(metric) for metric in metrics])
-        over = "r over all stimuli, in brackets its 95 % two-way interval"
-        style.add_title(figure, f"Mean ratings against {names}\n{method.capitalize()} {over}")
+        r = f"r: {format_method(method)}, in brackets its 95 % two-way interval"
+        style.add_title(figure, f"Mean ratings against {names}\n{r}")
         style.add_legend(figure, {name: shown[name] for name in looks if name in shown})
     return figure
 
 
 def describe_relation(scale: str, one: Association, level: str = "") -> str:
     """Say what is drawn and its correlation: whether a metric predicts, and how, the verdicts say."""
-    lead = f"{capitalise(format_name(scale))}{format_level(level)} against {format_name(one.metric)}, over all stimuli"
+    over = "within recordings" if one.method.startswith("within") else "over all stimuli"
+    lead = f"{capitalise(format_name(scale))}{format_level(level)} against {format_name(one.metric)}, {over}"
     if np.isnan(one.value):
         return f"{lead}: r not estimable"
     interval = (

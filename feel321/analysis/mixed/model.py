@@ -36,12 +36,13 @@ class Uncertainty(Result):
     """What the variance of any combination of fixed effects follows from.
 
     covariance: (n_fixed, n_fixed); slopes: (n_theta + 1, n_fixed, n_fixed); parameters: (n_theta +
-    1, n_theta + 1).
+    1, n_theta + 1); most_df: largest degrees of freedom that are believed.
     """
 
     covariance: Samples
     slopes: Samples
     parameters: Samples
+    most_df: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -69,7 +70,9 @@ class Estimate(Result):
     high: float
 
 
-def find_uncertainty(profile: optimum.Profile, best: optimum.State) -> Uncertainty:
+def find_uncertainty(
+    profile: optimum.Profile, best: optimum.State, *, most_df: float = np.inf
+) -> Uncertainty:
     """Compute how the fixed effects' covariance depends on the spreads, and how well those are known.
 
     Notes
@@ -100,7 +103,7 @@ def find_uncertainty(profile: optimum.Profile, best: optimum.State) -> Uncertain
     hessian[held, held] += 2 * (unit[held] / best.theta[held]) ** 2
     hessian[size, size] = 4 * profile.weight
     slopes[size] = 2 * covariance
-    return Uncertainty(covariance, slopes, 2 * _invert((hessian + hessian.T) / 2))
+    return Uncertainty(covariance, slopes, 2 * _invert((hessian + hessian.T) / 2), most_df)
 
 
 def _invert(hessian: Samples) -> Samples:
@@ -138,7 +141,7 @@ def measure_sum(
     variance = float(weights @ uncertainty.covariance @ weights)
     slope = np.einsum("i,kij,j->k", weights, uncertainty.slopes, weights)
     df = float(2 * variance**2 / (slope @ uncertainty.parameters @ slope))
-    return float(weights @ effects), float(np.sqrt(variance)), df
+    return float(weights @ effects), float(np.sqrt(variance)), min(df, uncertainty.most_df)
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -344,7 +347,9 @@ class Solved(NamedTuple):
         return estimate_sum(self.coefficients, values, self.uncertainty)
 
 
-def solve_design(design: MixedDesign, *, reml: bool = True, penalty: Sequence[str] = ()) -> Solved:
+def solve_design(
+    design: MixedDesign, *, reml: bool = True, penalty: Sequence[str] = (), most_df: float = np.inf
+) -> Solved:
     """Minimise a design's deviance, by the shortcut where it is balanced."""
     balance = optimum.find_balance(design)
     if balance:
@@ -354,7 +359,8 @@ def solve_design(design: MixedDesign, *, reml: bool = True, penalty: Sequence[st
     with optimum.hold_threads(profile.n_random):
         best = optimum.find_optimum(profile)
         coefficients, _ = optimum.find_coefficients(profile, best)
-        return Solved(profile, best, coefficients, find_uncertainty(profile, best))
+        uncertainty = find_uncertainty(profile, best, most_df=most_df)
+        return Solved(profile, best, coefficients, uncertainty)
 
 
 def report_fit(formula: str, solved: Solved) -> MixedFit:

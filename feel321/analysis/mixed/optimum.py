@@ -271,7 +271,7 @@ def _order_by(design: MixedDesign, who: Factor) -> BalancedRows | None:
         return None
     stands = {}
     for factor in design.factors:
-        stand = _find_stand(factor, order)
+        stand = find_stand(factor, order)
         if stand is None:
             return None
         stands[factor.name] = stand
@@ -282,7 +282,7 @@ def _is_same(values: NDArray[np.generic]) -> bool:
     return bool((values == values[0]).all())
 
 
-def _find_stand(factor: Factor, order: NDArray[np.intp]) -> Stand | None:
+def find_stand(factor: Factor, order: NDArray[np.intp]) -> Stand | None:
     """Read the columns of one participant's rows; None if they differ, or levels are neither own nor everybody's."""
     levels, values = factor.index[order], factor.columns[order]
     shared = _is_same(levels)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.analysis.power import draw
-from feel321.analysis.primary import sensitivity
+from feel321.analysis.primary import precision
 from feel321.analysis.primary.model import FEWEST, FEWEST_DF
 
 if TYPE_CHECKING:
@@ -50,23 +50,21 @@ class ClosedForm:
     level: float
 
     @cached_property
-    def precisions(self) -> list[sensitivity.SlopePrecision]:
+    def precisions(self) -> list[precision.SlopePrecision]:
         """What the standard error is made of, for every set of stimuli."""
         return self.find_precisions(self.scenario.design.participants)
 
-    def find_precisions(self, participants: int) -> list[sensitivity.SlopePrecision]:
+    def find_precisions(self, participants: int) -> list[precision.SlopePrecision]:
         """Take the standard error apart, for a number of participants."""
         return [self._find_precision(stimuli, participants) for stimuli in self.sets]
 
-    def _find_precision(
-        self, stimuli: draw.Stimuli, participants: int
-    ) -> sensitivity.SlopePrecision:
+    def _find_precision(self, stimuli: draw.Stimuli, participants: int) -> precision.SlopePrecision:
         truth, kinds = self.scenario.truth, int(stimuli.kind.max()) + 1
         noise = math.hypot(
             truth.person_item_sd, truth.rating_sd / math.sqrt(self.scenario.design.repeats)
         )
         several = kinds > 1 and stimuli.scene.max() > 0
-        study = sensitivity.SlopePrecision(
+        study = precision.SlopePrecision(
             slope_sd=float(np.linalg.norm(self.weights * self.scenario.planted.slope_sds)), item_sd=truth.item_sd,
             noise_sd=noise, square=1.0, n_participants=participants, n_recordings=int(stimuli.source.max()) + 1,
             n_items=len(stimuli.scene), n_slopes=len(self.weights), reducer_sd=truth.reducer_sd,
@@ -76,8 +74,8 @@ class ClosedForm:
         return self._add_squares(study, stimuli)
 
     def _add_squares(
-        self, study: sensitivity.SlopePrecision, stimuli: draw.Stimuli
-    ) -> sensitivity.SlopePrecision:
+        self, study: precision.SlopePrecision, stimuli: draw.Stimuli
+    ) -> precision.SlopePrecision:
         """Find the sums of squares of the metric whose slope is the weighted sum, among the others."""
         place = int(np.argmax(np.abs(self.weights)))
         if not self.weights[place]:  # of a difference of metrics that do not vary within recordings
@@ -85,14 +83,22 @@ class ClosedForm:
         basis = np.eye(len(self.weights))
         basis[place] = self.weights
         metrics = stimuli.within @ np.linalg.inv(basis)
-        own, alike = sensitivity.find_own(
-            metrics, place, stimuli.kind, variances=sensitivity.find_variances(study)
+        own, alike = precision.find_own(
+            metrics, place, stimuli.kind, variances=precision.find_variances(study)
         )
         size = float((metrics[:, place] ** 2).sum())
         square = float((own**2).sum())
-        if not square > FLAT * size or study.n_recordings < FEWEST:
+        units = study.n_recordings, len(np.unique(stimuli.kind))
+        if not square > FLAT * size or min(units) < FEWEST:
             square = 0.0
-        return replace(study, square=square, reducer_square=float((alike**2).sum()))
+        study = replace(study, square=square, reducer_square=float((alike**2).sum()))
+        spreads = stimuli.within * self.scenario.planted.recording_sds
+        return replace(
+            study,
+            recording_variance=precision.find_recording_variance(
+                study, own, alike, scenes=stimuli.source, spreads=spreads
+            ),
+        )
 
     def find_power(self, value: float, *, participants: int | None = None) -> float:
         """Compute the power to find a sum of slopes of some size; NaN where it cannot be estimated."""
@@ -111,11 +117,11 @@ class ClosedForm:
         from scipy.stats import t
 
         se, df = self.find_errors()
-        return float(2 * t.ppf(1 - sensitivity.SIGNIFICANCE / 2, df) * se)
+        return float(2 * t.ppf(1 - precision.SIGNIFICANCE / 2, df) * se)
 
     def find_ceiling(self, value: float) -> float:
         """Compute the power with participants without end."""
-        return self.find_power(value, participants=sensitivity.MOST)
+        return self.find_power(value, participants=precision.MOST)
 
     def find_detectable(self, wanted: float) -> float:
         """Find the smallest sum of slopes that is found with the wanted power."""
@@ -130,9 +136,9 @@ class ClosedForm:
 
     def find_participants(self, value: float, wanted: float) -> float:
         """Find how many participants give the wanted power with these recordings; NaN beyond 10 000."""
-        return sensitivity.find_least(
+        return precision.find_least(
             lambda number: self.find_power(value, participants=number),
-            least=sensitivity.FEWEST_PEOPLE, enough=wanted,
+            least=precision.FEWEST_PEOPLE, enough=wanted,
         )  # fmt: skip
 
     def find_recordings(self, value: float, wanted: float) -> float:
@@ -141,7 +147,7 @@ class ClosedForm:
         What more recordings would bring is imagined, then computed for a study that has them, and imagined anew from
         there, until a study of so many has the power.
         """
-        form, least = self, sensitivity.FEWEST_RECORDINGS
+        form, least = self, precision.FEWEST_RECORDINGS
         for _ in range(TURNS):
             number = form.imagine_recordings(value, wanted, least=least)
             if math.isnan(number):
@@ -154,7 +160,7 @@ class ClosedForm:
 
     def imagine_recordings(self, value: float, wanted: float, *, least: int) -> float:
         """Find how many recordings like these give the wanted power."""
-        return sensitivity.find_least(
+        return precision.find_least(
             lambda number: _average([one.enlarge(recordings=number) for one in self.precisions], value),
             least=least, enough=wanted,
         )  # fmt: skip
@@ -172,6 +178,9 @@ class ClosedForm:
         sources = max(one.n_recordings for one in self.precisions)
         if sources < FEWEST:
             return f"recordings (or their sources) number {sources}, where {FEWEST} are needed"
+        kinds = max(len(np.unique(one.kind)) for one in self.sets)
+        if kinds < FEWEST:
+            return f"reducers number {kinds}, where {FEWEST} are needed"
         if not max(float(np.abs(one.within @ self.weights).max()) for one in self.sets) > FLAT:
             return "the metric does not vary within recordings"
         if not max(one.square for one in self.precisions) > 0:
@@ -179,17 +188,17 @@ class ClosedForm:
         return f"fewer than {FEWEST_DF:g} degrees of freedom are left with the planted spreads"
 
 
-def _find_errors(precisions: list[sensitivity.SlopePrecision]) -> tuple[Samples, Samples]:
+def _find_errors(precisions: list[precision.SlopePrecision]) -> tuple[Samples, Samples]:
     """Compute standard errors and degrees of freedom of the sets whose slope has a test."""
     known = np.array([one.find_se() for one in precisions if one.square > 0]).reshape(-1, 2)
     tested = known[known[:, 1] >= FEWEST_DF]
     return tested[:, 0], tested[:, 1]
 
 
-def _average(precisions: list[sensitivity.SlopePrecision], value: float) -> float:
+def _average(precisions: list[precision.SlopePrecision], value: float) -> float:
     """Average power over sets, with no power where there is no test; NaN where no set has one."""
     se, df = _find_errors(precisions)
     if not se.size:
         return math.nan
-    chances = sensitivity.find_chance(abs(value) / se, df, level=precisions[0].level)
+    chances = precision.find_chance(abs(value) / se, df, level=precisions[0].level)
     return float(chances.sum() / len(precisions))

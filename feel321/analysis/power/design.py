@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.analysis.arrays import check_columns
-from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE
+from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, find_recording_slope
 from feel321.doors import as_names, check_name
 from feel321.records import Result
 
@@ -189,8 +189,11 @@ class Truth:
     slope_sds : Mapping of str to float
         Metric -> standard deviation of people's own slopes, in the same unit; where it is left out, as much as makes
         people differ by `slope_points` over one standard deviation of the metric within recordings.
-    slope_points : float
-        See `slope_sds`; in points.
+    recording_slope_sds : Mapping of str to float
+        Metric -> standard deviation of recordings' own slopes, the same for everybody; where it is left out, as for
+        people.
+    slope_points, recording_slope_points : float
+        See `slope_sds` and `recording_slope_sds`; in points.
     person_sd, recording_sd, item_sd, reducer_sd : float
         How people, recordings, stimuli and reducers differ besides slopes and metrics, for everyone; in points.
     person_recording_sd, person_reducer_sd, person_item_sd : float
@@ -233,7 +236,9 @@ class Truth:
 
     slopes: Mapping[str, float] = field(default_factory=dict)
     slope_sds: Mapping[str, float] = field(default_factory=dict)
+    recording_slope_sds: Mapping[str, float] = field(default_factory=dict)
     slope_points: float = 3.0
+    recording_slope_points: float = 3.0
     person_sd: float = 8.0
     recording_sd: float = 5.0
     item_sd: float = 7.0
@@ -253,8 +258,9 @@ class Truth:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be true."""
-        spreads = {name: getattr(self, name) for name in (*SPREADS, "slope_points", "step")}
-        for name, value in (spreads | dict(self.slope_sds)).items():
+        points = (*SPREADS, "slope_points", "recording_slope_points", "step")
+        spreads = [(name, getattr(self, name)) for name in points]
+        for name, value in (*spreads, *self.slope_sds.items(), *self.recording_slope_sds.items()):
             if not 0 <= value < np.inf:
                 raise ValueError(f"{name} must be 0 or more, got {value}")
         for name in SHARES:
@@ -305,6 +311,7 @@ class Truth:
         found |= {
             "slopes": primary.slopes["estimate"].to_dict(),
             "slope_sds": {name: spreads.get(("participant", f"{name}_w"), 0.0) for name in metrics},
+            "recording_slope_sds": {name: find_recording_slope(spreads, name) for name in metrics},
             "mean": float(primary.model_frame["rating"].mean()),
             "source": f"the primary model of {people} people's ratings",
         }

@@ -16,6 +16,8 @@ from feel321.analysis.power.design import HIGH, LOW, SHARES, SPREADS, PowerDesig
 from feel321.analysis.primary.plan import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
     from pandas import DataFrame
 
@@ -60,10 +62,11 @@ class Stimuli:
 
 
 class PlantedSlopes(NamedTuple):
-    """A truth for one design; slopes: (n_attributes, n_metrics), slope_sds, centre: (n_metrics,)."""
+    """A truth for one design; slopes: (n_attributes, n_metrics); centre, slope_sds, recording_sds: (n_metrics,)."""
 
     slopes: Samples
     slope_sds: Samples
+    recording_sds: Samples
     centre: Samples
 
 
@@ -79,18 +82,25 @@ class Scenario:
         """The truth in the units of the design's metrics."""
         metrics, truth = self.design.metrics, self.truth
         known = {*metrics, *map("/".join, self.design.hypotheses)}
-        if strangers := [name for name in (*truth.slopes, *truth.slope_sds) if name not in known]:
+        named = (*truth.slopes, *truth.slope_sds, *truth.recording_slope_sds)
+        if strangers := [name for name in named if name not in known]:
             raise ValueError(
                 f"slopes must name metrics of the design ({', '.join(metrics)}), got {strangers[0]!r}"
             )
         within = self.stimuli.within.std(axis=0, ddof=1)
-        usual = truth.slope_points / np.where(within > 0, within, np.inf)
-        sds = [truth.slope_sds.get(*pair) for pair in zip(metrics, usual, strict=True)]
+        unit = np.where(within > 0, within, np.inf)
+
+        def settle(given: Mapping[str, float], points: float) -> Samples:
+            pairs = zip(metrics, points / unit, strict=True)
+            return np.array([given.get(*pair) for pair in pairs], dtype=np.float64)
+
         slopes = [
             [truth.find_slope(one, name) for name in metrics] for one in self.design.attributes
         ]
         centre = self.stimuli.metrics.mean(axis=0)
-        return PlantedSlopes(np.array(slopes), np.array(sds, dtype=np.float64), centre)
+        people = settle(truth.slope_sds, truth.slope_points)
+        scenes = settle(truth.recording_slope_sds, truth.recording_slope_points)
+        return PlantedSlopes(np.array(slopes), people, scenes, centre)
 
     @cached_property
     def stimuli(self) -> Stimuli:
@@ -154,7 +164,11 @@ def _draw_percepts(scenario: Scenario, stimuli: Stimuli, rng: np.random.Generato
     own = draw(truth.person_sd, people, 1) + draw(truth.person_item_sd, people, n)
     own += draw(truth.person_recording_sd, people, scenes)[..., scene]
     own += draw(truth.person_reducer_sd, people, kinds)[..., kind]
-    slopes = draw(1.0, people, stimuli.metrics.shape[1]) * scenario.planted.slope_sds
+    planted, count = scenario.planted, stimuli.metrics.shape[1]
+    slopes = draw(1.0, people, count) * planted.slope_sds
+    # The same draws of everything else as in a study whose recordings do not differ in their slopes.
+    theirs = (draw(1.0, scenes, count) * planted.recording_sds)[:, scene]
+    everybody += (theirs * stimuli.within).sum(axis=-1)[:, None]
     felt: Samples = everybody + own + slopes @ stimuli.within.T
     return felt
 
@@ -230,9 +244,8 @@ def _cut_means(means: Samples, spread: Samples) -> Samples:
 def _add_variances(truth: Truth, stimuli: Stimuli, planted: PlantedSlopes) -> Samples:
     """Add up how far single ratings of every stimulus lie from its mean, (n_items,)."""
     whole = sum(getattr(truth, name) ** 2 for name in SPREADS)
-    added: Samples = whole + (stimuli.within * planted.slope_sds) ** 2 @ np.ones(
-        len(planted.centre)
-    )
+    slopes = planted.slope_sds**2 + planted.recording_sds**2
+    added: Samples = whole + stimuli.within**2 @ slopes
     return added
 
 
@@ -249,7 +262,8 @@ def find_covariance(scenario: Scenario, stimuli: Stimuli) -> Samples:
         (truth.person_recording_sd, truth.person_reducer_sd), strict=True,
     ):  # fmt: skip
         found += (shared**2 + personal**2 / people) * (marks @ marks.T)
-    covariance: Samples = found
+    theirs = stimuli.within * scenario.planted.recording_sds
+    covariance: Samples = found + (theirs @ theirs.T) * (alike[0] @ alike[0].T)
     return covariance
 
 

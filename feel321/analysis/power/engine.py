@@ -109,7 +109,7 @@ class Engine:
             else model.measure_sum(solved.coefficients, weights, solved.uncertainty)
             for weights in (*slopes, *pairs)
         ])  # fmt: skip
-        units = people, len(np.unique(stimuli.source))
+        units = people, len(np.unique(stimuli.source)), len(np.unique(stimuli.kind))
         tests[~(tests[:, 2] >= FEWEST_DF) | (min(units) < FEWEST), 1:] = np.nan
         return _name_outcome(structure, solved, tests)
 
@@ -118,12 +118,14 @@ def _solve(structure: Structure, ratings: Samples) -> model.Solved:
     response = np.empty(structure.rows.size)
     response[structure.rows] = ratings
     design, penalty = replace(structure.design, response=response), structure.terms.penalty
+    most_df = structure.terms.most_df
     if structure.balance is None:
-        return model.solve_design(design, penalty=penalty)
+        return model.solve_design(design, penalty=penalty, most_df=most_df)
     profile = optimum.Balanced(design, structure.balance, reml=True, penalty=penalty)
     best = optimum.find_optimum(profile)
     coefficients, _ = optimum.find_coefficients(profile, best)
-    return model.Solved(profile, best, coefficients, model.find_uncertainty(profile, best))
+    uncertainty = model.find_uncertainty(profile, best, most_df=most_df)
+    return model.Solved(profile, best, coefficients, uncertainty)
 
 
 def _name_outcome(structure: Structure, solved: model.Solved, tests: Samples) -> Fit:
@@ -179,9 +181,8 @@ def _put_metrics(structure: Structure, stimuli: Stimuli, metrics: tuple[str, ...
     if balance is not None:
         stands = dict(balance.stands)
         for factor in factors:
-            if factor.width > 1:
-                columns = factor.columns[balance.order[0]]
-                stands[factor.name] = optimum.Stand(columns, shared=False)
+            stand = optimum.find_stand(factor, balance.order) if factor.width > 1 else None
+            stands |= {} if stand is None else {factor.name: stand}
         balance = replace(balance, stands=stands)
     return structure._replace(design=replace(old, fixed=fixed, factors=factors), balance=balance)
 

@@ -65,9 +65,11 @@ def find_power(  # noqa: PLR0913 - a design and a truth; how many studies, who d
 
     Notes
     -----
-    Closed form: the standard error of generalised least squares with the planted spreads, SE² = σ_S²/P + 1 / (SS_w/v +
-    SS_r/(v + m v_r)) with v = σ_I² + (σ_PI² + σ_e²/K)/P of a stimulus and v_r = σ_R² + σ_PR²/P of a reducer in m
-    recordings, degrees of freedom by Welch and Satterthwaite, the noncentral t distribution at the level of Holm's
+    Closed form: the standard error of generalised least squares with the planted spreads, SE² = σ_S²/P + V_C + 1
+    / (SS_w/v + SS_r/(v + m v_r)) with σ_S between the slopes of P people, v = σ_I² + (σ_PI² + σ_e²/K)/P of a stimulus
+    and v_r = σ_R² + σ_PR²/P of a reducer in m recordings; V_C is what slopes that differ between recordings add to an
+    estimate that does not know it (the whole then is 4 to 9 % more than with the best weights, in designs of 4 to 20
+    recordings); degrees of freedom by Welch and Satterthwaite, the noncentral t distribution at the level of Holm's
     first step. It knows neither the ends of the scale nor lapses, careless people and the penalty of few reducers.
 
     Simulation: each study draws people, stimuli and ratings, is analysed as `fit_primary` analyses it (the same

@@ -183,8 +183,9 @@ def _write_design(design: PowerDesign) -> str:
 
 def _write_truth(truth: Truth) -> str:
     values = {name: getattr(truth, name) for name in truth.__dataclass_fields__ if name != "source"}
+    by_metric = ("slopes", "slope_sds", "recording_slope_sds")
     return json.dumps(
-        values | {"slopes": dict(truth.slopes), "slope_sds": dict(truth.slope_sds)}, sort_keys=True
+        values | {name: dict(getattr(truth, name)) for name in by_metric}, sort_keys=True
     )
 
 

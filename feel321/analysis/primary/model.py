@@ -22,6 +22,8 @@ from feel321.analysis.primary import rcode
 from feel321.analysis.primary.plan import (
     ALIKE,
     ITEM,
+    LEVEL,
+    LEVELS,
     RATING,
     REDUCER,
     SCENE,
@@ -45,10 +47,10 @@ if TYPE_CHECKING:
 
 TENTH = 0.1
 FEW = 5
-"""Fewer participants or recordings (or sources of them) than this leave their spread all but unknown."""
+"""Fewer participants, recordings (or sources of them) or reducers than this leave their spread all but unknown."""
 
 FEWEST, FEWEST_DF = 3, 2.0
-"""Participants, recordings (or sources of them) and degrees of freedom below which a slope is not estimable."""
+"""Participants, recordings (or sources of them) and reducers; degrees of freedom. With fewer, no slope is estimable."""
 
 TESTED = ("se", "df", "t", "p", "low", "high")
 """Columns of an estimate that mean nothing where it is not estimable."""
@@ -57,6 +59,7 @@ CENTRED = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED 
 """Column of an estimate -> that of the slope which is centred on recordings and on reducers."""
 
 NONE = float("nan")
+IN_MODEL = "in_model"
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -75,7 +78,8 @@ class Primary(Result):
         within recordings, over stimuli, which lie ``quartile_span`` apart; ``tenth tenth_low tenth_high`` points per
         +0.1; ``standardised standardised_low standardised_high`` in standard deviations; ``centred centred_se
         centred_df centred_p centred_low centred_high`` the slope per unit of the metric centred on recordings and on
-        reducers, whose differences are fixed effects then; and ``estimable``. Where that is False, everything but the
+        reducers, whose differences are fixed effects then; ``plain plain_p`` the slope without level in the model, NaN
+        where level is not in it; and ``estimable``. Where that is False, everything but the
         estimates themselves is NaN.
     between : DataFrame
         Slopes between recordings, ``estimate`` to ``high``; empty where recordings are too few.
@@ -105,6 +109,8 @@ class Primary(Result):
         What is unusual, one sentence each; singular fits among it.
     penalty : tuple of str
         Factors whose spread gets a penalty that keeps it from being estimated as zero.
+    level : str
+        ``in_model``; ``alike`` within recordings, or not separable; ``metric``: a metric is a level; or ``unknown``.
     """
 
     formula: str
@@ -126,6 +132,7 @@ class Primary(Result):
     model_frame: DataFrame
     notes: tuple[str, ...]
     penalty: tuple[str, ...] = ()
+    level: str = "unknown"
 
     def to_frame(self) -> DataFrame:
         """Return the slopes.
@@ -185,6 +192,7 @@ class Primary(Result):
             'model <- read.csv("model.csv", check.names = FALSE)',
             *(f"model${name} <- factor(model${name})" for name in groups),
             *([rcode.PENALISED.rstrip()] if self.penalty else []),
+            f"# feel321 believes at most {self.fit.uncertainty.most_df:g} degrees of freedom.",
             f"fit <- {fit}",
             "print(summary(fit))",
             "",
@@ -245,7 +253,8 @@ class Slopes(NamedTuple):
 def fit_slopes(cells: Cells, *, correlated: bool = False, reducers: bool = True) -> Slopes:
     """Fit the primary model for its slopes alone, in a fifth of the time."""
     terms = plan_terms(cells, correlated=correlated, reducers=reducers)
-    solved = solve_design(build_design(terms.formula, cells.table), penalty=terms.penalty)
+    design = build_design(terms.formula, cells.table)
+    solved = solve_design(design, penalty=terms.penalty, most_df=terms.most_df)
     return Slopes(_tabulate_slopes(cells, terms, solved), cells, terms, solved)
 
 
@@ -279,7 +288,8 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
         sensitivity analysis, which is wrong too often where they do.
     explain : bool
         Fit two more models: the one without metrics, from which `item_variance_explained` comes, and the one whose
-        slopes are ``centred``; both are NaN without them, in a third of the time.
+        slopes are ``centred``; and where level is in the model, one without it; all are NaN without them, in a third
+        of the time.
 
     Returns
     -------
@@ -295,38 +305,29 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     Notes
     -----
     For metrics a and b:
-    ``rating ~ a_w + b_w + a_b + b_b + (1 + a_w + b_w || participant) + (1 | recording) + (1 | item) +
-    (1 | participant:recording) + (1 | reducer) + (1 | participant:reducer)``, on means over repeats; on rows, plus
-    ``(1 | participant:item)``, where repeats are unequal; where single ratings have more levels than can be fitted, on
-    means all the same, as `reductions` then says. ``_w`` is the metric minus its recording's mean, ``_b`` that mean.
-    Restricted maximum likelihood, Satterthwaite's degrees of freedom.
+    ``rating ~ a_w + b_w + a_b + b_b + (1 + a_w + b_w || participant) + (1 + a_w + b_w || recording) +
+    (1 | item) + (1 | participant:recording) + (1 | reducer) + (1 | participant:reducer)``, on means over repeats; on
+    rows, plus ``(1 | participant:item)``, where repeats are unequal; where single ratings have more levels than can be
+    fitted, on means all the same, as `reductions` then says. ``_w`` is the metric minus its recording's mean, ``_b``
+    that mean. Restricted maximum likelihood, Satterthwaite's degrees of freedom, at most twice as many as recordings
+    less two.
 
-    Reducers are a random factor as stimuli are: metrics differ mostly between reducers, so without these terms a
-    reducer that feels odd in every recording counts as evidence of as many stimuli as there are recordings. Where
-    fewer than 8 reducers were rated, their spread gets the penalty of Chung et al. (2013), -2 log SD added to the
-    deviance, which keeps it from being estimated as zero when it is only unknown.
+    Recordings differ in their slopes as people do: without that term, every stimulus of a recording whose slope is
+    steep by chance counts as evidence of its own. Reducers are a random factor as stimuli are: metrics differ
+    mostly between reducers, so without these terms a reducer that feels odd in every recording counts as evidence
+    of as many stimuli as there are recordings. Where fewer than 8 reducers were rated, their spread gets the
+    penalty of Chung et al. (2013), -2 log SD added to the deviance, which keeps it from being estimated as zero
+    when it is only unknown.
 
-    False positives at nominal 5 % in simulated studies of 12 people, with the metrics that 6 or 9 reducers have on 6 or
-    12 recordings of the bundled scenes (4800 studies of two slopes; without reducers and reducers fixed 1200;
-    ``tests/bench/primary.py``), by what reducers differ in for reasons that no metric knows:
+    What loses energy matches worse and is weaker. Where the rows have every stimulus's level (``sensation_level_db``,
+    else ``rms_m_s2``, else ``level_difference``), it is in the model, within recordings: ``level_db``, no hypothesis.
 
-    ===================  =====  ========  ========
-    model                0      3 points  8 points
-    ===================  =====  ========  ========
-    this one             0.038  0.054     0.052
-    without reducers     0.044  0.173     0.363
-    reducers fixed       0.046  0.049     0.046
-    ===================  =====  ========  ========
-
-    Single designs lie between 0.013 and 0.068 (this one) and 0.00 and 0.48 (without reducers). A slope of 2 points per
-    +0.1, 6 recordings and 6 reducers: power 0.99, 0.96, 0.92 with, 0.99, 0.95, 0.78 without reducers. Without the
-    penalty, 0.085 instead of 0.062 for temporal match at 3 points there.
-
-    Where several recordings come from one source, plus ``(1 | source) + (1 | source:reducer)``. Turned copies of a
-    recording, reduced alike, have nearly the same metrics and are felt nearly alike, for reasons that no metric
-    knows: without the second term each copy would count as evidence of its own. A slope within recordings knows of
-    no more, because what a source as a whole shares, for everyone or for one person, is the same for all stimuli of
-    a recording; and what one person feels alike in all copies is, in means over people, part of what all do.
+    Where several recordings come from one source, slopes differ between sources: ``(1 | recording) + (1 + a_w + b_w ||
+    source) + (1 | source:reducer)``. Turned copies of a recording, reduced alike, have nearly the same metrics and are
+    felt nearly alike, for reasons that no metric knows: without the last term each copy would count as evidence of its
+    own. A slope within recordings knows of no more, because what a source as a whole shares, for everyone or for one
+    person, is the same for all stimuli of a recording; and what one person feels alike in all copies is, in means over
+    people, part of what all do.
 
     Below 3 participants, 3 recordings (or sources of them) or 2 degrees of freedom a slope is not estimable: nothing
     then says how people, recordings or reducers differ.
@@ -362,15 +363,23 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     fit = report_fit(terms.formula, found.solved)
     explained, why = _explain_items(found) if explain else (NONE, [])
     centred, why_not = _centre_slopes(found, wanted=explain)
+    level = _name_level(found)
+    plain = found.table[[]].assign(plain=NONE, plain_p=NONE)
+    if explain and level == IN_MODEL:
+        bare = fit_slopes(cells.ignore_level(), correlated=correlated, reducers=reducers).table
+        plain = bare[["estimate", "p"]].set_axis(["plain", "plain_p"], axis=1)
     return Primary(
-        formula=terms.formula, fit=fit, slopes=found.table.join(centred), between=_tabulate_between(found),
+        formula=terms.formula, fit=fit, slopes=found.table.join([centred, plain]), between=_tabulate_between(found),
         differences=_tabulate_differences(found), marginal_r2=fit.marginal_r2, conditional_r2=fit.conditional_r2,
         item_variance_explained=explained, averaged=cells.averaged, n_rows=fit.n_rows, n_participants=cells.count(WHO),
         n_recordings=cells.count(SCENE), n_items=cells.count(ITEM), n_sources=cells.n_sources,
         n_reducers=cells.count(REDUCER) if REDUCER in cells.table else 0, reductions=terms.reductions,
         model_frame=cells.table,
-        notes=(*cells.notes, *fit.notes, *why, *why_not, *_warn_few(cells), *_note_lacks(found.table, lack)),
-        penalty=terms.penalty,
+        notes=(
+            *cells.notes, *fit.notes, *why, *why_not, *_warn_few(cells), *_note_limit(found),
+            *_note_lacks(found.table, lack),
+        ),
+        penalty=terms.penalty, level=level,
     )  # fmt: skip
 
 
@@ -422,6 +431,15 @@ def fit_attributes(
     return Primaries({", ".join(map(str, key)): fit_primary(part, names) for key, part in groups})
 
 
+def _name_level(found: Slopes) -> str:
+    """Name what became of level."""
+    if set(LEVELS) & {*found.cells.metrics}:
+        return "metric"
+    if LEVEL in found.terms.fixed:
+        return IN_MODEL
+    return "alike" if LEVEL in found.cells.items else "unknown"
+
+
 def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
     """List the slopes of all attributes and metrics, with p adjusted for their number by Holm's method."""
     import pandas as pd
@@ -431,7 +449,9 @@ def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
     tables = [model.slopes.reset_index().assign(attribute=name) for name, model in models.items()]
     table = pd.concat(tables, ignore_index=True)
     table.insert(0, "attribute", table.pop("attribute"))
-    return table.assign(p_holm=adjust_holm(table["p"].tolist()))
+    plain = adjust_holm(table["plain_p"].fillna(table["p"]).tolist())
+    table = table.assign(p_holm=adjust_holm(table["p"].tolist()))
+    return table.assign(plain_p_holm=np.where(table["plain_p"].notna(), plain, NONE))
 
 
 def adjust_holm(p: Sequence[float]) -> list[float]:
@@ -453,6 +473,7 @@ def adjust_holm(p: Sequence[float]) -> list[float]:
 def _find_lack(cells: Cells) -> str:
     """Describe what the design has too little of for any interval; empty where nothing is lacking."""
     sizes = {"participant": cells.count(WHO), SOURCE if cells.shared else SCENE: cells.n_sources}
+    sizes |= {REDUCER: cells.count(REDUCER)} if REDUCER in cells.table else {}
     few = [f"{count} {name}{'s' * (count > 1)}" for name, count in sizes.items() if count < FEWEST]
     return f"with {' and '.join(few)}, where {FEWEST} are needed" if few else ""
 
@@ -532,7 +553,8 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]
     random = tuple(one for one in terms.random if one != term)
     fixed = Terms((*terms.fixed, REDUCER), random, ())
     try:
-        solved = solve_design(build_design(fixed.formula, centre_twice(cells.table, names)))
+        design = build_design(fixed.formula, centre_twice(cells.table, names))
+        solved = solve_design(design, most_df=terms.most_df)
     except ValueError as error:
         return table, [f"No slopes centred on reducers: {error}"]
     rows = [_blank(asdict(solved.estimate({name: 1.0})), lack=lack) for name in names]
@@ -544,7 +566,7 @@ def _explain_items(found: Slopes) -> tuple[float, list[str]]:
     terms = found.terms
     if f"(1 | {ITEM})" not in terms.random:
         return NONE, ["No share of explained spread between stimuli: the model has no such spread."]
-    groups = [f"(1 | {WHO})" if WHO in term and ":" not in term else term for term in terms.random]
+    groups = [f"(1 | {term.split('|')[-1].strip(' )')})" for term in terms.random]
     empty = build_design(" + ".join([f"{RATING} ~ 1", *groups]), found.cells.table)
     before = _add_item_variances(solve_design(empty, penalty=terms.penalty))
     if before == 0:
@@ -564,8 +586,18 @@ def _note_lacks(slopes: DataFrame, lack: str) -> Iterator[str]:
         yield f"The slope of {name} is not estimable {lack or few}: it has no test and no interval."
 
 
+def _note_limit(found: Slopes) -> Iterator[str]:
+    """Say where the number of recordings limits degrees of freedom."""
+    limit, scenes = found.terms.most_df, "sources" if found.cells.shared else "recordings"
+    if (found.table["df"] >= limit).any():
+        few = f"Slopes seem to differ little between {found.cells.n_sources} {scenes}, which so few do not show"
+        yield f"{few}: intervals are widened to at most {limit:g} degrees of freedom."
+
+
 def _warn_few(cells: Cells) -> Iterator[str]:
     scenes = "sources of recordings" if cells.shared else "recordings"
-    for name, count in (("participants", cells.count(WHO)), (scenes, cells.n_sources)):
+    reducers = cells.count(REDUCER) if REDUCER in cells.table else 0
+    sizes = {"participants": cells.count(WHO), scenes: cells.n_sources, "reducers": reducers}
+    for name, count in sizes.items():
         if 1 < count < FEW:
             yield f"{count} {name} only: the spread between them is all but unknown, intervals are wide or unstable."

@@ -1,10 +1,4 @@
-"""What the primary slopes hinge on: other choices, single stimuli, recordings or reducers, and the size of the study.
-
-SE² = σ_S²/P + 1 / (SS_w/v + SS_r/(v + m v_r)), with v = σ_I² + (σ_PI² + σ_e²/K)/P of a stimulus and v_r = σ_R² +
-σ_PR²/P of a reducer in m recordings; SS_r is the sum of squares of the metric that is the same for a reducer in all
-recordings, SS_w what is left. Without reducers this is σ_S²/P + σ_I²/SS + (σ_PI² + σ_e²/K)/(P SS). Stimuli do not
-become more with participants: they set the ceiling of what a study can know. What only reducers tell (SS_r) becomes no
-more with recordings either, because m grows with SS_r.
+"""What the primary slopes hinge on: other choices, single stimuli, recordings or reducers, and level.
 
 Recordings (or their sources) and reducers are each left out in turn and the model fitted anew. Stimuli are too many for
 that: those that move a slope most are found by leverage and residual in a regression of the stimuli's mean ratings,
@@ -15,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,7 +17,7 @@ import numpy as np
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.mixed.model import note_zeros
-from feel321.analysis.primary.model import Primary, Slopes, adjust_holm, fit_slopes
+from feel321.analysis.primary.model import IN_MODEL, Primary, Slopes, adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import (
     ITEM,
     RATING,
@@ -37,7 +31,6 @@ from feel321.analysis.primary.plan import (
 )
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import HIGHEST
-from feel321.records import Result
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -163,6 +156,8 @@ def _list_variants(
     yield Variant("primary", lambda: cells)
     yield Variant("correlated slopes", lambda: cells, correlated=True)
     yield Variant("without reducers", lambda: cells, reducers=False)
+    if cells.has_level:
+        yield Variant("without level", cells.ignore_level)
     if leave_out:
         yield from leave_out_units(cells)
     own = rows.groupby(WHO, observed=True)[RATING]
@@ -209,165 +204,6 @@ def _list_rig_variants(rows: DataFrame, metrics: Sequence[str], cells: Cells) ->
                 make = partial(cells.leave_out, WHO, *names)
                 left_out = str(value) or "unknown"
                 yield Variant(f"without {name} {left_out}", make, kind=name, left=left_out)
-
-
-# How well would more participants or more recordings know a slope? The standard error, taken apart.
-
-SIGNIFICANCE = 0.05
-ENOUGH = 0.8
-"""Power that is asked for."""
-
-MOST = 10_000
-"""Nobody recruits more."""
-
-FEWEST_PEOPLE, FEWEST_RECORDINGS = 6, 4
-"""No smaller study is advised, however large the slope: intervals over fewer are too unsure of themselves."""
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class SlopePrecision(Result):
-    """What the standard error of a slope within recordings is made of.
-
-    In points, the slope's per unit of the metric: slope_sd between participants; item_sd between stimuli of a
-    recording, of what the metrics leave unexplained; noise_sd of one participant's mean rating of a stimulus,
-    √(σ_PI² + σ_e²/K) for K repeats; reducer_sd, rater_reducer_sd between reducers, of what the metrics leave
-    unexplained, for everyone and for one participant. square: Σ over stimuli of the metric squared, less its
-    recording's mean and less what the other metrics share; reducer_square: the part of it that is the same for a
-    reducer in every recording. n_reducers is 0 where the model has no spread between them, n_alike the stimuli of
-    each. level: of the test, 0.05 over the number of slopes tested, which is Holm's first step.
-    """
-
-    slope_sd: float
-    item_sd: float
-    noise_sd: float
-    square: float
-    n_participants: int
-    n_recordings: int
-    n_items: int
-    n_slopes: int = 1
-    reducer_sd: float = 0.0
-    rater_reducer_sd: float = 0.0
-    reducer_square: float = 0.0
-    n_reducers: int = 0
-    n_alike: float = 1.0
-    level: float = SIGNIFICANCE
-
-    def find_se(self) -> tuple[float, float]:
-        """Compute the slope's standard error and its degrees of freedom, by Welch and Satterthwaite.
-
-        Degrees of freedom come from participants, stimuli and reducers less what is estimated from each.
-        """
-        people, (stimulus, reducer) = self.slope_sd**2 / self.n_participants, find_variances(self)
-        within, between = (
-            (self.square - self.reducer_square) / stimulus,
-            self.reducer_square / reducer,
-        )
-        stimuli = 1 / (within + between)
-        others = max(self.n_reducers - 1, 0)
-        spare = self.n_items - self.n_recordings - self.n_slopes - others, others - self.n_slopes
-        unsure = within**2 / max(spare[0], 1) + between**2 / max(spare[1], 1)
-        spread = people**2 / max(self.n_participants - 1, 1) + stimuli**4 * unsure
-        return math.sqrt(people + stimuli), (people + stimuli) ** 2 / spread if spread else math.inf
-
-    def enlarge(
-        self, *, participants: int | None = None, recordings: int | None = None
-    ) -> SlopePrecision:
-        """Imagine the same study with other numbers; each recording brings as many stimuli, of the same reducers."""
-        share = (recordings or self.n_recordings) / self.n_recordings
-        return replace(
-            self,
-            n_participants=participants or self.n_participants,
-            n_recordings=recordings or self.n_recordings,
-            square=self.square * share,
-            reducer_square=self.reducer_square * share,
-            n_alike=self.n_alike * share,
-            n_items=round(self.n_items * share),
-        )
-
-    def find_power(self, slope: float) -> float:
-        """Compute the chance that the two-sided test at `level` finds a true slope; NaN where nothing varies."""
-        se, df = self.find_se()
-        if not 0 < se < math.inf:
-            return math.nan
-        return float(find_chance(np.array(abs(slope) / se), np.array(df), level=self.level))
-
-    def find_participants(self, slope: float) -> float:
-        """Find how many participants give 80 % power with these recordings: 6 or more, NaN beyond 10 000."""
-        return find_least(
-            lambda number: self.enlarge(participants=number).find_power(slope), least=FEWEST_PEOPLE
-        )
-
-    def find_recordings(self, slope: float) -> float:
-        """Find how many recordings give 80 % power with these participants: 4 or more, NaN beyond 10 000."""
-        return find_least(
-            lambda number: self.enlarge(recordings=number).find_power(slope),
-            least=FEWEST_RECORDINGS,
-        )
-
-    def find_slope(self) -> float:
-        """Find the smallest slope that this study finds with 80 % power; NaN where nothing varies."""
-        from scipy.optimize import brentq
-
-        se, _ = self.find_se()
-        if not 0 < se < math.inf:
-            return math.nan
-        return float(brentq(lambda slope: self.find_power(slope) - ENOUGH, 0, 20 * se))
-
-
-def find_chance(shift: Samples, df: Samples, *, level: float) -> Samples:
-    """Compute the power of two-sided t tests; shift: true value over its standard error."""
-    from scipy.stats import nct, norm, t
-
-    limit = t.ppf(1 - level / 2, df)
-    power = nct.sf(limit, df, shift) + nct.cdf(-limit, df, shift)
-    # SciPy's noncentral t gives up far out, where the normal distribution is as good.
-    found: Samples = np.where(np.isfinite(power), power, norm.sf(limit - shift))
-    return found
-
-
-def find_variances(study: SlopePrecision) -> tuple[float, float]:
-    """Compute the variance of a stimulus's mean rating, and n times that of the mean over n stimuli of a reducer."""
-    alike = study.reducer_sd**2 + study.rater_reducer_sd**2 / study.n_participants
-    # Nothing is known exactly: without any noise the sums of squares would be divided by zero.
-    stimulus = max(study.item_sd**2 + study.noise_sd**2 / study.n_participants, 1e-300)
-    return stimulus, stimulus + study.n_alike * alike
-
-
-def find_own(
-    metrics: np.ndarray,
-    column: int,
-    reducers: np.ndarray | None = None,
-    *,
-    variances: tuple[float, float] = (1, 1),
-) -> tuple[np.ndarray, np.ndarray]:
-    """Find what one metric has and the others do not, and the part of it that is the same for a reducer.
-
-    metrics: (n_items, n_metrics); reducers, and both that are returned: (n_items,).
-    """
-    alike = np.zeros_like(metrics)
-    if reducers is not None:
-        marks = np.eye(int(reducers.max()) + 1)[reducers]
-        alike = marks @ (marks.T @ metrics / marks.sum(axis=0)[:, None])
-    weighted = np.vstack([
-        (metrics - alike) / math.sqrt(variances[0]),
-        alike / math.sqrt(variances[1]),
-    ])
-    others = np.delete(weighted, column, axis=1)
-    weights = np.insert(-np.linalg.lstsq(others, weighted[:, column], rcond=None)[0], column, 1.0)
-    return metrics @ weights, alike @ weights
-
-
-def find_least(power: Callable[[int], float], *, least: int, enough: float = ENOUGH) -> float:
-    """Search a number from the least up by doubling, then by halving; power grows with it."""
-    if not power(MOST) >= enough:
-        return math.nan
-    low, high = least - 1, least
-    while not power(high) >= enough:
-        low, high = high, min(2 * high, MOST)
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if power(middle) >= enough else (middle, high)
-    return float(high)
 
 
 PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"
@@ -431,6 +267,22 @@ def conclude(p_holm: float) -> str:
     if math.isnan(p_holm):
         return NOT_ESTIMABLE
     return PREDICTS if p_holm < LEVEL else OPEN
+
+
+SURVIVES, LOST = "survives", "lost"
+
+
+def judge_level(level: str, p_holm: float, plain_p_holm: float) -> str:
+    """Say what a verdict owes to level: it survives it, or is lost to it; else what became of level in the model.
+
+    level: of `Primary`; plain_p_holm: of the model without level. Empty where nothing is claimed either way.
+    """
+    if level != IN_MODEL:
+        return level
+    verdict, plain = conclude(p_holm), conclude(plain_p_holm)
+    if plain == PREDICTS != verdict:
+        return LOST
+    return SURVIVES if verdict == PREDICTS else ""
 
 
 def measure_influence(

@@ -14,18 +14,25 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
 from feel321.analysis.mixed.model import contrast
-from feel321.analysis.primary.plan import REDUCER, SOURCE, make_cells
-from feel321.analysis.primary.sensitivity import (
+from feel321.analysis.primary.model import FEW, FEWEST
+from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE, find_recording_slope, make_cells
+from feel321.analysis.primary.precision import (
     ENOUGH,
+    SlopePrecision,
+    find_own,
+    find_recording_variance,
+    find_variances,
+)
+from feel321.analysis.primary.sensitivity import (
+    LOST,
     MOVED,
     NOT_ESTIMABLE,
     OPEN,
     PREDICTS,
+    STIMULUS,
     Influence,
-    SlopePrecision,
     conclude,
-    find_own,
-    find_variances,
+    judge_level,
 )
 from feel321.analysis.replication.park import explain_spread
 from feel321.analysis.report.parts import ITEM, SIGNIFICANCE, RatingsPart, add_step, format_p
@@ -128,6 +135,10 @@ def find_precision(
     place, values = within.index(f"{metric}_w"), items[within].to_numpy()
     own, alike = find_own(values, place, codes, variances=find_variances(study))
     study = replace(study, square=float((own**2).sum()), reducer_square=float((alike**2).sum()))
+    sds = [find_recording_slope(spreads, name) for name in model.slopes.index]
+    scenes = items[SOURCE if cells.shared else SCENE].factorize()[0]
+    theirs = find_recording_variance(study, own, alike, scenes=scenes, spreads=values * sds)
+    study = replace(study, recording_variance=theirs)
     if not cells.shared:
         return study
     # Of stimuli that share a residual, metrics that they share too add up before they are squared.
@@ -142,11 +153,16 @@ def find_precision(
     )
 
 
+LEVELLED = {
+    "in_model": "at equal level",
+    "alike": "levels within recordings alike or not separable from the metrics",
+    "metric": "level among the metrics",
+    "unknown": "level not known",
+}
+"""What became of level in the model -> how the evidence says so."""
+
 UNBOUNDED = "spectral_match"
 HIGHER, LOWER = "higher", "lower"
-FEW, FEWEST = 5, 3
-"""Participants or recordings below which a finding is a hint, and below which nothing is estimable."""
-
 NAMED = 3
 """How many units a sentence names before it only counts."""
 
@@ -206,23 +222,29 @@ class Finding:
         return LOWER if self.info is not None and self.info.higher == "worse" else HIGHER
 
     @property
-    def turns(self) -> DataFrame:
-        """Units without which verdict or sign change."""
-        return self.influence.find_turns(self.metric)
+    def few(self) -> tuple[str, ...]:
+        """Units of which there are too few for a slope, or for more than a hint."""
+        least = FEWEST if self.verdict == NOT_ESTIMABLE else FEW
+        return tuple(
+            words.format_count(size, name)
+            for name, size in _count_units(self.model).items()
+            if size < least
+        )
+
+    @property
+    def beyond_level(self) -> str:
+        """What the verdict owes to level."""
+        return judge_level(self.model.level, self.row["p_holm"], self.row["plain_p_holm"])
 
     @property
     def hinges(self) -> DataFrame:
-        """Units without which the verdict changes, or the direction of a slope that predicts.
-
-        That an estimate near zero changes its sign is no news where nothing is claimed.
-        """
-        turns = self.turns
-        plain = turns.empty or self.verdict == PREDICTS
-        return turns if plain else turns[turns["verdict"] == PREDICTS]
+        """Units without which a metric that predicts does not, or not in this direction; an open verdict has none."""
+        turns = self.influence.find_turns(self.metric)
+        return turns if self.verdict == PREDICTS else turns.iloc[:0]
 
     def make_claim(self) -> Claim:
         """State the conclusion for a program."""
-        turns = tuple(_name_unit(row) for row in self.turns.to_dict("records"))
+        turns = tuple(_name_unit(row) for row in self.hinges.to_dict("records"))
         worse: list[str] = []
         if self.verdict == PREDICTS and self.direction == self.expected and not turns:
             for row in self.model.differences.to_dict("records"):
@@ -232,7 +254,10 @@ class Finding:
         place, found = self.part.place, (self.verdict, self.direction)
         number = words.name_path("slope", *place, self.metric)
         higher = "better" if self.expected == HIGHER else "worse"
-        return Claim(*place, self.metric, *found, number, turns, tuple(worse), higher, self.hinge)
+        return Claim(
+            *place, self.metric, *found, number, turns, tuple(worse), higher, self.hinge, self.few,
+            beyond_level=self.beyond_level,
+        )  # fmt: skip
 
     @property
     def hinge(self) -> str:
@@ -270,6 +295,9 @@ def _describe_finding(found: Finding) -> str:
     if found.verdict == NOT_ESTIMABLE:
         return _describe_blank([found])
     hinge = _describe_hinge(found)
+    if found.beyond_level == LOST:
+        alone = f"without level in the model {metric} would predict {ratings}, with it this is open"
+        return f"{words.capitalise(alone)}{hinge}. {_describe_effect(found)}"
     if found.verdict == OPEN:
         return f"Whether {metric} predicts {ratings} is open{hinge}. {_describe_effect(found)}"
     opposite = "" if found.direction == found.expected else " in the opposite direction"
@@ -281,8 +309,7 @@ def _describe_finding(found: Finding) -> str:
 def _describe_blank(found: Sequence[Finding]) -> str:
     """Say that nothing can be estimated, and what there is too little of."""
     names = words.join_words([words.format_name(one.metric) for one in found], "or")
-    units = _count_units(found[0].model).items()
-    few = [f"{size} {name}{'s' * (size != 1)}" for name, size in units if size < FEWEST]
+    few = found[0].few
     lack = f" with {' and '.join(few)}: at least {FEWEST} are needed{' of each' * (len(few) > 1)}"
     none = ": too few degrees of freedom are left for a test"
     ratings = found[0].part.ratings
@@ -310,10 +337,9 @@ def _describe_effect(found: Finding) -> str:
 def _describe_hinge(found: Finding) -> str:
     """Say which units a verdict hinges on, and what would be concluded without the most influential one."""
     if turns := found.hinges.to_dict("records"):
-        join = ", but" if found.verdict == PREDICTS else ", and"
         without = f"the {_name_unit(turns[0])}: without it {_describe_without(turns[0], found)}"
         others = _list_others(turns, "; the verdict also turns without")
-        return f"{join} this hinges on {without}{others}"
+        return f", but this hinges on {without}{others}"
     moves = found.influence.find_moves(found.metric).to_dict("records")
     rows = [row for row in moves if abs(row["shift"]) > MOVED]
     if not rows:
@@ -419,7 +445,8 @@ def _describe_exceptions(influence: Influence, part: RatingsPart) -> str:
 
 def _count_units(model: Primary) -> dict[str, int]:
     scene = "source" if model.n_sources < model.n_recordings else "recording"
-    return {"participant": model.n_participants, scene: model.n_sources}
+    reducers = {REDUCER: model.n_reducers} if model.n_reducers else {}
+    return {"participant": model.n_participants, scene: model.n_sources} | reducers
 
 
 def _describe_evidence(found: Sequence[Finding]) -> str:
@@ -431,17 +458,19 @@ def _describe_evidence(found: Sequence[Finding]) -> str:
     scenes = format_recordings(model.n_recordings, model.n_sources)
     sizes = f"{people}, {scenes}{reducers}, {model.n_items} stimuli"
     together = "one mixed model with all metrics" if len(found) > 1 else "mixed model"
-    few = [f"{name}s" for name, size in _count_units(model).items() if FEWEST <= size < FEW]
-    claimed = any(one.verdict == PREDICTS for one in found)
-    steady = [
-        words.format_name(one.metric)
-        for one in found
-        if one.verdict != NOT_ESTIMABLE and one.hinges.empty
-    ]
+    claims = [one for one in found if one.verdict == PREDICTS]
     told = ""
-    if few and claimed:
-        told = f" With so few {words.join_words(few)} this is a hint rather than a result."
-    if steady and len(found[0].influence.table):
-        units = "No single recording or reducer, and none of the most influential stimuli, changes"
-        told += f" {units} the verdict on {words.join_words(steady, 'or')}."
-    return f"{sizes}; {together}.{told}"
+    if claims and (few := claims[0].few):
+        told = f" With {words.join_words(few)} this is a hint rather than a result."
+    steady = [words.format_name(one.metric) for one in claims if one.hinges.empty]
+    if steady and len(table := found[0].influence.table):
+        tried = table.loc[table["verdict"] != NOT_ESTIMABLE, "kind"].unique()
+        units = words.join_words([kind for kind in tried if kind != STIMULUS], "or")
+        units = (
+            f"No single {units}, and none of the most influential stimuli,"
+            if units
+            else ("None of the most influential stimuli")
+        )
+        names = words.join_words(steady, "or")
+        told += f" {units} changes the verdict on {names}."
+    return f"{sizes}; {together}, {LEVELLED[model.level]}.{told}"

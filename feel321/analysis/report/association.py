@@ -61,6 +61,9 @@ from feel321.types import MetricInfo
 Row = dict[str, Any]
 
 LEADING, RANKED = "pearson", "spearman"
+DRAWN = "within"
+"""The correlation that cards and scatters give: the primary model is about differences within recordings, too."""
+
 """The method that is shown first, and the one it is checked against."""
 
 MAPPED = 3
@@ -175,7 +178,7 @@ def compute_association(table: Table, choices: Choices) -> Section:
     )
     return Section(
         key=key, title=title, answers=(*sum_up_panels(panels), UNADJUSTED), panels=tuple(panels),
-        points=explore.write_points(panels, LEADING, table.info),
+        points=explore.write_points(panels, DRAWN, table.info),
         grids=(
             ASSOCIATIONS.build(associations), DIFFERENCES.build(differences), _turn_round(associations),
         ),
@@ -270,7 +273,7 @@ def _map_panel(
 
 def _picture_scatters(panels: Sequence[Panel], looks: Mapping[str, Look]) -> Iterator[Picture]:
     """Show the first scale's strongest metric at its full size, then every metric on every scale."""
-    first = [one for one in panels[0].associations if one.method == LEADING]
+    first = [one for one in panels[0].associations if one.method == DRAWN]
     strongest = max(first, key=lambda one: abs(one.value) if one.value == one.value else -1.0)
     panel, one = panels[0], strongest
     place = f"0-{first.index(one)}"
@@ -294,7 +297,7 @@ def _picture_scatters(panels: Sequence[Panel], looks: Mapping[str, Look]) -> Ite
             f"{_describe_clipped(panels, metrics)}"
         )
         yield Picture(
-            "scatter", caption, partial(draw_scatters, panels, metrics, LEADING, looks=looks)
+            "scatter", caption, partial(draw_scatters, panels, metrics, DRAWN, looks=looks)
         )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from feel321.analysis import words
 from feel321.analysis.primary.bayes import PRIORS, BayesianSlopes, fit_bayesian, require_numpyro
 from feel321.analysis.report.parts import RatingsPart, thin_parts
-from feel321.analysis.report.reducers import find_margin
 from feel321.analysis.report.section import (
     METRIC,
     NAME,
@@ -94,13 +93,11 @@ def describe_sampler() -> dict[str, str]:
 
 def _fit(part: RatingsPart, table: Table, choices: Choices) -> dict[str, BayesianSlopes]:
     """Fit with the priors as stated, and with wider ones."""
-    points = find_margin(part, choices).points
-    margin = points if points > 0 else None
     return {
         prior: fit_bayesian(
             part.rows,
             table.metrics,
-            margin=margin,
+            margin=choices.margin,
             width=width,
             rng=choices.make_rng(KEY, *part.place, prior),
         )

@@ -16,8 +16,9 @@ from feel321.analysis.choices.predict import CHANCE, VotePrediction, predict
 from feel321.analysis.choices.votes import gather_votes
 from feel321.analysis.contrasts.bradley_terry import BradleyTerry, bradley_terry
 from feel321.analysis.figures.shares import draw_shares
+from feel321.analysis.primary.model import FEW
 from feel321.analysis.report import section as page
-from feel321.analysis.report.parts import SIGNIFICANCE, split_arms
+from feel321.analysis.report.parts import SIGNIFICANCE, describe_hint, split_arms
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table
 from feel321.analysis.table.schema import CHOSEN, HIGHEST
 
@@ -207,7 +208,7 @@ def _predict(arm: _Arm, choices: Choices) -> page.Section:  # noqa: ARG001 - eve
         more | row | {"p": np.nan, "p_holm": np.nan} for row in ceiling if np.isfinite(row["share"])
     ]
     differences = [more | row for row in found.differences.to_dict("records")]
-    answer = _describe(arm, found)
+    line = _describe(arm, found)
     drawing = partial(
         draw_shares, found, [words.format_name(name) for name in found.shares.index], arm.subject
     )
@@ -221,7 +222,7 @@ def _predict(arm: _Arm, choices: Choices) -> page.Section:  # noqa: ARG001 - eve
         "pairs": found.n_pairs,
     }
     return page.Section(
-        KEY, TITLE, answers=(answer,), verdict=(words.Line(answer),),
+        KEY, TITLE, answers=(str(line),), verdict=(line,),
         grids=(PREDICTED.build(rows), COMPARED.build(differences)),
         unseen=tuple(
             words.count_number(
@@ -234,28 +235,32 @@ def _predict(arm: _Arm, choices: Choices) -> page.Section:  # noqa: ARG001 - eve
     )  # fmt: skip
 
 
-def _describe(arm: _Arm, found: VotePrediction) -> str:
+def _describe(arm: _Arm, found: VotePrediction) -> words.Line:
     """Say which metrics predict the choices, and whether any predicts more than another."""
     shares, asked = found.shares, ASKED[arm.scale]
     lead = f"{arm.subject}: " if arm.several else ""
+    sizes = {"participant": found.n_participants, "recording": found.n_recordings}
     if shares["p"].isna().all():
-        counts = {"participant": found.n_participants, "recording": found.n_recordings}
-        few = " and ".join(f"{n} {name}{'s' * (n > 1)}" for name, n in counts.items())
-        return f"{lead}Whether a metric predicts {asked} cannot be estimated with {few}."
+        units = [words.format_count(size, name) for name, size in sizes.items()]
+        clause = (
+            f"whether a metric predicts {asked} cannot be estimated with {words.join_words(units)}"
+        )
+        return words.Line(f"{lead}{words.capitalise(clause)}.", clause=clause)
     clear = shares[shares["p_holm"] < SIGNIFICANCE].sort_values("share", ascending=False)
     right, wrong = clear[clear["share"] > CHANCE], clear[clear["share"] < CHANCE]
-    told = []
+    few = [words.format_count(size, name) for name, size in sizes.items() if size < FEW]
+    told, where = [], f" (level {words.format_name(arm.level)})" * arm.several
     if right.empty:
+        clause = f"no metric is shown to predict {asked}{where}"
         told.append(_describe_null(shares, asked))
     else:
         listed = [
             f"{words.format_name(str(name))} {_format_share(row)}" for name, row in right.iterrows()
         ]
         verb = "predicts" if len(listed) == 1 else "predict"
-        names = words.join_words(listed)
-        told.append(
-            f"{words.capitalise(names)} {verb} {asked} (chance 50 %){_describe_ceiling(found)}."
-        )
+        clause = f"{words.join_words(listed)} {verb} {asked}{where}{describe_hint(few)}"
+        names = words.capitalise(words.join_words(listed))
+        told.append(f"{names} {verb} {asked} (chance 50 %){_describe_ceiling(found)}.")
         told += [
             *_describe_turns(arm, str(right.index[0])),
             _describe_better(found, str(right.index[0])),
@@ -265,7 +270,7 @@ def _describe(arm: _Arm, found: VotePrediction) -> str:
             f"{words.format_name(str(name))} {_format_share(row)}" for name, row in wrong.iterrows()
         ])
         told.append(f"Stimuli with the better value of {names} were chosen less often.")
-    return lead + " ".join(filter(None, told))
+    return words.Line(lead + " ".join(filter(None, told)), clause=clause)
 
 
 def _describe_null(shares: DataFrame, asked: str) -> str:

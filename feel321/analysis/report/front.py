@@ -10,13 +10,14 @@ import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain, product, repeat
+from itertools import product
 from typing import TYPE_CHECKING
 
 from feel321.analysis import words
 from feel321.analysis.primary.model import FEWEST
-from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, OPEN, PREDICTS
-from feel321.analysis.report.parts import split_parts
+from feel321.analysis.primary.sensitivity import LOST, NOT_ESTIMABLE, OPEN, PREDICTS
+from feel321.analysis.report.parts import describe_hint, split_parts
+from feel321.analysis.report.raters import list_changes
 from feel321.analysis.report.section import Picture, Section, make_slug
 from feel321.analysis.report.standing import Standing
 
@@ -47,9 +48,6 @@ IN_TABLES = frozenset({"", "comparison", "sample size"})
 
 VERDICTS = {PREDICTS: "predicts", OPEN: "open", NOT_ESTIMABLE: "not estimable"}
 OPPOSITE = "opposite"
-FEW = 5
-"""Participants or recordings below which a finding is a hint."""
-
 NAMED = 2
 """Exceptional reducers that the sentence names before it only counts."""
 
@@ -100,7 +98,10 @@ class MetricCard:
     """What the first screen shows of one metric on one scale and level; a row of ``cards`` in ``results.json``.
 
     effect: points of rating from the metric's lower to its upper quartile within recordings. correlation: Pearson's,
-    within recordings; its ceiling: the highest that the noise in the ratings allows. hinge: in a few words.
+    within recordings; its ceiling: the highest that the noise in the ratings allows. hinge: in a few words. few: units
+    of which there are so few that a finding is a hint, or that there is none. given: the other metrics at equal values
+    of which the effect is; the correlation is that of the metric alone. unflagged: another verdict without the raters
+    whom screening rules flag.
     """
 
     scale: str
@@ -119,6 +120,9 @@ class MetricCard:
     correlation_high: float
     ceiling: float
     better_than: tuple[str, ...] = ()
+    few: tuple[str, ...] = ()
+    given: tuple[str, ...] = ()
+    unflagged: str = ""
     status: str = words.EXPLORATORY
     reason: str = ""
 
@@ -135,11 +139,17 @@ class MetricCard:
 
     @property
     def points(self) -> str:
-        """The effect with its interval, for the page; empty where there is none."""
+        """The effect with its interval, for the page; empty where there is none, or no test of it."""
         ends = (self.effect, self.effect_low, self.effect_high)
         value, interval = words.format_estimate(*ends, kind="rating")
         sign = "+" if self.effect > 0 and value[0].isdigit() else ""
-        return f"{sign}{value} points ({interval})" if math.isfinite(self.effect) else ""
+        return f"{sign}{value} points ({interval})" if math.isfinite(self.effect_low) else ""
+
+    @property
+    def condition(self) -> str:
+        """What the effect is at equal values of, for the page; empty where the metric is the only one."""
+        names = [words.format_name(name) for name in self.given]
+        return f"at equal {words.join_words(names)}" if names else ""
 
     @property
     def r(self) -> str:
@@ -147,8 +157,8 @@ class MetricCard:
         value, interval = words.format_estimate(
             self.correlation, self.correlation_low, self.correlation_high
         )
-        known = math.isfinite(self.correlation)
-        return f"r = {value} ({interval})" if known else ""
+        known, alone = math.isfinite(self.correlation), ", metric alone" * bool(self.given)
+        return f"r = {value} ({interval}){alone}" if known else ""
 
     @property
     def described(self) -> str:
@@ -165,17 +175,21 @@ def make_cards(
     claims = {
         (one.scale, one.level, one.metric): one for section in sections for one in section.claims
     }
+    unflagged = dict(_list_unflagged(sections))
     cards = []
     for part in split_parts(table):
         subject = words.capitalise(part.subject)
-        for metric in table.metrics:
+        effects = {
+            metric: found.get(words.name_path("slope", *part.place, metric) + ".quartile_effect")
+            for metric in table.metrics
+        }
+        for metric, effect in effects.items():
             place = (*part.place, metric)
             if (claim := claims.get(place)) is None:
                 continue
-            effect = _find_ends(found.get(words.name_path("slope", *place) + ".quartile_effect"))
             r = found.get(words.name_path("association", *place, "within"))
             ceiling = found.get(words.name_path("association", *place, "within", "ceiling"))
-            found_here = *effect, *_find_ends(r), _find_ends(ceiling)[0]
+            found_here = *_find_ends(effect), *_find_ends(r), _find_ends(ceiling)[0]
             said = claim.verdict, claim.direction, claim.higher, claim.hinge
             cards.append(
                 MetricCard(
@@ -185,11 +199,26 @@ def make_cards(
                     *said,
                     *found_here,
                     claim.better_than,
+                    few=claim.few,
+                    given=tuple(name for name, one in effects.items() if one and name != metric),
+                    unflagged=unflagged.get(place, ""),
                     status=claim.status,
                     reason=claim.reason,
                 )
             )
     return tuple(cards)
+
+
+def _list_unflagged(sections: Iterable[Section]) -> Iterator[tuple[tuple[str, ...], str]]:
+    """List the verdicts that are others without anyone flagged, by scale, level and metric."""
+    name = "slopes_without_hits"
+    for slopes in [section.tables[name] for section in sections if name in section.tables]:
+        changes = list_changes(slopes.to_dict("records"))
+        yield from (
+            ((row["scale"], row["level"], row["metric"]), row["verdict"])
+            for row in changes
+            if row["panel"] == "any"
+        )
 
 
 def _find_ends(number: words.Number | None) -> tuple[float, float, float]:
@@ -202,27 +231,28 @@ def _find_ends(number: words.Number | None) -> tuple[float, float, float]:
 def write_headline(
     cards: Sequence[MetricCard], sections: Iterable[Section], numbers: Iterable[words.Number]
 ) -> str:
-    """State the finding in one sentence; where nothing was rated that metrics describe, what there is instead."""
+    """State the findings in one sentence: of every metric and scale, and of every protocol that has no card."""
     sections = list(sections)
-    if not cards:
-        if others := list_others(sections):
-            return words.capitalise(others[0])
-        lines = [line.text for section in sections for line in section.verdict]
-        return words.capitalise(lines[0]) if lines else "These ratings do not answer the question."
     alike: dict[tuple[object, ...], list[str]] = {}
     for metric in dict.fromkeys(card.metric for card in cards):
         own = tuple((card.outcome, card.is_turned) for card in cards if card.metric == metric)
         alike.setdefault(own, []).append(metric)
-    hint = _describe_hint(numbers)
-    hints = chain([hint], repeat(" (a hint too)" * bool(hint)))
-    clauses = [part for group in alike.values() for part in _describe_group(cards, group, hints)]
+    clauses = [part for group in alike.values() for part in _describe_group(cards, group)]
     clauses += _describe_exceptions(cards, sections)
+    clauses += _describe_level(cards, sections)
+    clauses += _describe_unflagged(cards, numbers)
+    lines = [line for section in sections for line in section.verdict]
+    clauses += [line.clause for line in lines if line.clause]
+    if not clauses:
+        return (
+            words.capitalise(lines[0].text)
+            if lines
+            else "These ratings do not answer the question."
+        )
     return words.capitalise("; ".join(clauses)) + "."
 
 
-def _describe_group(
-    cards: Sequence[MetricCard], metrics: Sequence[str], hints: Iterator[str]
-) -> Iterator[str]:
+def _describe_group(cards: Sequence[MetricCard], metrics: Sequence[str]) -> Iterator[str]:
     """Say what metrics have in common that have the same verdicts on all scales."""
     one = [card for card in cards if card.metric == metrics[0]]
     names = [words.format_name(name) for name in metrics]
@@ -233,34 +263,33 @@ def _describe_group(
             continue
         what, subjects = _name_ratings(own, one), {card.subject for card in own}
         same = [card for card in cards if card.metric in metrics and card.subject in subjects]
+        few = list(dict.fromkeys(unit for card in same for unit in card.few))
         if status in {PREDICTS, OPPOSITE}:
-            text = f"{words.join_words(names)} {verb} {what}{next(hints)}"
+            text = f"{words.join_words(names)} {verb} {what}{describe_hint(few)}"
             text += ", but in the direction opposite to the one declared" * (status == OPPOSITE)
-            text += _describe_turns(same, cards) + _describe_best(same, metrics)
+            text += _describe_turns(same) + _describe_best(same, metrics)
         else:
-            is_open = "is open" if status == OPEN else "cannot be estimated"
+            lack = "cannot be estimated" + (f" with {words.join_words(few)}" if few else "")
+            is_open = "is open" if status == OPEN else lack
             text = f"whether {what} follow {words.join_words(names, 'or')} {is_open}"
         yield text + _describe_hinges(same)
 
 
-def describe_turn(card: MetricCard, cards: Iterable[MetricCard]) -> str:
+def describe_turn(card: MetricCard) -> str:
     """Say how ratings go with a metric at equal values of the others and alone, where these ways differ."""
     if not card.is_turned:
         return ""
-    place = card.scale, card.level
-    others = [one.metric for one in cards if (one.scale, one.level) == place]
-    names = [words.format_name(name) for name in others if name != card.metric]
     known = card.correlation_low * card.correlation_high > 0
     alone = f"with {'higher' if card.correlation > 0 else 'lower'} ratings"
     return (
-        f"at equal {words.join_words(names) or 'recordings'}, higher {words.format_name(card.metric)} goes with "
+        f"{card.condition or 'in the model'}, higher {words.format_name(card.metric)} goes with "
         f"{card.direction} ratings; alone, {alone if known else 'its direction is open'}"
     )
 
 
-def _describe_turns(same: Sequence[MetricCard], cards: Sequence[MetricCard]) -> str:
+def _describe_turns(same: Sequence[MetricCard]) -> str:
     """Say it in a bracket: once where all cards have it in common."""
-    told = list(dict.fromkeys(filter(None, (describe_turn(card, cards) for card in same))))
+    told = list(dict.fromkeys(filter(None, map(describe_turn, same))))
     if not told:
         return ""
     mixed = "which way differs between the metric alone and at equal values of the others"
@@ -310,6 +339,22 @@ def _describe_hinges(same: Sequence[MetricCard]) -> str:
     return f", which {some}hinges on {which}"
 
 
+def _describe_level(cards: Sequence[MetricCard], sections: Iterable[Section]) -> Iterator[str]:
+    """Say which metrics would predict ratings if level were not in the model."""
+    lost = {
+        (one.scale, one.level, one.metric)
+        for section in sections
+        for one in section.claims
+        if one.beyond_level == LOST
+    }
+    for metric in dict.fromkeys(card.metric for card in cards):
+        every = [card for card in cards if card.metric == metric]
+        own = [card for card in every if (card.scale, card.level, metric) in lost]
+        if own:
+            what = _name_ratings(own, every)
+            yield f"without level in the model {words.format_name(metric)} would predict {what}"
+
+
 def _describe_exceptions(cards: Sequence[MetricCard], sections: Iterable[Section]) -> Iterator[str]:
     """Name the reducers, and on which scales, that were rated otherwise than metrics suggest that predict there."""
     subjects = {
@@ -334,31 +379,37 @@ def _describe_exceptions(cards: Sequence[MetricCard], sections: Iterable[Section
         yield f"{name} was rated {size} points {way} than its metrics would suggest"
 
 
-def _describe_hint(numbers: Iterable[words.Number]) -> str:
-    """Say that a finding with few people or recordings is a hint."""
-    few = [
-        words.format_count(count, name)
-        for name, count in _count_units(numbers).items()
-        if count < FEW
-    ]
-    return f" (with {words.join_words(few)}, a hint rather than a result)" if few else ""
+def _describe_unflagged(
+    cards: Sequence[MetricCard], numbers: Iterable[words.Number]
+) -> Iterator[str]:
+    """Say which verdicts are others without the raters whom screening rules flag."""
+    ways: dict[tuple[str, str], list[str]] = {}
+    for metric in dict.fromkeys(card.metric for card in cards):
+        every = [card for card in cards if card.metric == metric]
+        for way in dict.fromkeys(card.unflagged for card in every if card.unflagged):
+            own = [card for card in every if card.unflagged == way]
+            turned = way == PREDICTS and own[0].verdict == PREDICTS
+            key = OPPOSITE if turned else way, _name_ratings(own, every)
+            ways.setdefault(key, []).append(words.format_name(metric))
+    if not ways:
+        return
+    (flagged,) = [one for one in numbers if one.name == "screening_panel.any"]
+    told = []
+    for (way, what), names in ways.items():
+        verb = "predict" if len(names) > 1 else "predicts"
+        claim = f"{words.join_words(names)} {verb} {what}"
+        whether = f"whether {what} follow {words.join_words(names, 'or')}"
+        told.append({
+            PREDICTS: claim, OPPOSITE: f"{claim} in the opposite direction", OPEN: f"{whether} is open",
+            NOT_ESTIMABLE: f"{whether} cannot be estimated",
+        }[way])  # fmt: skip
+    who = f"the {flagged.value:.0f} of {words.format_count(flagged.n, 'rater')} whom screening rules flag"
+    yield f"without {who}, {words.join_words(told)}"
 
 
-def _count_units(numbers: Iterable[words.Number]) -> dict[str, float]:
-    """Count participants, and recordings or their sources."""
-    sizes = {number.name: number.value for number in numbers if number.name.startswith("size.")}
-    scene = "source" if sizes["size.source"] < sizes["size.recording"] else "recording"
-    return {name: sizes[f"size.{name}"] for name in ("participant", scene)}
-
-
-def explain_blank(numbers: Iterable[words.Number]) -> str:
+def explain_blank(card: MetricCard) -> str:
     """Say in a few words why a slope cannot be estimated."""
-    few = [
-        words.format_count(count, name)
-        for name, count in _count_units(numbers).items()
-        if count < FEWEST
-    ]
-    need = f"{words.join_words(few)}: at least {FEWEST} are needed" if few else ""
+    need = f"{words.join_words(card.few)}: at least {FEWEST} are needed" if card.few else ""
     return need or "too few degrees of freedom are left for a test"
 
 
@@ -401,13 +452,8 @@ def group_sections(sections: Iterable[Section]) -> tuple[PageBlock, ...]:
 
 
 def list_others(sections: Iterable[Section]) -> list[str]:
-    """List what choices and paired judgements show, which have no card: one sentence for each kind."""
-    own = [
-        section
-        for section in sections
-        if section.key in {"choices", "discrimination", "told_apart"}
-    ]
-    return [str(section.verdict[0]) for section in own if section.verdict]
+    """List what choices and paired judgements show, which have no card."""
+    return [str(line) for section in sections for line in section.verdict if line.clause]
 
 
 def split_lines(section: Section, subjects: Iterable[str] = ()) -> tuple[list[str], list[str]]:

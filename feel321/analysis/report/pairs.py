@@ -35,7 +35,15 @@ from feel321.analysis.space import (
 )
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, APART, PAIRED
-from feel321.analysis.words import COUNT, Line, count_number, format_name, format_number, join_words
+from feel321.analysis.words import (
+    COUNT,
+    Line,
+    capitalise,
+    count_number,
+    format_name,
+    format_number,
+    join_words,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -100,7 +108,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Section:  # noqa: 
         key=key,
         title=title,
         answers=(answer,),
-        verdict=(Line(answer),),
+        verdict=(Line(answer, clause=f"{apart} of {n} reducers and anchors were distinguished from their reference"),),
         unseen=(count_number("abx.n_told_apart", apart, n=n), count_number("abx.n_compared", n, n=n)),
         grids=(ABX.build(evaluated),),
         tables={"discrimination": evaluated},
@@ -144,7 +152,7 @@ def compute_told_apart(table: Table, choices: Choices) -> Section:  # noqa: ARG0
     """Compare dissimilarities from the original with those of identical pairs."""
     key, title = "told_apart", "One axis against three"
     rows = table.rows[table.rows["scale"] == PAIRED]
-    notes, answers = [], []
+    notes, lines = [], []
     found: list[dict[Any, Any]] = []
     several = len(rows["level"].unique()) > 1
     for level, part in rows.groupby("level", observed=True):
@@ -163,12 +171,16 @@ def compute_told_apart(table: Table, choices: Choices) -> Section:  # noqa: ARG0
             if rest
             else ""
         )
-        answers.append(
-            f"One axis was told apart from three{where} for {len(apart)} of {len(single)} reducers: dissimilarity from "
-            f"the original is above that of identical pairs (p (Holm) < {SIGNIFICANCE}).{told}"
+        clause = f"one axis was distinguished from three{where} for {len(apart)} of {len(single)} reducers"
+        lines.append(
+            Line(
+                f"{capitalise(clause)}: dissimilarity from the original is above that of identical pairs "
+                f"(p (Holm) < {SIGNIFICANCE}).{told}",
+                clause=clause,
+            )
         )
     return Section(
-        key, title, answers=answers, verdict=tuple(map(Line, answers)), grids=(TOLD.build(found),), notes=notes,
+        key, title, answers=tuple(map(str, lines)), verdict=lines, grids=(TOLD.build(found),), notes=notes,
         tables={key: found}, how=read_methods(key),
     )  # fmt: skip
 
@@ -218,7 +230,8 @@ class _Arm:
 def compute_space(table: Table, choices: Choices) -> Section:
     """Map the dissimilarities of every level."""
     rows = table.rows[table.rows["scale"] == PAIRED]
-    notes, answers, grids, pictures = [], [], [], []
+    notes, grids, pictures = [], [], []
+    lines: list[Line] = []
     tables: dict[str, list[Row]] = {}
     for level in sorted(rows["level"].unique()):
         try:
@@ -239,16 +252,16 @@ def compute_space(table: Table, choices: Choices) -> Section:
         tables[f"space_{make_slug(level)}"] = list(_list_places(arm, ellipses))
         grids.append(_build_stress(arm, stress))
         try:
-            answer, own = _relate(arm, ellipses, choices)
-            answers.append(answer)
+            line, own = _relate(arm, ellipses, choices)
+            lines.append(line)
             grids += own
         except ValueError as error:
             notes.append(f"{PAIRED}, {level}: the map is compared with nothing else. {error}")
     return Section(
         key=KEY,
         title="The space of what was felt",
-        answers=answers,
-        verdict=tuple(map(Line, answers)),
+        answers=tuple(map(str, lines)),
+        verdict=lines,
         grids=grids,
         pictures=pictures,
         tables=tables,
@@ -300,7 +313,7 @@ def _build_stress(arm: _Arm, stress: Sequence[float]) -> PageTable:
     return STRESS.build(rows, caption=STRESS.caption.format(format_name(arm.level)))
 
 
-def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices) -> tuple[str, list[PageTable]]:
+def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices) -> tuple[Line, list[PageTable]]:
     """Compare the map with metrics and mean ratings."""
     known = arm.attributes.notna().all(axis=1).to_numpy()
     attributes = arm.attributes[known]
@@ -317,10 +330,10 @@ def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices) -> tuple[str, list[
     evidence = f"Procrustes r = {r}, permutation p {p if p.startswith('<') else f'= {p}'}"
     what = f"align with the perceptual map (level {format_name(arm.level)})"
     shown = aligned.p < SIGNIFICANCE
-    answer = f"The metrics {what}" if shown else f"It is unclear whether the metrics {what}"
+    clause = f"the metrics {what}" if shown else f"it is unclear whether the metrics {what}"
     properties = [more | row for row in adjusted.to_dict("records")]
     grids = [PROCRUSTES.build([more | agreement]), PROPERTIES.build(properties)]
-    return f"{answer} ({evidence}).", grids
+    return Line(f"{capitalise(clause)} ({evidence}).", clause=clause), grids
 
 
 def _list_places(arm: _Arm, ellipses: Ellipses) -> Iterator[Row]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ from feel321.analysis.primary.model import CENTRED, FEW, fit_slopes
 from feel321.analysis.table.items import find_sources, recast_pairs
 from feel321.analysis.table.metrics import TENTH, Step, find_steps
 from feel321.analysis.table.schema import APART
-from feel321.analysis.words import format_name, format_number, format_ratings
+from feel321.analysis.words import format_name, format_number, format_ratings, join_words
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -189,6 +189,17 @@ def count_units(rows: DataFrame) -> dict[str, int]:
     sources = find_sources(rows)
     scene = SCENE if sources.is_unique else "source"
     return {WHO: rows[WHO].nunique(), scene: sources.nunique()}
+
+
+def describe_hint(few: Sequence[str]) -> str:
+    """Say that a finding is a hint, by the units of which there are few.
+
+    Examples
+    --------
+    >>> describe_hint(["4 reducers"]), describe_hint([])
+    (' (with 4 reducers, a hint rather than a result)', '')
+    """
+    return f" (with {join_words(few)}, a hint rather than a result)" if few else ""
 
 
 def describe_reach(sizes: Mapping[str, int], *, claimed: bool = True) -> str:

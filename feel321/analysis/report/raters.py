@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from feel321.analysis import words
-from feel321.analysis.contrasts.compare import find_repeat_sd
 from feel321.analysis.figures.choices import draw_raters
+from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.primary.plan import make_cells
+from feel321.analysis.primary.sensitivity import PREDICTS, conclude
 from feel321.analysis.report import parts
 from feel321.analysis.report.section import (
     METRIC,
@@ -141,11 +142,12 @@ def compute(table: Table, choices: Choices) -> Section:
         return Section(KEY, TITLE, notes=(why,))
     screening = screen_raters(single, own=choices.rules, rng=choices.make_rng(KEY))
     models, more_notes = _fit_models(single)
-    slopes, steps = list(_vary(table, screening, choices)), parts.find_table_steps(table)
+    slopes = _conclude_panels(list(_vary(table, screening, choices)))
+    steps = parts.find_table_steps(table)
     return Section(
         key=KEY,
         title=TITLE,
-        answers=(_describe_flagged(screening), *_describe_changes(slopes), *_describe_models(models)),
+        answers=(_describe_flagged(screening), _describe_changes(slopes), *_describe_models(models)),
         grids=(
             RULES_APPLIED.build(_list_rules(screening)),
             AGREEMENTS.build(_list_agreements(screening)),
@@ -281,9 +283,19 @@ def _list_agreements(screening: Screening) -> Iterator[dict[Any, Any]]:
 
 def _list_repeats(table: Table) -> Iterator[dict[str, Any]]:
     for part in parts.split_parts(table):
-        sd, n = find_repeat_sd(part.rows)
+        sd, n = _find_repeat_sd(part.rows)
         if n:
             yield part.keys | {"sd": sd, "n": n}
+
+
+def _find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
+    """Find the standard deviation of a rater's repeated ratings (NaN without repeats), and how many are repeated."""
+    cells = rows.groupby(["participant", "item"], observed=True)["rating"]
+    repeated = cells.transform("size") > 1
+    n = int(repeated.sum())
+    freedom = n - len(rows[repeated].groupby(["participant", "item"], observed=True))
+    left = (rows["rating"] - cells.transform("mean"))[repeated]
+    return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), n
 
 
 def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[dict[str, Any]]:
@@ -323,25 +335,44 @@ def _describe_rules(screening: Screening) -> str:
     return f"Screening rules: {'; '.join(says)}."
 
 
-def _describe_changes(slopes: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Say on which slopes it changes, without flagged raters, whether the interval covers zero."""
-    whole = {(row["_ratings"], row["metric"]): row for row in slopes if row["panel"] == "everyone"}
-    rest = [row for row in slopes if row["panel"] != "everyone" and np.isfinite(row["tenth_low"])]
+def _conclude_panels(slopes: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Give every slope its verdict, adjusted as in the primary analysis: over all slopes of the same raters."""
+    rows = []
+    for panel in GROUPS:
+        own = [row for row in slopes if row["panel"] == panel]
+        adjusted = adjust_holm([row["p"] for row in own])
+        rows += [row | {"verdict": conclude(p)} for row, p in zip(own, adjusted, strict=True)]
+    return rows
+
+
+def list_changes(slopes: Iterable[Mapping[Any, Any]]) -> Iterator[Mapping[Any, Any]]:
+    """List the slopes without flagged raters from which another conclusion follows than from everyone's."""
+    slopes = list(slopes)
+    whole = {_find_place(row): _find_direction(row) for row in slopes if row["panel"] == "everyone"}
+    yield from (row for row in slopes if _find_direction(row) != whole[_find_place(row)])
+
+
+def _find_place(row: Mapping[Any, Any]) -> tuple[str, str, str]:
+    return row["scale"], row["level"], row["metric"]
+
+
+def _find_direction(row: Mapping[Any, Any]) -> float:
+    """Find the direction in which a metric predicts; 0 where nothing is claimed."""
+    return float(np.sign(row["tenth"])) if row["verdict"] == PREDICTS else 0.0
+
+
+def _describe_changes(slopes: Sequence[Mapping[str, Any]]) -> str:
+    """Say which verdicts are others without flagged raters."""
     changed = dict.fromkeys(
-        f"{words.format_name(row['metric'])} ({words.format_name(row['_ratings'])})"
-        for row in rest
-        if _find_way(row) != _find_way(whole[row["_ratings"], row["metric"]])
+        f"{words.format_name(row['metric'])} ({words.format_name(row['scale'])}"
+        f"{words.format_level(row['level'])})"
+        for row in list_changes(slopes)
     )
     if changed:
-        names = words.join_words(list(changed))
-        yield f"Leaving out flagged raters changes whether the 95 % interval of the slope includes zero: {names}."
-    elif rest:
-        yield "Leaving out flagged raters alters no conclusion about whether a slope’s 95 % interval includes zero."
-
-
-def _find_way(row: Mapping[str, Any]) -> int:
-    """Find on which side of zero an interval lies; 0 where it covers zero or there is none."""
-    return int(row["tenth_low"] > 0) - int(row["tenth_high"] < 0)
+        return (
+            f"Leaving out flagged raters changes the verdict on {words.join_words(list(changed))}."
+        )
+    return "Leaving out flagged raters changes no verdict."
 
 
 def _describe_flagged(screening: Screening) -> str:

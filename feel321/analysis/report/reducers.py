@@ -15,7 +15,7 @@ from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.contrasts.compare import (
     Equivalence,
     equivalence,
-    find_repeat_sd,
+    find_interval90,
     fit_reducers,
     non_inferiority,
     participant_means,
@@ -281,21 +281,20 @@ CONTRASTS = TableForm(
         Column("First", "first", NAME), Column("Second", "second", NAME),
         estimate("Difference", "estimate", "mixed model, points of rating, first minus second", kind="rating"),
         DF, P, P_HOLM,
+    ),
+    path="contrast.{scale}.{level}.{first}.{second}",
+)  # fmt: skip
+TESTED = replace(
+    CONTRASTS,
+    columns=(
+        *CONTRASTS.columns,
         Column("Equivalence p", "p_equivalence", "p", "p_equivalence", "equivalence"),
         Column("Equivalent", "_equivalent", NAME),
         Column("Non-inferiority p", "p_non_inferiority", "p", "p_non_inferiority", "non-inferiority"),
         Column("First not worse", "_not_worse", NAME),
     ),
-    path="contrast.{scale}.{level}.{first}.{second}",
 )  # fmt: skip
-
-
-class _Margin(NamedTuple):
-    """The difference that does not matter, and where it comes from."""
-
-    points: float
-    source: str
-    n: int
+"""The same where a margin was chosen: a difference within it does not matter."""
 
 
 class _Pair(NamedTuple):
@@ -350,17 +349,15 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
     # A person's reducers are so many effects.
     for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
         notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
-        margin = find_margin(part, choices)
         try:
-            pairs, fitted = _compare_reducers(part.rows, margin)
+            pairs, fitted = _compare_reducers(part.rows, choices.margin)
         except ValueError as error:
             notes.append(f"{part.lead}: reducers are not compared. {error}")
             continue
-        notes += [] if margin.points > 0 else [f"{part.lead}: no equivalence. {margin.source}"]
         own = [_word_tests(part.keys | pair.row) for pair in pairs]
-        caption = _caption_contrasts(part, margin, len(pairs))
-        grids.append(CONTRASTS.build(own, caption=caption))
-        numbers += _list_numbers(part, margin, pairs)
+        form = CONTRASTS if choices.margin is None else TESTED
+        grids.append(form.build(own, caption=_caption_contrasts(part, choices.margin, len(pairs))))
+        numbers += _list_numbers(part, pairs)
         answers.append(_describe_contrasts(pairs, part))
         rows += own
         pictures += _picture_equivalence(pairs, part)
@@ -379,28 +376,14 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
     )
 
 
-def _list_numbers(part: RatingsPart, margin: _Margin, pairs: list[_Pair]) -> Iterator[Number]:
-    name = words.name_path("margin", *part.place)
-    yield words.make_number(name, margin.points, margin.source, n=margin.n, keys="scale level")
+def _list_numbers(part: RatingsPart, pairs: list[_Pair]) -> Iterator[Number]:
     for what, count in {"n_differ": _count_different(pairs), "n_pairs": len(pairs)}.items():
         name = words.name_path("contrasts", *part.place, what)
         yield words.count_number(name, count, n=len(pairs), keys="scale level")
 
 
-def find_margin(part: RatingsPart, choices: Choices) -> _Margin:
-    """Find how many points do not matter, and why so many."""
-    if choices.margin is not None:
-        return _Margin(choices.margin, "margin fixed beforehand", len(part.rows))
-    sd, n = find_repeat_sd(part.rows)
-    if n and sd > 0:
-        why = "half the standard deviation of raters' repeated ratings"
-        return _Margin(sd / 2, why, n)
-    why = "All repeats are the same" if n else "Nobody rated a stimulus twice"
-    return _Margin(float("nan"), f"{why}, so there is no margin: set `margin` (points).", n)
-
-
 def _compare_reducers(
-    rows: DataFrame, margin: _Margin
+    rows: DataFrame, margin: float | None
 ) -> tuple[list[_Pair], tuple[MixedFit, Mapping[str, str]]]:
     names = order_reducers(rows[REDUCER])
     if len(names) == 1:
@@ -418,13 +401,14 @@ def _compare_reducers(
     return pairs, (fit, terms)
 
 
-def _test(row: Row, margin: _Margin) -> _Pair:
-    row |= {"p_equivalence": np.nan, "p_non_inferiority": np.nan, "margin": margin.points}
-    if not (margin.points > 0 and 0 < row["se"] < np.inf):
-        return _Pair(row, None)
+def _test(row: Row, margin: float | None) -> _Pair:
     numbers = row["estimate"], row["se"], row["df"]
-    test = equivalence(*numbers, low=-margin.points, high=margin.points)
-    worse = non_inferiority(*numbers, margin=-margin.points)
+    row |= dict(zip(("low90", "high90"), find_interval90(*numbers), strict=True))
+    row |= {"p_equivalence": np.nan, "p_non_inferiority": np.nan, "margin": margin}
+    if margin is None or not 0 < row["se"] < np.inf:
+        return _Pair(row, None)
+    test = equivalence(*numbers, low=-margin, high=margin)
+    worse = non_inferiority(*numbers, margin=-margin)
     return _Pair(row | {"p_equivalence": test.p, "p_non_inferiority": worse.p}, test)
 
 
@@ -436,13 +420,15 @@ def _word_tests(row: Row) -> Row:
     return row | {"_equivalent": equivalent, "_not_worse": not_worse}
 
 
-def _caption_contrasts(part: RatingsPart, margin: _Margin, n_pairs: int) -> str:
+def _caption_contrasts(part: RatingsPart, margin: float | None, n_pairs: int) -> str:
     several = [f"other {name}s" for name, count in count_units(part.rows).items() if count > 1]
     others = " and ".join(several).replace("participants", "people")
     differ = CONTRASTS.caption.format(words.capitalise(part.subject), others, n_pairs)
-    if not margin.points > 0:
-        return f"{differ} {margin.source}"
-    return f"{differ} Margin of equivalence and non-inferiority: {margin.points:.1f} points ({margin.source})."
+    if margin is None:
+        return f"{differ} Equivalence is not tested: no margin was chosen."
+    return (
+        f"{differ} Margin of equivalence and non-inferiority, fixed beforehand: {margin:g} points."
+    )
 
 
 def _count_different(pairs: list[_Pair]) -> int:

@@ -178,7 +178,7 @@ def _describe_best(part: RatingsPart, ranking: Ranking) -> str:
         return f"Which of {len(table)} metrics predicts {ratings} for other reducers cannot be told {few}. {highest}"
     if level and not ranking.better:
         others = f"None of the {len(table) - 1} other metrics is shown to predict {ratings} better"
-        return f"{others} than {level}. {highest}"
+        return f"{others} than {level}, each by itself; what metrics add to level is in the slopes. {highest}"
     if not level and not shown:
         return f"None of the {len(table)} metrics is shown to predict {ratings}. {highest}"
     lead = f"Of {len(table)} metrics, "

@@ -26,11 +26,12 @@ STATUS, SLOPES, PAPER = "status", "slopes", "paper_claims"
 
 MODEL: Mapping[str, Any] = {
     "model": (
-        "rating ~ 1 + metrics within recordings + metrics between recordings + "
-        "(1 + metrics within recordings || participant) + (1 | recording) + (1 | item) + (1 | participant:recording) + "
-        "(1 | reducer) + (1 | participant:reducer), on means over equal repeats, else on single ratings with "
-        "(1 | participant:item); plus (1 | source) + (1 | source:reducer) where recordings share sources; restricted "
-        "maximum likelihood, Satterthwaite's degrees of freedom; with fewer than 8 reducers their spread is kept from 0"
+        "rating ~ 1 + metrics within recordings + metrics between recordings + level within recordings where known + "
+        "(1 + metrics within recordings || participant) + (1 + metrics within recordings || recording) + (1 | item) + "
+        "(1 | participant:recording) + (1 | reducer) + (1 | participant:reducer), on means over equal repeats, else "
+        "on ratings with (1 | participant:item); where recordings share sources, slopes by source, "
+        "(1 | source:reducer); restricted maximum likelihood, Satterthwaite's degrees of freedom, at most 2 "
+        "(recordings or sources - 1); with fewer than 8 reducers their spread is kept from 0"
     ),
     "alpha": 0.05,
     "correction": "Holm's method over all slopes within recordings of the report",
@@ -38,7 +39,7 @@ MODEL: Mapping[str, Any] = {
         "practice, training, rejected trials, hidden references and anchors are left out; no participant is left out "
         "of the primary analysis, and results without those whom screening rules flag stand beside it"
     ),
-    "not_estimable": "below 3 participants, 3 recordings (or sources of them) or 2 degrees of freedom",
+    "not_estimable": "below 3 participants, 3 recordings (or sources of them), 3 reducers or 2 degrees of freedom",
 }  # fmt: skip
 """What feel321 decides about the primary analysis, and no setting: it is frozen with the settings."""
 

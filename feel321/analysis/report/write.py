@@ -236,7 +236,7 @@ def describe_inputs(
         told["further_metrics"] = ", ".join(map(str, further.metrics))
         told["further_metrics_sha256"] = _digest_rows(further.metrics.sort_index(), index=True)
     told["metrics"] = ", ".join(table.metrics)
-    margin = "from repeated ratings" if choices.margin is None else str(choices.margin)
+    margin = "none" if choices.margin is None else str(choices.margin)
     told |= {"draws": str(choices.draws), "margin": margin, "seed": str(choices.seed)}
     told |= bayes.describe_sampler() if choices.bayes else {}
     for rule in choices.rules:
@@ -311,8 +311,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     draws : int
         Bootstrap draws per interval, and random pairings per permutation test; at least 2.
     margin : float, optional
-        Points by which reducers may differ and still count as equivalent; half the standard deviation of repeated
-        ratings if left out.
+        Points by which reducers may differ and still count as equivalent; equivalence is not tested if left out.
     metrics : sequence of str, optional
         Numeric columns of the manifest that the primary analysis is about, declared before the ratings were seen;
         ``spectral_match_bounded`` and ``temporal_match`` if left out (`read_table`).

@@ -63,7 +63,8 @@ def note_scales(sheet: DataFrame) -> Iterator[str]:
 
 def note_stimuli(sheet: DataFrame) -> Iterator[str]:
     """Say by which gains stimuli were played, and what about them is odd."""
-    as_is = sheet[sheet["level"] == "as_is"]
+    # Anchors are weaker where they would not fit the headroom; they are not what is compared.
+    as_is = sheet[(sheet["level"] == "as_is") & (sheet[ROLE] != "anchor")]
     if schema.GAIN in sheet and as_is[schema.GAIN].notna().any():
         low, high = as_is[schema.GAIN].min(), as_is[schema.GAIN].max()
         one_each = as_is.groupby("recording")[schema.GAIN].nunique().max() == 1
@@ -167,6 +168,7 @@ def _note_pairs(rows: DataFrame, none: str) -> str:
 
 def note_gains(rows: DataFrame) -> Iterator[str]:
     """Note judgements beside the real surface of stimuli that are not as strong as they were recorded."""
+    rows = rows[rows[ROLE] != "anchor"]
     gains = rows[schema.GAIN].dropna() if schema.GAIN in rows else rows["rating"].iloc[:0]
     if (gains != 1).any():
         span = " to ".join(dict.fromkeys([f"{gains.min():.3g}", f"{gains.max():.3g}"]))

@@ -130,6 +130,7 @@ MANIFEST: Mapping[str, ColumnInfo] = {
         name: ColumnInfo("not used", used=False)
         for name in (
             "file", "rate_hz", "n_samples", "duration_s", "peak", "clipped", "sha256", "recording_sha256",
+            "band_high_hz",
         )
     },
     "source": ColumnInfo(

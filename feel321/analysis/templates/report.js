@@ -84,10 +84,16 @@
   const [NAME, REDUCER, RECORDING, X, Y, LOW, HIGH, N] = [0, 1, 2, 3, 4, 5, 6, 7];
   const show = (value, digits) => (Number.isFinite(value) ? value.toFixed(digits).replace("-", "\u2212") : "–");
 
-  // Pearson's r over all points; the slope of least squares with an intercept per recording.
+  // Pearson's r of each recording, averaged over Fisher's z, as the report does; the slope of least squares with an
+  // intercept per recording.
   function correlate(points) {
-    const centre = [X, Y].map((place) => points.reduce((sum, one) => sum + one[place], 0) / points.length);
-    return relate(points, () => centre, (xx, xy, yy) => xy / Math.sqrt(xx * yy));
+    const own = [...new Set(points.map((one) => one[RECORDING]))].map((name) => {
+      const part = points.filter((one) => one[RECORDING] === name), n = part.length;
+      const centre = [X, Y].map((place) => part.reduce((sum, one) => sum + one[place], 0) / n);
+      const r = relate(part, () => centre, (xx, xy, yy) => xy / Math.sqrt(xx * yy));
+      return Math.abs(r) < 1 - 1e-9 ? r : Math.sign(r) * (1 - 6 / (n * (n * n - 1)));
+    }).filter(Number.isFinite);
+    return Math.tanh(own.reduce((sum, r) => sum + Math.atanh(r), 0) / own.length);
   }
   function fitSlope(points) {
     const sums = new Map();
@@ -203,7 +209,7 @@
   const heads = ["Ratings", "Metric", "r", "r, chosen", `Slope per ${per}`, "Slope, chosen", "Stimuli"];
   const texts = new Set([0, 1]);
   const table = make("table", {},
-    make("caption", {}, make("span", {}, "All stimuli, and those chosen. r: Pearson over the stimuli’s mean ratings. Slope: " +
+    make("caption", {}, make("span", {}, "All stimuli, and those chosen. r: Pearson within recordings, over the stimuli’s mean ratings. Slope: " +
       "plain least squares within recordings, in points of rating; the primary model weighs participants too.")),
     make("thead", {}, make("tr", {}, ...heads.map((name, k) =>
       make("th", { scope: "col", ...(texts.has(k) ? { class: "text" } : {}) }, name)))),

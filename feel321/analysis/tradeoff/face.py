@@ -216,7 +216,7 @@ def advise(  # noqa: PLR0913 - every choice that changes the advice has a name o
         Ratings of the recordings, as for `chart`: a reducer must then also be shown to feel like the one rated
         highest. Not used for segments, nor for actuators of several axes: people rated whole recordings, on one axis.
     margin : float, optional
-        Points of rating that do not matter, fixed beforehand; half the spread of repeated ratings if left out.
+        Points of rating that do not matter, fixed beforehand; without them ratings are not used.
     rng : int or Generator
         A seed, or a generator from which one is drawn.
     progress : bool or callable

@@ -10,8 +10,8 @@ processor* is fed blocks in time order and answers with finished blocks, one hop
 hundred blocks at a time (so that its work stays in the processor's cache), the streaming form as they come. Both
 therefore compute the same thing.
 
-An axis has no sign of its own: it is chosen so that the output does not correlate negatively with the sum of
-the components, and kept from segment to segment.
+An axis has no sign of its own. That of a whole signal is chosen so that the output does not correlate negatively with
+the sum of the components; that of a segment so that it agrees with the segments before it.
 
 Matched reducers give one axis one gain, so that it is as strong as the vibration of all three axes. The whole-signal
 forms use one gain for the whole recording. The causal forms estimate the same gain from the past, which they forget
@@ -185,6 +185,8 @@ def _axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> Samples:
 NO_SIGN = 1e-9
 # A segment whose variation is below this share of its second moment is constant but for rounding.
 _CONSTANT = 1e-20
+# Two axes that do not point against each other mix to at least this length.
+_SHORTEST_MIX = np.sqrt(0.5)
 
 
 def pca321(acceleration: ArrayLike, rate_hz: float) -> Samples:
@@ -217,16 +219,27 @@ def _project(samples: Samples) -> tuple[Samples, Samples]:
 def pca321_adaptive(
     acceleration: ArrayLike, rate_hz: float, *, window_s: float = DEFAULT_WINDOW_S
 ) -> Samples:
-    """Project on a principal axis that is estimated anew in short overlapping segments and turns smoothly.
+    r"""Project on a principal axis that is estimated anew in short overlapping segments.
 
     Notes
     -----
-    Segments overlap by half. Each has the leading eigenvector of its Hann-weighted covariance, with the sign that
-    points along the segment before (the first: along the sensor's diagonal, which makes it correlate non-negatively
-    with the sum of the components). At every sample the axes of its two segments are mixed with their weights and
-    brought to unit length. A constant segment keeps the axis before it. Only the past is used, so the method streams.
+    Segments overlap by half. Each has the leading eigenvector u of its Hann-weighted covariance, whose trace is its
+    energy e. Its sign s agrees with a memory of the axes before it, each as strong as its segment,
+
+    .. math:: s_k = \mathrm{sign}(u_k \cdot m_{k-1}), \qquad m_k = e^{-h / 1\,\mathrm{s}} m_{k-1} + e_k s_k u_k,
+
+    with h half a window; the first points along the sensor's diagonal. As :math:`u_k` times the eigenvalue is the
+    correlation of a segment's output with the three components, m is about the correlation of the whole output so far:
+    equation 2's numerator grows with every segment. Noise in a pause has no energy and so no say. In a segment without
+    a leading direction noise chooses the axis, and with it the sign; and an axis that turns by half within about a
+    second meets its own past and changes its sign there.
+
+    At every sample the axes of its two segments are mixed with their weights and brought to unit length; where they
+    point against each other the output fades through zero. A constant segment keeps the axis before it. Only the past
+    is used, so the method streams.
     """
-    return reduce_in_frames(PrincipalFrames, acceleration, rate_hz=rate_hz, window_s=window_s)
+    frames = partial(PrincipalFrames, rate_hz=rate_hz)
+    return reduce_in_frames(frames, acceleration, rate_hz=rate_hz, window_s=window_s)
 
 
 def leading_axis(covariance: Samples) -> Samples:
@@ -256,13 +269,15 @@ def turn_alike(axes: Samples) -> Samples:
 class PrincipalFrames:
     """The block processor of `pca321_adaptive`: see `BlockProcessor`."""
 
-    def __init__(self, batch: tuple[int, ...], hop: int) -> None:
+    def __init__(self, batch: tuple[int, ...], hop: int, rate_hz: float) -> None:
         self.hop = hop
+        self._forgetting = _forget(hop / rate_hz)
         window = sqrt_hann(2 * hop) ** 2
         self._rise, self._fall = np.split(window, 2)
         self._previous = np.zeros((*batch, 3, 1, hop))
         self._valid = np.zeros((1, hop), dtype=bool)
         self._axis = np.full((*batch, 1, 3), 1 / np.sqrt(3))
+        self._memory = np.zeros((*batch, 3))
 
     def push(self, blocks: Samples, valid: NDArray[np.bool_]) -> Samples:
         """Take blocks (..., 3, m, hop), return as many finished ones (..., m, hop), one hop late."""
@@ -277,28 +292,39 @@ class PrincipalFrames:
             axes[..., -1:, :],
         )
         mixed = axes[..., :-1, :, None] * self._fall + axes[..., 1:, :, None] * self._rise
-        mixed /= np.linalg.norm(mixed, axis=-2, keepdims=True)
+        mixed /= np.maximum(np.linalg.norm(mixed, axis=-2, keepdims=True), _SHORTEST_MIX)
         return np.asarray(np.einsum("...mih,...imh->...mh", mixed, blocks[..., :-1, :]))
 
-    def _turned(self, axes: Samples, constant: NDArray[np.bool_]) -> Samples:
-        """Constant segments keep the axis before them; each axis is flipped to point along the one before."""
+    def _turned(self, axes: Samples, energies: Samples, constant: NDArray[np.bool_]) -> Samples:
+        """Give every axis its sign; constant segments keep the axis before them."""
         axes = np.concatenate([self._axis, with_sign(axes)], axis=-2)
         own = np.where(constant, 0, np.arange(1, axes.shape[-2]))
         own = np.concatenate(
             [np.zeros_like(own[..., :1]), np.maximum.accumulate(own, axis=-1)], axis=-1
         )
-        return turn_alike(np.take_along_axis(axes, own[..., None], axis=-2))
+        axes = np.take_along_axis(axes, own[..., 1:, None], axis=-2)
+        signs = np.ones(energies.shape)
+        for place in range(energies.shape[-1]):
+            along = np.einsum("...i,...i->...", axes[..., place, :], self._memory)
+            # An axis across the memory keeps the sign that it has by itself: rounding must not choose.
+            across = NO_SIGN * np.abs(self._memory).sum(axis=-1)
+            signs[..., place] = np.where(along < -across, -1.0, 1.0)
+            strength = signs[..., place] * energies[..., place]
+            self._memory = (
+                self._forgetting * self._memory + strength[..., None] * axes[..., place, :]
+            )
+        return np.asarray(axes * signs[..., None])
 
 
-def _segment_axes(frames: Samples, weights: Samples) -> tuple[Samples, NDArray[np.bool_]]:
-    """Leading axes (..., m, 3) of frames (..., 3, m, length), and which frames are constant (..., m)."""
+def _segment_axes(frames: Samples, weights: Samples) -> tuple[Samples, Samples, NDArray[np.bool_]]:
+    """Leading axes (..., m, 3) of frames (..., 3, m, length), their energies, and which are constant: (..., m)."""
     total = np.maximum(weights.sum(axis=-1), np.finfo(np.float64).tiny)
     mean = np.einsum("...imt,mt->...im", frames, weights) / total
     centred = (frames - mean[..., None]) * np.sqrt(weights)
     covariance = np.einsum("...imt,...jmt->...mij", centred, centred)
     variation = np.trace(covariance, axis1=-2, axis2=-1)
     constant = variation <= _CONSTANT * np.einsum("...im,m->...m", mean**2, total)
-    return leading_axis(covariance), np.asarray(constant)
+    return leading_axis(covariance), np.where(constant, 0.0, variation), np.asarray(constant)
 
 
 MOST_GAIN = 10.0

@@ -158,7 +158,7 @@ _RUNNING: dict[str, Callable[[float], Callable[[Samples], Samples]]] = {
     "carrier321": lambda rate_hz: intensity.Carrier((), rate_hz).push,
 }
 _IN_FRAMES: dict[str, Callable[[float], Callable[[tuple[int, ...], int], axes.BlockProcessor]]] = {
-    "pca321_adaptive": lambda _: axes.PrincipalFrames,
+    "pca321_adaptive": lambda rate_hz: partial(axes.PrincipalFrames, rate_hz=rate_hz),
     "dft321_windowed": lambda _: fourier.FourierFrames,
     "dft321_principal_windowed": lambda _: fourier.TrackingFrames,
     "pca321_matched_windowed": lambda rate_hz: partial(axes.MatchedFrames, rate_hz=rate_hz),

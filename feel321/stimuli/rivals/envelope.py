@@ -50,7 +50,8 @@ def envelope_correlation(
 
 def measure_correlation(pair: Pair) -> Samples:
     """Measure `envelope_correlation` of pairs."""
-    (mean, own), (mean_reduced, kept), _ = _modulations(pair)
+    *energies, rate_hz = follow_energy(pair)
+    (mean, own, _), (mean_reduced, kept, _) = (_modulate(one, rate_hz) for one in energies)
     together = np.einsum("...k,...k->...", own, kept.conj()).real
     norms = [np.sqrt(np.einsum("...k,...k->...", one, one.conj()).real) for one in (own, kept)]
     steady = norms[0] <= _CONSTANT * mean
@@ -89,34 +90,38 @@ def modulation_distance(
 
 def measure_modulation(pair: Pair) -> Samples:
     """Measure `modulation_distance` of pairs."""
-    (mean, own), (mean_reduced, kept), rates_hz = _modulations(pair)
+    *energies, rate_hz = follow_energy(pair)
+    return pair.settle(compare_depths(*(find_depths(one, rate_hz) for one in energies)))
+
+
+def find_depths(energy: Samples, rate_hz: float) -> Samples:
+    """Find how deeply the envelope of an energy (..., m) is modulated in each band: (..., k), NaN for silence."""
+    mean, spectrum, rates_hz = _modulate(energy, rate_hz)
     edges = np.geomspace(SLOWEST_HZ, FASTEST_HZ, N_BANDS + 1) * (1 - 1e-12)
     band = np.minimum(np.searchsorted(edges, rates_hz, side="right") - 1, N_BANDS - 1)
-    numbers = np.unique(band[band >= 0])
-    if not len(numbers):
-        return np.full(pair.nothing.shape, np.nan)
-    shares = (band[:, None] == numbers).astype(float)
-    depths = []
-    for centre, spectrum in ((mean, own), (mean_reduced, kept)):
-        scale = np.where(centre > 0, centre, 1.0)[..., None]
-        depths.append(2 * np.sqrt(np.abs(spectrum) ** 2 @ shares) / scale)
-    silent = mean_reduced <= 0
+    shares = (band[:, None] == np.unique(band[band >= 0])).astype(float)
+    depths = 2 * np.sqrt(np.abs(spectrum) ** 2 @ shares)
+    mean = mean[..., None]
+    return np.divide(depths, mean, out=np.full_like(depths, np.nan), where=mean > 0)
+
+
+def compare_depths(recorded: Samples, reduced: Samples) -> Samples:
+    """Compare depths (..., k) in root mean square over bands: `modulation_distance`, NaN without bands."""
+    if not recorded.shape[-1]:
+        return np.full(recorded.shape[:-1], np.nan)
+    silent = np.isnan(reduced).any(axis=-1)
     apart = [
-        np.sqrt(np.mean(np.square(depths[0] - other), axis=-1)) for other in (depths[1], 0.0, 1.0)
+        np.sqrt(np.mean(np.square(recorded - other), axis=-1)) for other in (reduced, 0.0, 1.0)
     ]
-    return pair.settle(np.where(silent, np.maximum(apart[1], apart[2]), apart[0]))
+    return np.where(silent, np.maximum(apart[1], apart[2]), apart[0])
 
 
-def _modulations(
-    pair: Pair,
-) -> tuple[tuple[Samples, NDArray[np.complex128]], tuple[Samples, NDArray[np.complex128]], Samples]:
-    """Mean and spectrum of both envelopes above 0 to 50 Hz, (...) and (..., k), and the rates of modulation in Hz."""
+def _modulate(energy: Samples, rate_hz: float) -> tuple[Samples, NDArray[np.complex128], Samples]:
+    """Mean and spectrum of an envelope above 0 to 50 Hz, (...) and (..., k), and the rates of modulation in Hz."""
     from scipy import fft
 
-    *energies, rate_hz = follow_energy(pair)
-    length = energies[0].shape[-1]
+    length = energy.shape[-1]
     rates_hz = np.arange(1, length // 2 + 1) * (rate_hz / length)
     slow = slice(1, 1 + int(np.searchsorted(rates_hz, FASTEST_HZ * (1 + 1e-12), side="right")))
-    spectra = [fft.rfft(np.sqrt(energy)) for energy in energies]
-    first, second = ((spectrum[..., 0].real, spectrum[..., slow]) for spectrum in spectra)
-    return first, second, rates_hz[: slow.stop - 1]
+    spectrum = fft.rfft(np.sqrt(energy))
+    return spectrum[..., 0].real, spectrum[..., slow], rates_hz[: slow.stop - 1]

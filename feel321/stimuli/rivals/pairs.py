@@ -125,15 +125,18 @@ def follow_energy(pair: Pair, weights: Samples | float = 1.0) -> tuple[Samples, 
     weights: of the felt frequencies. The energy is the squared magnitude of the analytic signal, (..., m), at a rate
     that is just enough for it, a little below 2 kHz; as for all Fourier transforms, the end leads into the beginning.
     """
+    axes, reduced = (follow_band(one, pair.felt, weights) for one in pair.spectra)
+    return axes.sum(axis=-2), reduced, axes.shape[-1] * pair.rate_hz / pair.samples.shape[-1]
+
+
+def follow_band(
+    spectrum: NDArray[np.complex128], felt: slice, weights: Samples | float = 1.0
+) -> Samples:
+    """Follow the energy of signals in a band of their spectra (..., n // 2 + 1), as `follow_energy`: (..., m)."""
     from scipy import fft
 
-    n, n_felt = pair.samples.shape[-1], len(pair.frequencies_hz)
-    length = fft.next_fast_len(max(2 * n_felt, 1))
-    axes, reduced = (
-        np.abs(fft.ifft(spectrum[..., pair.felt] * weights, length)) ** 2
-        for spectrum in pair.spectra
-    )
-    return axes.sum(axis=-2), reduced, length * pair.rate_hz / n
+    length = fft.next_fast_len(max(2 * (felt.stop - felt.start), 1))
+    return np.asarray(np.abs(fft.ifft(spectrum[..., felt] * weights, length)) ** 2)
 
 
 def level_db(original: Samples, reduced: Samples) -> Samples:

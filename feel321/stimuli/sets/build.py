@@ -24,6 +24,7 @@ from feel321.doors import announce, as_path, describe, follow
 from feel321.files import hold_lock, make_folder, move_files, replace_bytes, sweep
 from feel321.jobs import Job, Workers, as_workers, run_jobs
 from feel321.stimuli.condition import list_steps
+from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.sets import details, render
 from feel321.stimuli.sets.anchors import sensation_level_db, to_db
@@ -394,8 +395,7 @@ def _place(
     measured: Mapping[str, render.Measured],
     recipe: Recipe,
 ) -> dict[str, list[Foreseen]]:
-    keys = {name: [one.key for one in drafts] for name, drafts in wanted.items()}
-    gains = render.choose_gains(measured, recipe, recordings=keys)
+    gains = render.choose_gains(measured, recipe, drafts=wanted)
     return {
         name: [
             Foreseen(
@@ -499,6 +499,8 @@ def _write(order: Foreseen, recording: Recording, *, recipe: Recipe, parts: Path
         recording_sha256=recording.sha256,
         spectral_match_bounded=order.measured.spectral_match_bounded,
         sensation_level_db=sensation if np.isfinite(sensation) else math.nan,
+        temporal_match_windowed=order.measured.temporal_match_windowed,
+        band_high_hz=min(HIGHEST_HZ, recording.rate_hz / 2),
         metrics={
             name: math.nan if value is None else value
             for name, value in order.measured.metrics.items()

@@ -21,6 +21,7 @@ from feel321.doors import Registry, as_path
 from feel321.files import digest_file, list_csv, write_chunks, write_twin
 from feel321.records import Result
 from feel321.stimuli.sets import details
+from feel321.stimuli.sets.anchors import ANCHOR
 from feel321.stimuli.wav import read_wav
 from feel321.types import PathLike, Samples
 
@@ -50,6 +51,10 @@ class Stimulus:
         As the other matches; NaN in a set that an earlier version built.
     sensation_level_db : float
         How strong it is felt; NaN for silence, and in a set that an earlier version built.
+    temporal_match_windowed : float
+        As the other matches; NaN in a set that an earlier version built.
+    band_high_hz : float
+        Upper edge of the band that the matches compare; NaN in a set that an earlier version built.
     metrics : Mapping of str to float
         Further metrics, each a column of its own; NaN where nothing could be compared.
     """
@@ -71,7 +76,8 @@ class Stimulus:
     ]
     gain: Annotated[
         float,
-        "m/s^2 played per m/s^2 recorded; per m/s^2 of an anchor that was made as strong as its recording",
+        "m/s^2 played per m/s^2 recorded; per m/s^2 of an anchor that was made as strong as its recording (lower than "
+        "its recording's where it would not fit the headroom)",
     ]
     spectral_match: Annotated[
         float,
@@ -90,6 +96,13 @@ class Stimulus:
     sensation_level_db: Annotated[
         float,
         "dB over the detection threshold of the recipe, as it will be played, in its loudest 200 ms",
+    ] = math.nan
+    temporal_match_windowed: Annotated[
+        float, "as temporal_match, in windows of about 0.1 s, averaged by the recording's energy"
+    ] = math.nan
+    band_high_hz: Annotated[
+        float,
+        "Hz, upper edge of the band from 20 Hz in which the recording can be matched: 1000, or half its rate if lower",
     ] = math.nan
     metrics: Mapping[str, float] = field(default_factory=dict)
 
@@ -154,15 +167,8 @@ class StimulusSet(Result):
     @property
     def warnings(self) -> tuple[str, ...]:
         """One line for each recording that is played more than 40 dB stronger than it was recorded."""
-        gains: dict[str, float] = {}
-        for row in self:
-            if row.role != "anchor":
-                gains[row.recording] = min(row.gain, gains.get(row.recording, math.inf))
-        return tuple(
-            f"{name}: played {20 * math.log10(gain):.0f} dB stronger than it was recorded (gain {gain:.3g}); is it "
-            "more than sensor noise, and its unit right? If not, leave it out"
-            for name, gain in gains.items()
-            if gain > STRONG_GAIN
+        return find_raised(
+            (row.recording, row.level, row.gain) for row in self if row.role != ANCHOR
         )
 
     def find_methods(self) -> dict[str, str]:
@@ -203,6 +209,24 @@ class StimulusSet(Result):
             Sampling rate in Hz.
         """
         return read_wav(self.folder / self[stimulus_id].file)
+
+
+def find_raised(gains: Iterable[tuple[str, str, float]]) -> tuple[str, ...]:
+    """Name recordings that are played more than 40 dB stronger than recorded; gains: recording, level arm, gain.
+
+    In a level arm where each reducer has a gain of its own, the smallest is that of the recording.
+    """
+    least: dict[str, dict[str, float]] = {}
+    for recording, level, gain in gains:
+        own = least.setdefault(recording, {})
+        own[level] = min(gain, own.get(level, math.inf))
+    raised = {recording: max(own.values()) for recording, own in least.items()}
+    return tuple(
+        f"{name}: played {20 * math.log10(gain):.0f} dB stronger than it was recorded (gain {gain:.3g}); is it "
+        "more than sensor noise, and its unit right? If not, leave it out"
+        for name, gain in raised.items()
+        if gain > STRONG_GAIN
+    )
 
 
 def find_methods(folder: Path) -> dict[str, str]:
@@ -393,7 +417,7 @@ def _check_file(stimulus: Stimulus, folder: Path) -> Iterator[str]:
 def _check_anchors(stimuli: Sequence[Stimulus]) -> Iterator[str]:
     """Anchors must score below every test stimulus of their recording, on both metrics."""
     tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
-    for anchor in (stimulus for stimulus in stimuli if stimulus.role == "anchor"):
+    for anchor in (stimulus for stimulus in stimuli if stimulus.role == ANCHOR):
         for test in tests:
             better = anchor.spectral_match >= test.spectral_match
             if better or anchor.temporal_match > test.temporal_match + _ROUNDING:

@@ -5,8 +5,9 @@
   cannot be one of strength. Silence around an event changes nothing.
 
 A gain is m/s² played per m/s² recorded. Automatic gains let the loudest stimulus reach the headroom: of the whole set,
-or, with a gain per recording, of each recording with its reductions, reference and anchors. One gain for the set keeps
-the differences between recordings, but then the highest peak of any recording decides how strong all others are.
+or, with a gain per recording, of each recording with its reductions and reference. Anchors never set a gain. One gain
+for the set keeps the differences between recordings, but then the highest peak of any recording decides how strong all
+others are.
 """
 
 import re
@@ -34,7 +35,7 @@ NO_REFERENCE = "none"
 
 ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
 """Automatic gains: one for the whole set, so that recordings differ in strength as they did when recorded; or one for
-each recording with its reference and anchors, so that no spike of one recording weakens the others."""
+each recording with its reductions and reference, so that no spike of one recording weakens the others."""
 
 RIG_RATES_HZ = (2000, 384_000)
 """Rates at which 1000 Hz can be played and sound devices run."""
@@ -81,6 +82,8 @@ class Recipe:
         Detection threshold curve for sensation levels, a name of `THRESHOLDS`.
     metrics : sequence of str or callable
         Further columns of the manifest: names of `METRICS`, or a lab's own; the three matches are always there.
+    seed : int
+        Random seed of the anchors, beside the names of recording and anchor.
     methods : sequence of Method
         The lab's own reducers and metrics, once they are found.
 
@@ -103,6 +106,7 @@ class Recipe:
     fade_s: float = 0.01
     threshold: str = CONTACTOR
     metrics: Sequence[Any] = ()
+    seed: int = 0
     methods: Sequence[Method] = ()
 
     def __post_init__(self) -> None:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,16 @@ from feel321.files import replace_bytes
 from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import condition, fade, resample
 from feel321.stimuli.guard import OwnMetric, OwnReducer
-from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
+from feel321.stimuli.match import (
+    OriginalSpectrum,
+    axis_correlations,
+    match_in_windows,
+    mean_over_axes,
+)
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording, digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db
+from feel321.stimuli.sets.anchors import ANCHOR, ANCHORS, loudest_levels, to_db
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL, Recipe
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import encode_wav
@@ -118,6 +124,7 @@ class Measured:
     spectral_match: float
     temporal_match: float
     spectral_match_bounded: float
+    temporal_match_windowed: float
     metrics: dict[str, float | None] = field(default_factory=dict)
 
 
@@ -137,7 +144,7 @@ def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
     if recipe.reference != NO_REFERENCE:
         wanted.append((recipe.reference, "reference"))
     if recipe.anchors:
-        wanted += [(name, "anchor") for name in ANCHORS]
+        wanted += [(name, ANCHOR) for name in ANCHORS]
     # The samples, not the file: the same file read in another unit or at another rate is another recording.
     basis = {"version": __version__, "recording": digest_samples(recording)}
     # What determines a file besides its gain; anchors are made as strong as their recording, by the threshold.
@@ -152,10 +159,11 @@ def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
     keys = [
         json.dumps(
             {**basis, **further, "reducer": reducer}
-            | ({"method": own[reducer]} if reducer in own else {}),
+            | ({"method": own[reducer]} if reducer in own else {})
+            | ({"seed": recipe.seed, "name": recording.name} if role == ANCHOR else {}),
             sort_keys=True,
         )
-        for reducer, _ in wanted
+        for reducer, role in wanted
     ]
     return tuple(
         Draft(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())
@@ -290,8 +298,10 @@ def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples
         reduce = find_reducer(recipe, reducer, recording.name)
         samples = reduce(recording.acceleration, recording.rate_hz)
         return samples, _for_the_rig(samples, recording.rate_hz, recipe)
-    seed = [int(recording.sha256[:16], 16), *reducer.encode()]
-    samples = ANCHORS[reducer](recording, np.random.default_rng(seed))
+    # By names, not by samples: a seed from those would differ with the last digit of anything before it.
+    seed = [recipe.seed, *f"{recording.name}/{reducer}".encode()]
+    rng = np.random.default_rng(seed)
+    samples = ANCHORS[reducer](recording, rng, threshold=recipe.threshold)
     played = _for_the_rig(samples, recording.rate_hz, recipe)
     own = loudest_levels(played, recipe.rate_hz, [recipe.threshold])[recipe.threshold]
     return samples, scale.levels[recipe.threshold] / own * played
@@ -312,10 +322,12 @@ def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, recipe: Reci
     }
     further = _compute_metrics(samples, scale.recording, recipe)
     if samples.ndim > 1:  # the original itself, matched channel by channel
-        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0, further)
+        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0, 1.0, further)
     spectral, bounded = scale.spectrum.match_both(samples)
-    temporal = mean_over_axes(axis_correlations(scale.recording.acceleration, samples))
-    matches = float(spectral), float(temporal), float(bounded)
+    acceleration = scale.recording.acceleration
+    temporal = mean_over_axes(axis_correlations(acceleration, samples))
+    windowed = match_in_windows(acceleration, samples, scale.recording.rate_hz)
+    matches = float(spectral), float(temporal), float(bounded), float(windowed)
     return Measured(largest(rendered), levels, *matches, further)
 
 
@@ -336,18 +348,25 @@ def _compute_metrics(
 
 
 def choose_gains(
-    measured: Mapping[str, Measured], recipe: Recipe, *, recordings: Mapping[str, Collection[str]]
+    measured: Mapping[str, Measured], recipe: Recipe, *, drafts: Mapping[str, Sequence[Draft]]
 ) -> dict[tuple[str, str], float]:
-    """Choose the gain of every stimulus, (level, key) -> gain, from what was measured on the keys of each recording."""
+    """Choose the gain of every stimulus, (level, key) -> gain, from what was measured; drafts: of each recording.
+
+    Anchors are played as strong as their recording, or as strong as the headroom allows: they never set a gain.
+    """
     per_recording = recipe.gain == GAIN_PER_RECORDING
-    together = recordings.values() if per_recording else [set().union(*recordings.values())]
+    together = drafts.values() if per_recording else [[*chain(*drafts.values())]]
+    room = recipe.headroom * recipe.full_scale_m_s2
     choose = {"as_is": _keep_levels, "equal_intensity": _equalise_levels}
-    return {
-        (level, key): gain
-        for keys in together
-        for level in recipe.levels
-        for key, gain in choose[level]({key: measured[key] for key in keys}, recipe).items()
-    }
+    gains: dict[tuple[str, str], float] = {}
+    for own in together:
+        notes = {one.key: measured[one.key] for one in own}
+        anchors = {one.key for one in own if one.role == ANCHOR}
+        for level in recipe.levels:
+            for key, gain in choose[level](notes, recipe, notes.keys() - anchors).items():
+                fits = min(gain, room / notes[key].peak) if key in anchors else gain
+                gains[level, key] = fits
+    return gains
 
 
 def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
@@ -356,23 +375,24 @@ def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
     return first, to_db(peaks[first] / peaks[others[0]]) if others and peaks[others[0]] else 0.0
 
 
-def _keep_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
-    loudest = max(note.peak for note in notes.values())
+def _keep_levels(
+    notes: Mapping[str, Measured], recipe: Recipe, deciding: Collection[str]
+) -> dict[str, float]:
+    loudest = max(notes[key].peak for key in deciding)
     room = recipe.headroom * recipe.full_scale_m_s2
     automatic = room / loudest if loudest else 1.0
     return dict.fromkeys(notes, automatic if isinstance(recipe.gain, str) else recipe.gain)
 
 
-def _equalise_levels(notes: Mapping[str, Measured], recipe: Recipe) -> dict[str, float]:
+def _equalise_levels(
+    notes: Mapping[str, Measured], recipe: Recipe, deciding: Collection[str]
+) -> dict[str, float]:
     levels = {key: note.levels[recipe.threshold] for key, note in notes.items()}
     if silent := sum(level == 0.0 for level in levels.values()):
         raise ValueError(
             f"equal_intensity: {silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong as "
             "the others; leave out this level, or the reducer or recording that is silent"
         )
-    common = (
-        recipe.headroom
-        * recipe.full_scale_m_s2
-        / max(note.peak / levels[key] for key, note in notes.items())
-    )
+    room = recipe.headroom * recipe.full_scale_m_s2
+    common = room / max(notes[key].peak / levels[key] for key in deciding)
     return {key: common / level for key, level in levels.items()}

@@ -61,6 +61,7 @@ class _Course:
         self._detection = recall_detection(plan, ())
         self._attempt: events.Attempt | None = None
         self._toned = (0, 0)
+        self._played = set[tuple[str, float, float | None]]()
         self._state = ""
         self._aside = ""
 
@@ -97,7 +98,7 @@ class _Course:
             case events.TonePresented():
                 self._check_tone(event, attempt.trial)
             case events.PartPlayed():
-                _check_part(event, attempt.trial)
+                self._check_part(event, attempt.trial)
             case events.TrialRated():
                 self._check_rated(event, attempt, record.data["values"])
                 self._attempt = None
@@ -106,6 +107,21 @@ class _Course:
             case events.TrialSpoiled():
                 self._check_spoiled(event, attempt)
                 self._attempt = None
+
+    def _check_part(self, event: events.PartPlayed, trial: Trial) -> None:
+        """Check that a stimulus was played, or the real surface stroked, where the trial has one; each time once."""
+        part = next((part for part in trial.parts if part.name == event.part), None)
+        is_surface = isinstance(event, events.SurfaceStroked)
+        if part is None or is_surface != (part.stimulus_id is None):
+            raise ValueError(
+                f"{event.event} part {event.part!r}, which trial {trial.number} has not"
+            )
+        key = event.part, event.requested_s, event.onset_s
+        if key in self._played:
+            raise ValueError(
+                f"{event.event} part {event.part!r} of trial {trial.number} twice at the same time"
+            )
+        self._played.add(key)
 
     def _check_spoiled(self, event: events.TrialSpoiled, attempt: events.Attempt) -> None:
         flags = attempt.list_flags(flow=self._flow)
@@ -164,6 +180,7 @@ class _Course:
                         f"shows trial {event.trial}, attempt {event.attempt}, which was not next"
                     )
                 self._attempt = events.Attempt(step, number)
+                self._played.clear()
             case events.PageRead():
                 self._check_page(event, step)
             case events.QuestionAnswered():
@@ -209,14 +226,6 @@ _CALLING: Mapping[type[events.SessionEvent], str] = {
     events.TrialShown: "",
 }
 """The page aside from the plan that an event gives reason for, or takes it from."""
-
-
-def _check_part(event: events.PartPlayed, trial: Trial) -> None:
-    """Check that a stimulus was played, or the real surface stroked, where the trial has one."""
-    part = next((part for part in trial.parts if part.name == event.part), None)
-    is_surface = isinstance(event, events.SurfaceStroked)
-    if part is None or is_surface != (part.stimulus_id is None):
-        raise ValueError(f"{event.event} part {event.part!r}, which trial {trial.number} has not")
 
 
 def _check_values(values: Mapping[str, Any], trial: Trial) -> None:

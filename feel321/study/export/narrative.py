@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from feel321 import intake
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS
+from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator import certificate as certificates
 from feel321.study.folder import read_recipe
@@ -209,6 +210,13 @@ def _tell_stimuli(study: StudyFolder) -> Iterator[str]:
         f"({', '.join(f'{n} {role}' for role, n in roles.items())}), {min(lengths):.2f} to {max(lengths):.2f} s long, "
         f"at the levels {', '.join(recipe['levels'])}; gain: {recipe['gain']}."
     ).replace("stimuluss", "stimuli")
+    bands = {one.recording: one.band_high_hz for one in stimuli if one.band_high_hz < HIGHEST_HZ}
+    if bands:
+        named = ", ".join(f"{name} ({high:g} Hz)" for name, high in bands.items())
+        yield (
+            f"Matches compare 20 to {HIGHEST_HZ:g} Hz; recordings with a lower Nyquist frequency were compared up to "
+            f"that: {named}."
+        )
     yield from _tell_sensation(study)
 
 

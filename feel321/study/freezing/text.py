@@ -149,12 +149,8 @@ def _write_analysis(one: Frozen) -> Iterator[str]:
     level = f"{get('analysis.alpha')}; {get('analysis.correction')}"
     yield f"- Test: two-sided t test of each slope within recordings at {level}."
     yield f"- Not estimable: {get('analysis.not_estimable')}."
-    points = (
-        "half the standard deviation of repeated ratings"
-        if margin is None
-        else f"{margin:g} points"
-    )
-    yield f"- Differences between reducers that do not matter: within {points}."
+    points = "none declared; equivalence is not tested" if margin is None else f"{margin:g} points"
+    yield f"- Margin of equivalence between reducers: {points}."
     yield f"- Bootstrap draws: {get('analysis.draws')}; random seed: {get('study.seed')}."
 
 

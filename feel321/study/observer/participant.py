@@ -12,7 +12,8 @@ temporal match, and the four of its `Percept`. The original and the real surface
 - Of two, the one *more like the reference* is at the smaller distance from it, and the *preferred* one feels more real.
 
 A *bonus*, for surprises that no metric knows, is the model's term for the stimulus's reducer, plus the model's
-`vector_magnitude` times how far the stimulus follows its recording's vector magnitude. It is added to realism, and to
+`vector_magnitude` times how far the stimulus follows its recording's vector magnitude, plus what the recording's own
+slopes on the two matches (`slope_sd`) make of what the stimulus lacks of each. It is added to realism, and to
 similarity with anything but itself; it is taken from the distance to the original and to the real surface. It leaves
 the distance between two reduced stimuli as it is. What comes out is cut to the scale only when it is answered.
 
@@ -297,10 +298,11 @@ class Experience:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """The sense of touch that all simulated participants share."""
+    """The sense of touch that all simulated participants share; without a seed, recordings have the mean slopes."""
 
     model: ObserverModel
     percepts: Mapping[str, Percept]
+    seed: int | None = None
 
     def locate(self, stimulus: Stimulus | None) -> Location:
         """Find where a stimulus lies; None is the real surface."""
@@ -320,9 +322,23 @@ class Touch:
         spectral, is_reduced = min(max(match, 0.0), 1.0), stimulus.reducer != ORIGINAL
         bonus = self.model.reducers.get(stimulus.reducer, 0.0)
         bonus += self.model.vector_magnitude * percept.vector_magnitude
+        for slope, match in zip(
+            self._draw_slopes(stimulus), (spectral, stimulus.temporal_match), strict=True
+        ):
+            bonus += slope * (match - 1)  # a perfect match feels the same in every recording
         return Location(
             spectral, stimulus.temporal_match, percept, bonus if is_reduced else 0.0, is_reduced
         )
+
+    def _draw_slopes(self, stimulus: Stimulus) -> tuple[float, float]:
+        """Draw how far a recording's slopes on the two matches differ from those of the model."""
+        import numpy as np
+
+        if self.seed is None or not self.model.slope_sd:
+            return 0.0, 0.0
+        rng = np.random.default_rng([self.seed, crc32(stimulus.recording.encode())])
+        first, second = rng.normal(0, self.model.slope_sd, 2)
+        return float(first), float(second)
 
     def feel(self, point: Location) -> float:
         """Compute how real something feels, in points, not cut to the scale."""
@@ -416,7 +432,7 @@ class Participant:
         elapsed_s: float = 0.0,
     ) -> None:
         self._seed, self._number, self._time_s = seed, number, elapsed_s
-        self.touch = Touch(model, percepts)
+        self.touch = Touch(model, percepts, seed)
         self.rater = draw_rater(model, self._draw_from(0, 0))
         self.before: Experience | None = None
 
@@ -549,7 +565,7 @@ def feel_level(scaled: Scaled) -> float:
     return scaled.stimulus.sensation_level_db + scaled.gain_db
 
 
-_LATER = ("direction", "vector_magnitude", "reducers")
+_LATER = ("direction", "vector_magnitude", "reducers", "slope_sd")
 
 
 def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:

@@ -52,10 +52,13 @@ def fit_truths(rated: Sequence[RatingsPart], known: Mapping[str, Any]) -> Truth:
     pooled: dict[str, Any] = {
         name: _pool([getattr(one, name) for one in found]) for name in records.SPREADS
     }
-    metrics = set.intersection(*(set(one.slope_sds) for one in found))
-    sds = {name: _pool([one.slope_sds[name] for one in found]) for name in sorted(metrics)}
+    for kind in ("slope_sds", "recording_slope_sds"):
+        metrics = set.intersection(*(set(getattr(one, kind)) for one in found))
+        pooled[kind] = {
+            name: _pool([getattr(one, kind)[name] for one in found]) for name in sorted(metrics)
+        }
     mean = float(np.mean([one.mean for one in found]))
-    return replace(found[0], slope_sds=sds, mean=mean, **pooled)
+    return replace(found[0], mean=mean, **pooled)
 
 
 def _pool(sds: Sequence[float]) -> float:

@@ -175,6 +175,7 @@ def _foresee(one: build.Foreseen, duration_s: float, rate_hz: float) -> manifest
         peak=one.peak_m_s2, rms_m_s2=1.0, gain=one.gain, spectral_match=measured.spectral_match,
         temporal_match=measured.temporal_match, clipped=0, sha256="", recording_sha256="",
         spectral_match_bounded=measured.spectral_match_bounded,
+        temporal_match_windowed=measured.temporal_match_windowed,
         metrics={name: np.nan if value is None else value for name, value in measured.metrics.items()},
     )  # fmt: skip
 

@@ -105,11 +105,13 @@ def _list_planted(result: Planned) -> list[dict[str, str]]:
 def _list_spreads(result: Planned) -> list[dict[str, str]]:
     truth = result.shown.truth
     found = {name: getattr(truth, key) for key, name in SPREADS.items()}
-    found |= {
-        f"People's slopes on {format_name(n)}, per unit": sd for n, sd in truth.slope_sds.items()
-    }
-    if not truth.slope_sds:
-        found["People's slopes, per standard deviation of the metric"] = truth.slope_points
+    for whose, given, usual in (
+        ("People's", truth.slope_sds, truth.slope_points),
+        ("Recordings'", truth.recording_slope_sds, truth.recording_slope_points),
+    ):
+        found |= {f"{whose} slopes on {format_name(n)}, per unit": sd for n, sd in given.items()}
+        if not given:
+            found[f"{whose} slopes, per standard deviation of the metric"] = usual
     return [{"What differs": name, "SD in points": f"{sd:.3g}"} for name, sd in found.items()]
 
 

@@ -18,8 +18,11 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from feel321.study.session import events
+from feel321.study.session.journal import digest
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from feel321.study.session.journal import Journal, Record
 
 STREAM, KIND = "feel321", "Markers"
@@ -105,15 +108,18 @@ class EventOutlet:
                 self.fault = f"{type(error).__name__}: {error}"
 
 
+def name_source(journal: Path) -> str:
+    """Name the source of a session's markers: the network sees it, so that it must not name the participant."""
+    return f"{STREAM} {digest(str(journal.resolve()))[:16]}"
+
+
 @contextmanager
-def open_outlet(
-    journal: Journal, clock: Callable[[], float], *, participant: str
-) -> Iterator[EventOutlet]:
+def open_outlet(journal: Journal, clock: Callable[[], float]) -> Iterator[EventOutlet]:
     """Send the records of a journal as they are written, until the session ends."""
     check_lsl()
     import pylsl
 
-    source = f"{STREAM} {participant} {journal.path.stem}"
+    source = name_source(journal.path)
     info = pylsl.StreamInfo(STREAM, KIND, 1, pylsl.IRREGULAR_RATE, pylsl.cf_string, source)
     try:
         stream = pylsl.StreamOutlet(info)

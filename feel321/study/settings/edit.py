@@ -33,7 +33,7 @@ def change_settings(text: str, changes: Mapping[str, object]) -> str:
         inner: Any = wanted
         try:
             for table in tables:
-                inner = inner.setdefault(table, {})
+                inner = inner.get(table, {}) if value is None else inner.setdefault(table, {})
             inner.pop(key, None)
         except (AttributeError, TypeError):
             raise ValueError(

@@ -11,7 +11,7 @@ from typing import Any
 
 from feel321.doors import name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
-from feel321.names import MATCHES, METRIC_INFO
+from feel321.names import METRIC_INFO, WRITTEN
 from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import MODEL, read_texts
@@ -47,7 +47,7 @@ MOST_TRIALS = 10_000
 def read_settings(path: Path, folder: Path | None = None) -> Settings:
     """Read and check a `study.toml`; folder: of the study, where the file is no more than a draft of its settings.
 
-    Protocols of the lab's own have their short names in it.
+    Protocols and metrics of the lab's own have their short names in it.
     """
     settings = parse_toml(path, Settings)
     session, home = settings.session, folder or path.parent
@@ -63,9 +63,31 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
         settings = settings.model_copy(
             update={"session": session.model_copy(update={"protocols": names})}
         )
+    settings = _declare_metrics(settings)
     if mistakes := find_conflicts(settings):
         raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
     return settings
+
+
+def _declare_metrics(settings: Settings) -> Settings:
+    """Let a build measure the metrics that only the analysis names, which knows all by their short names."""
+    wanted, measured = settings.analysis.metrics, settings.stimuli.metrics
+    coded = {
+        name: table.use for name, table in settings.metrics.items() if table.use or table.command
+    }
+    known = {*measured, *map(name_of, measured), *(coded.get(name) for name in measured), *WRITTEN}
+    new = [
+        name
+        for name in wanted
+        if name not in known and (name in METRICS or is_given("metric", name, coded))
+    ]
+    tables = {
+        "stimuli": settings.stimuli.model_copy(update={"metrics": (*measured, *new)}),
+        "analysis": settings.analysis.model_copy(
+            update={"metrics": tuple(dict.fromkeys(map(name_of, wanted)))}
+        ),
+    }
+    return settings.model_copy(update=tables)
 
 
 def _list_entries(settings: Settings, path: Path, home: Path) -> Iterator[SceneTable | FileTable]:
@@ -174,7 +196,8 @@ def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
         "reference": find_reducer(settings, settings.stimuli.reference, folder),
     }
     steps = Conditioning(**settings.stimuli.conditioning.model_dump())
-    return Recipe(conditioning=steps, **(stimuli | own), **settings.rig.of_stimuli())
+    rig, seed = settings.rig.of_stimuli(), settings.study.seed
+    return Recipe(conditioning=steps, **(stimuli | own), **rig, seed=seed)
 
 
 def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
@@ -371,9 +394,9 @@ def _check_reference(settings: Settings) -> Iterator[str]:
 
 def _check_metrics(settings: Settings) -> Iterator[str]:
     """Check that further metrics are there; that of a lab is not imported yet."""
-    further = [name for name in METRICS if name not in MATCHES]
+    further = [name for name in METRICS if name not in WRITTEN]
     for number, name in enumerate(settings.stimuli.metrics, start=1):
-        if name in MATCHES:
+        if name in WRITTEN:
             yield f"stimuli.metrics[{number}] must be a further metric, got {name!r}, which every set has; remove it"
         elif name not in METRICS and not is_given("metric", name, settings.metrics):
             yield refuse_name(name, further, f"stimuli.metrics[{number}]")

@@ -513,6 +513,7 @@ class ObserverTable(kinds.TomlTable):
     )
     bias_sd: kinds.NotNegative = 6.0
     gain_sd: kinds.NotNegative = 0.15
+    slope_sd: kinds.NotNegative = 0.0
     noise_sd: kinds.NotNegative = 8.0
     noise_spread: kinds.NotNegative = 0.25
     lapse_rate: kinds.Share = 0.0

@@ -50,7 +50,7 @@ def test_shakers_need_the_axis_that_carries_them_and_no_more(
 ) -> None:
     advice = tell(real(file), Context(axes=axes, mounting="recorded"))
     assert advice.answer == axis
-    assert advice.margin > 0.9
+    assert advice.margin > 0.7
 
 
 @pytest.mark.parametrize("file", ["shaker_x_5k.npz", "shaker_y_5k.csv", "decay_5k.csv"])
@@ -59,8 +59,38 @@ def test_shakers_need_their_axis_found_where_the_mounting_is_not_known(
 ) -> None:
     advice = tell(real(file))
     assert advice.answer == "pca321"
-    assert advice.margin > 0.9
+    assert advice.margin > 0.7
     assert not advice.close
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_energy_before_a_tap_is_not_sufficient(tell: Tell, seed: int) -> None:
+    """Taps whose axes ring at frequencies of their own: a spectrum of all of them puts energy before each."""
+    rng = np.random.default_rng(seed)
+    n, rate_hz = 8000, 4000.0
+    t = np.arange(n) / rate_hz
+    samples = 1e-3 * rng.standard_normal((3, n))
+    for start in np.arange(0.2, 1.9, 0.35):
+        later = np.maximum(t - start, 0)
+        frequencies = rng.uniform(120, 400, (3, 1))
+        samples += (
+            rng.standard_normal((3, 1))
+            * np.exp(-later / 0.012)
+            * np.sin(2 * np.pi * frequencies * later)
+        )
+    verdicts = {each.name: each for each in tell(Recording(samples, rate_hz, "taps")).verdicts}
+    for name in ("dft321", "dft321_principal"):
+        whole, windowed = (verdicts[each].shortfall.envelope for each in (name, f"{name}_windowed"))
+        assert whole > 2
+        assert not verdicts[name].is_sufficient
+        assert windowed < whole / 2
+
+
+@pytest.mark.parametrize("name", ["circular_motion", "isotropic_rumble"])
+def test_where_no_direction_leads_the_call_is_close(tell: Tell, name: str) -> None:
+    advice = tell(make_scene(name, duration_s=2.0))
+    assert advice.close
+    assert "no direction leads" in advice.reason
 
 
 def test_advice_holds_for_any_other_mounting(tell: Tell) -> None:

@@ -40,6 +40,7 @@ from feel321.analysis.tradeoff.advise.scene import (
 )
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.rivals.envelope import modulation_distance
 from feel321.stimuli.rotation import (
     random_rotations,
     spectral_match_energy_weighted,
@@ -123,7 +124,7 @@ def test_one_axis_outranks_all_else() -> None:
 def test_tolerances_follow_from_the_weber_fraction() -> None:
     limits = Tolerance(0.21)
     assert limits.level_db == pytest.approx(10 * np.log10(1.21))
-    assert limits.change == pytest.approx(0.1)
+    assert limits.change == limits.envelope == pytest.approx(0.1)
     assert (limits.spectrum, limits.time) == (0.21, 0.21)
 
 
@@ -212,18 +213,22 @@ def test_scores_are_the_published_metrics(name: str) -> None:
     samples, rate_hz = scene.acceleration, scene.rate_hz
     segment = Segment(samples, rate_hz, np.random.default_rng(1))
     reduced = REDUCERS[name](samples, rate_hz)
-    level_db, spectrum, time, _ = segment.score(REDUCERS[name], segment.both)
+    level_db, spectrum, time, _, envelope = segment.score(REDUCERS[name], segment.both)
     felt = felt_level(reduced, rate_hz) / felt_level(samples, rate_hz)
     assert level_db == pytest.approx(20 * np.log10(felt), abs=0.02)
     assert spectrum == pytest.approx(spectral_match_energy_weighted(samples, reduced, rate_hz))
     assert time == pytest.approx(temporal_match_invariant(samples, reduced))
+    assert envelope == pytest.approx(modulation_distance(samples, reduced, rate_hz))
 
 
 def test_silence_is_not_loud_and_changes_altogether() -> None:
     scene = make_scene("bumps", duration_s=0.5)
     segment = Segment(scene.acceleration, scene.rate_hz, np.random.default_rng(1))
     silent = segment.score(lambda samples, _: 0 * samples[..., 0, :], segment.both)
-    assert silent.tolist() == [SILENT_DB, 0.0, 0.0, 1.0]
+    assert silent[:4].tolist() == [SILENT_DB, 0.0, 0.0, 1.0]
+    assert (
+        silent[4] > 0.4
+    )  # of a silent output nothing is known: the recording's depths, or what they lack
     assert find_change(np.zeros(3), np.ones(3)) == 1.0
     assert find_change(np.ones(3), -np.ones(3)) == 0.0
 
@@ -325,12 +330,13 @@ def test_a_gain_does_not_make_up_for_what_is_lost() -> None:
 def test_shortfalls_are_counted_from_the_best_in_tolerances() -> None:
     limits = Tolerance()
     other = [-limits.level_db, 0.78, 0.9 * np.sqrt(0.78), 1e-3 + limits.change]
-    scores = np.array([[[0.0, 1.0, 0.9, 1e-3]], [other], [[np.nan] * 4]])
+    other += [0.02 + limits.envelope]
+    scores = np.array([[[0.0, 1.0, 0.9, 1e-3, 0.02]], [other], [[np.nan] * 5]])
     best, found, untried = compare(scores, np.zeros((3, 1)), limits)
     np.testing.assert_allclose(best, 0.0)
     np.testing.assert_allclose(found, 1.0)
     assert np.isnan(untried).all()
-    nothing = np.array([[[SILENT_DB, 0.0, 0.0, 1.0]]] * 2)
+    nothing = np.array([[[SILENT_DB, 0.0, 0.0, 1.0, 1.0]]] * 2)
     np.testing.assert_array_equal(compare(nothing, np.zeros((2, 1)), limits), 0.0)
     lucky = compare(scores[:1], np.array([[4.77]]), limits)
     np.testing.assert_allclose(lucky, 0.0)  # it is its own best
@@ -358,6 +364,11 @@ def test_shortfalls_are_counted_from_the_best_in_tolerances() -> None:
             Shortfall(0, 0, 0, 2),
             Scores(0, 1, 1, 0.4, 1, 1),
             "changes by 40 % with sensor noise of -60 dB",
+        ),
+        (
+            Shortfall(0, 0, 0, 0, 2),
+            Scores(0, 1, 1, 0, 1, 1, envelope=0.4),
+            "smears the envelope: the depth of its modulation is off by 40 %",
         ),
     ],
 )
@@ -397,7 +408,8 @@ def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
     )
     kept = "keeps 100 % of the spectrum, 81 % of the motion, the level to 0.0 dB"
     doubt = "a close call, another take could reverse it: dft321 passes by 5 % of the tolerance"
-    assert explain_choice(near, [near]) == f"{kept}; nothing is simpler; people agree; {doubt}"
+    assert explain_choice(near, [near]) == f"{kept}; nothing is simpler; people agree"
+    assert describe_doubt(near, [near], 0.5) == doubt
     robot = judged(
         Shortfall(0, 0, 0, 0), rated=Rated(is_best=True, best="dft321", p=nan, simulated=True)
     )
@@ -413,11 +425,13 @@ def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
         "pca321 is simpler and would suffice, but needs the whole recording"
     )
     missed = judged(Shortfall(1.1, 0, 0, 0), Scores(-0.95, 1, 1, 0, 1, 1))
-    assert describe_doubt(good, [missed, good]).endswith(": dft321 misses by 10 % of the tolerance")
-    assert describe_doubt(good, [good, missed]) == ""
+    assert describe_doubt(good, [missed, good], 0.5).endswith(
+        ": dft321 misses by 10 % of the tolerance"
+    )
+    assert describe_doubt(good, [good, missed], 0.5) == ""
     partly = judged(Shortfall(1.5, 0, 0, 0), suits=1, segments=2)
     # Dft321: that may be the mountings that were tried.
-    assert describe_doubt(good, [partly, good]) == ""
+    assert describe_doubt(good, [partly, good], 0.5) == ""
     leading = Verdict(
         Complexity("pca321@20ms", 1, 0, 0, 0, 0),
         BEST,
@@ -426,7 +440,7 @@ def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
         suits=1,
         segments=2,
     )
-    assert describe_doubt(good, [leading, good]).endswith(
+    assert describe_doubt(good, [leading, good], 0.5).endswith(
         "could reverse it: pca321@20ms suffices in 1 of 2 segments"
     )
     both = [
@@ -434,7 +448,8 @@ def test_reasons_name_close_calls_agreement_and_what_waits() -> None:
         leading,
         good,
     ]  # the last, which is the least simple, is named
-    assert describe_doubt(good, both).endswith(": pca321@20ms suffices in 1 of 2 segments")
+    assert describe_doubt(good, both, 0.5).endswith(": pca321@20ms suffices in 1 of 2 segments")
+    assert describe_doubt(good, [good], 0.97).endswith("no direction leads (λ₂ / λ₁ is 0.97)")
     bad = judged(Shortfall(2, 0, 0, 0), Scores(-2.0, 1, 1, 0, 1, 1))
     assert explain_closest(bad, [bad]).endswith(
         "no reducer is within tolerance of the best in everything"

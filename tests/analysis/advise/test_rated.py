@@ -46,7 +46,7 @@ def make_table(
 
 
 def test_equivalence_must_be_shown() -> None:
-    said = judge_ratings(make_table(ALIKE, people=40))["oak"]
+    said = judge_ratings(make_table(ALIKE, people=40), margin=3.0)["oak"]
     best = said["pca321"].best
     assert best in {"pca321", "dft321"}
     assert said[best].is_best
@@ -58,7 +58,7 @@ def test_equivalence_must_be_shown() -> None:
 
 def test_no_difference_found_is_no_equivalence() -> None:
     # Three people who repeat themselves well: the means are alike, but so few cannot show it.
-    said = judge_ratings(make_table({"pca321": 70.0, "dft321": 70.0}, people=3))["oak"]
+    said = judge_ratings(make_table({"pca321": 70.0, "dft321": 70.0}, people=3), margin=3.0)["oak"]
     other = next(rated for rated in said.values() if not rated.is_best)
     assert other.p > 0.05
     assert not other.suffices
@@ -68,7 +68,7 @@ def test_a_reducer_must_pass_on_every_scale() -> None:
     table = make_table(ALIKE, people=40, scales=2)
     weak = (table.rows["scale"] == "scale1") & (table.rows["reducer"] == "pca321")
     rows = table.rows.assign(rating=table.rows["rating"] - 25.0 * weak)
-    said = judge_ratings(Table(rows, (), ()))["oak"]
+    said = judge_ratings(Table(rows, (), ()), margin=3.0)["oak"]
     assert said["dft321"].suffices
     assert not said["pca321"].suffices
 
@@ -77,25 +77,24 @@ def test_the_best_on_one_scale_must_pass_on_the_others_too() -> None:
     table = make_table(ALIKE, people=40, scales=2)
     more = np.where(table.rows["scale"] == "scale0", 15.0, -25.0)
     shift = np.where(table.rows["reducer"] == "pca321", more, 0.0)
-    said = judge_ratings(Table(table.rows.assign(rating=table.rows["rating"] + shift), (), ()))
+    said = judge_ratings(
+        Table(table.rows.assign(rating=table.rows["rating"] + shift), (), ()), margin=3.0
+    )
     assert not any(rated.suffices for rated in said["oak"].values())
 
 
-def test_without_repeats_the_margin_must_be_fixed_beforehand() -> None:
+def test_without_a_margin_that_somebody_chose_nothing_is_judged() -> None:
     table = make_table(ALIKE, people=40)
-    once = Table(table.rows[table.rows["repeat"] == "1"], (), ())
-    assert judge_ratings(once) == {}
-    said = judge_ratings(once, margin=5.0)["oak"]
-    assert [name for name, rated in said.items() if rated.suffices] == ["dft321", "pca321"]
-    assert sum(rated.suffices for rated in judge_ratings(once, margin=0.01)["oak"].values()) == 1
+    assert judge_ratings(table) == {}
+    assert sum(rated.suffices for rated in judge_ratings(table, margin=0.01)["oak"].values()) == 1
 
 
 def test_one_reducer_is_like_no_other() -> None:
-    assert judge_ratings(make_table({"dft321": 50.0})) == {}
+    assert judge_ratings(make_table({"dft321": 50.0}), margin=3.0) == {}
 
 
 def test_one_judge_of_one_reducer_each_leaves_nothing_to_test() -> None:
-    said = judge_ratings(make_table(ALIKE, people=1))["oak"]
+    said = judge_ratings(make_table(ALIKE, people=1), margin=3.0)["oak"]
     assert sum(rated.suffices for rated in said.values()) == 1
 
 
@@ -112,7 +111,7 @@ def test_ratings_overrule_metrics_that_let_pass(
 
     line = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
     assert tell(line).answer == "pca321"
-    said = judge_ratings(make_table({"pca321": 40.0, "dft321": 80.0}))["oak"]
+    said = judge_ratings(make_table({"pca321": 40.0, "dft321": 80.0}), margin=3.0)["oak"]
     heard = tell(line, Context(), ratings=said)
     assert (heard.answer, heard.runner_up) == ("dft321", None)
     assert "pca321, is not shown to feel like dft321" in heard.line
@@ -125,7 +124,7 @@ def test_nothing_suffices_where_people_and_metrics_disagree(
     from feel321.stimuli.recording import Recording
 
     line: Recording = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
-    said = judge_ratings(make_table({"sax321": 80.0, "mag321": 40.0}))["oak"]
+    said = judge_ratings(make_table({"sax321": 80.0, "mag321": 40.0}), margin=3.0)["oak"]
     advice = tell(line, Context(), ratings=said)
     assert advice.answer is None
     assert advice.closest == "sax321"
@@ -143,7 +142,7 @@ def test_what_was_rated_is_closer_than_what_was_not(
     from feel321.stimuli.recording import Recording
 
     line: Recording = Recording(np.array([wave, wave, 0 * wave]), 4000.0, "oak")
-    said = judge_ratings(make_table({"sax321": 80.0, "pca321": 40.0}))["oak"]
+    said = judge_ratings(make_table({"sax321": 80.0, "pca321": 40.0}), margin=3.0)["oak"]
     del said["sax321"]
     advice = tell(line, Context(), ratings=said)
     assert (advice.answer, advice.closest) == (None, "pca321")
@@ -154,4 +153,7 @@ def test_what_was_rated_is_closer_than_what_was_not(
 def test_references_and_anchors_are_no_candidates(role: str) -> None:
     table = make_table({**ALIKE, "original": 95.0})
     roles = np.where(table.rows["reducer"] == "original", role, "test")
-    assert "original" not in judge_ratings(Table(table.rows.assign(role=roles), (), ()))["oak"]
+    assert (
+        "original"
+        not in judge_ratings(Table(table.rows.assign(role=roles), (), ()), margin=3.0)["oak"]
+    )

@@ -125,7 +125,8 @@ def test_drawn_ratings_have_the_planted_spreads_and_slopes(make_scenario: Make) 
         "person_sd": (1,), "item_sd": (2,), "person_item_sd": (1, 2), "rating_sd": (1, 2, 3),
     }  # fmt: skip
     spreads = ("recording_sd", "reducer_sd", "person_recording_sd", "person_reducer_sd")
-    none = dict.fromkeys((*spreads, *where, "slope_points"), 0.0) | {"slopes": {}, "bounded": False}
+    own = ("slope_points", "recording_slope_points")
+    none = dict.fromkeys((*spreads, *where, *own), 0.0) | {"slopes": {}, "bounded": False}
     for name, axes in where.items():
         given = make_scenario(participants=60, repeats=4, **(none | {name: 4.0, "step": 0.0}))
         ratings, _ = draw.draw_ratings(given, given.stimuli, np.random.default_rng(2))

@@ -161,6 +161,10 @@ def test_a_session_in_which_much_goes_wrong_gives_no_finding(
         ),
         (lambda r: edit(r, "played", part="a"), "played part 'a', which trial 1 has not"),
         (
+            lambda r: put(r, find_place(r, "rated"), "played", **r[find_place(r, "played")].data),
+            "played part 'test' of trial 1 twice at the same time",
+        ),
+        (
             lambda r: edit(r, "rated", values={"test": 100.5}),
             "has 100.5 for test, which must be 0 to 100 points",
         ),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from feel321.study.cli import main
+from feel321.study.settings.edit import edit_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -91,6 +92,10 @@ def test_ratings_of_the_study_are_used(study: Path, capsys: pytest.CaptureFixtur
     (study / "ratings.csv").write_text(
         "\n".join(["participant,stimulus_id,scale,repeat,rating", *rows]) + "\n"
     )
+    assert main(["advise", str(study), "--json"]) == 0
+    unchosen = json.loads(capsys.readouterr().out)
+    assert {one["basis"] for one in unchosen["scenes"]} == {"metrics"}
+    edit_settings(study / "study.toml", {"analysis.margin": 5.0})
     assert main(["advise", str(study), "--json"]) == 0
     drag, circle = json.loads(capsys.readouterr().out)["scenes"]
     assert (drag["answer"], drag["basis"]) == ("dft321", "metrics and ratings")

@@ -56,6 +56,31 @@ def ask(protocol: str, test: Location, reference: Location | None) -> float:
     return find_percept(Experience(trial, felt), judgement, touch=Touch(MODEL, {}))
 
 
+def test_slopes_differ_between_recordings_alike_for_everybody(stimuli: StimulusSet) -> None:
+    model = ObserverModel(spectral=40.0, temporal=30.0, slope_sd=10.0)
+    own, mean = Touch(model, {}, 1), Touch(model, {})
+    scenes: dict[str, list[tuple[float, float, float]]] = {}
+    for one in stimuli:
+        if one.reducer == "original":
+            assert own.feel(own.locate(one)) == mean.feel(mean.locate(one))
+        elif one.role == "test":
+            point = own.locate(one)
+            gained = own.feel(point) - mean.feel(mean.locate(one))
+            scenes.setdefault(one.recording, []).append((
+                1 - point.spectral,
+                1 - point.temporal,
+                gained,
+            ))
+    slopes = []
+    for rows in scenes.values():
+        values = np.array(rows)
+        found, *_ = np.linalg.lstsq(values[:, :2], values[:, 2], rcond=None)
+        assert values[:, :2] @ found == pytest.approx(values[:, 2])
+        slopes.append(found)
+    assert len(np.unique(np.round(slopes, 6))) == np.size(slopes)
+    assert own.locate(next(iter(stimuli))) == Touch(model, {}, 1).locate(next(iter(stimuli)))
+
+
 def test_the_bonus_is_the_reducers_term_and_that_of_its_vector_magnitude(
     stimuli: StimulusSet,
 ) -> None:

@@ -13,7 +13,7 @@ import pytest
 from feel321.study.session import outlet as outlets
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Record
-from feel321.study.session.outlet import EventOutlet, make_markers, open_outlet
+from feel321.study.session.outlet import EventOutlet, make_markers, name_source, open_outlet
 from feel321.study.session.plan import Stale, open_session
 
 if TYPE_CHECKING:
@@ -48,8 +48,9 @@ def test_another_process_receives_every_event_once_in_order_and_in_time(
     folder = tmp_path / plan.participant
     identity = {"presenter": {"simulated": True}}
     with open_session(folder, plan, identity=identity, now=now, stale=Stale()) as (stored, journal):
-        source = f"feel321 {plan.participant} {journal.path.stem}"
-        with open_outlet(journal, presenter.pass_time, participant=plan.participant) as outlet:
+        source = name_source(journal.path)
+        assert plan.participant not in source
+        with open_outlet(journal, presenter.pass_time) as outlet:
             command = [sys.executable, "-c", INLET, source]
             with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as inlet:
                 assert inlet.stdout is not None

@@ -175,7 +175,8 @@ def test_every_setting_of_the_session_reaches_the_design(read: Callable[[str], S
 def test_the_shortest_study_gives_the_recipe_of_the_stimuli_room(
     read: Callable[[str], Settings],
 ) -> None:
-    assert make_recipe(read(SHORTEST)) == Recipe()
+    settings = read(SHORTEST)
+    assert make_recipe(settings) == Recipe(seed=settings.study.seed)
 
 
 def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], Settings]) -> None:
@@ -183,6 +184,8 @@ def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], S
         read(
             SHORTEST
             + """
+            [study]
+            seed = 4
             [stimuli]
             reducers = ["pca321"]
             levels = ["equal_intensity"]
@@ -215,6 +218,7 @@ def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], S
         rate_hz=44100.0,
         full_scale_m_s2=60.0,
         headroom=0.5,
+        seed=4,
     )
 
 

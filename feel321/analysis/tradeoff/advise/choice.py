@@ -31,6 +31,7 @@ from feel321.analysis.tradeoff.advise.scene import (
     Verdict,
     compare,
 )
+from feel321.analysis.tradeoff.stress.diagnosis import eigenvalue_ratio
 from feel321.stimuli.match import LOWEST_HZ
 from feel321.stimuli.reducers.registry import COMPARISONS, REDUCERS
 from feel321.stimuli.sets.anchors import felt_level
@@ -43,6 +44,10 @@ CLOSE = 0.2
 """A reducer that is nearer to the limit than this share of the tolerance makes a close call. In eight takes of every
 bundled scene (4 s each, other seeds) the shortfall of reducers near the limit has a standard deviation of 0.1; this is
 twice that. A simpler reducer that suffices in some segments only makes one too."""
+
+NO_LEADER = 0.95
+"""From this ratio of the second to the first eigenvalue on, as in circular motion and near many motors, no direction
+leads: which one comes out as the principal axis is chance, and with it what reducers on that axis keep."""
 
 NAMED = 2
 """So many of them are named, the nearest first."""
@@ -213,6 +218,7 @@ def choose(scene: AdviceScene, verdicts: Sequence[Verdict], context: Context) ->
     ties = sorted(each.name for each in rivals if each is not best and _ties(best, each, context))
     further = (each.name for each in sufficient[1:] if each.name not in ties)
     explain = explain_choice if sufficient else explain_closest
+    doubt = describe_doubt(best, verdicts, eigenvalue_ratio(scene.recording))
     return SceneAdvice(
         scene=scene,
         verdicts=tuple(verdicts),
@@ -221,9 +227,9 @@ def choose(scene: AdviceScene, verdicts: Sequence[Verdict], context: Context) ->
         runner_up=next(further, None),
         ties=tuple(ties),
         margin=best.margin,
-        reason=explain(best, verdicts),
+        reason="; ".join(filter(None, (explain(best, verdicts), doubt))),
         why=explain_briefly(best, verdicts),
-        close=bool(describe_doubt(best, verdicts)),
+        close=bool(doubt),
     )
 
 
@@ -269,7 +275,7 @@ def explain_choice(chosen: Verdict, verdicts: Sequence[Verdict]) -> str:
     ]
     if chosen.rated:
         parts.append("simulated participants agree" if chosen.rated.simulated else "people agree")
-    return "; ".join(filter(None, [*parts, describe_doubt(chosen, verdicts)]))
+    return "; ".join(filter(None, parts))
 
 
 def explain_closest(closest: Verdict, verdicts: Sequence[Verdict]) -> str:
@@ -281,8 +287,7 @@ def explain_closest(closest: Verdict, verdicts: Sequence[Verdict]) -> str:
         why = "the ratings show for no reducer within the tolerances of the metrics that it feels like the best"
     else:
         why = "no reducer is within tolerance of the best in everything"
-    parts = [f"it {describe_fault(closest)}", why, describe_doubt(closest, verdicts)]
-    return "; ".join(filter(None, parts))
+    return f"it {describe_fault(closest)}; {why}"
 
 
 def explain_briefly(answer: Verdict, verdicts: Sequence[Verdict]) -> str:
@@ -296,8 +301,11 @@ def explain_briefly(answer: Verdict, verdicts: Sequence[Verdict]) -> str:
     return f"the simpler {nearest.name} {describe_fault(nearest).split(', which')[0]}"
 
 
-def describe_doubt(answer: Verdict, verdicts: Sequence[Verdict]) -> str:
-    """Describe why another take of the scene might give another answer; empty if nothing does."""
+def describe_doubt(answer: Verdict, verdicts: Sequence[Verdict], ratio: float) -> str:
+    """Describe why another take of the scene might give another answer; empty if nothing does.
+
+    ratio: of the second to the first eigenvalue of the motion's covariance.
+    """
     simpler = verdicts[: list(verdicts).index(answer)]
     running = [each for each in (*simpler, answer) if each.in_budget]
     near = [each for each in running if abs(each.margin) < CLOSE]
@@ -311,6 +319,8 @@ def describe_doubt(answer: Verdict, verdicts: Sequence[Verdict]) -> str:
     shown += [
         f"{each.name} suffices in {each.suits} of {each.segments} segments" for each in partly[-1:]
     ]
+    if ratio > NO_LEADER:
+        shown.append(f"no direction leads (λ₂ / λ₁ is {ratio:.2f})")
     return f"a close call, another take could reverse it: {', '.join(shown)}" if shown else ""
 
 
@@ -330,7 +340,11 @@ def describe_fault(verdict: Verdict) -> str:
     if criterion == "time":
         kept, best = 100 * measures.time**2, 100 * verdict.best_time**2
         return f"carries {kept:.0f} % of the motion's energy, the best {best:.0f} %"
-    return f"changes by {100 * measures.change:.0f} % with sensor noise of -60 dB"
+    change, envelope = 100 * measures.change, 100 * measures.envelope
+    return {
+        "change": f"changes by {change:.0f} % with sensor noise of -60 dB",
+        "envelope": f"smears the envelope: the depth of its modulation is off by {envelope:.0f} %",
+    }[criterion]
 
 
 def _describe_ratings(rated: Rated | None) -> str:

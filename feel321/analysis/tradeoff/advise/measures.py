@@ -53,6 +53,8 @@ from feel321.stimuli.match import (
 )
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import WHY_NOT_STREAMING, StreamingReducer
+from feel321.stimuli.rivals.envelope import compare_depths, find_depths
+from feel321.stimuli.rivals.pairs import Pair, follow_band, follow_energy
 from feel321.stimuli.thresholds import acceleration_threshold
 from feel321.types import Reducer, Samples
 
@@ -142,8 +144,8 @@ _WORK: Mapping[str, Callable[[int, int], tuple[float, float]]] = MappingProxyTyp
     "pca321_matched": lambda n, _: (3.0 * n, MEAN + COVARIANCE + PROJECTION + 1),
     # One covariance, axis and gain are remembered; axis and gain fade from one estimate to the next.
     "pca321_matched_windowed": lambda _, window: (3.0 * window + 10, COVARIANCE + 16 + PROJECTION),
-    # Each sample lies in two frames; its axis is mixed from theirs and brought to unit length.
-    "pca321_adaptive": lambda _, window: (3.0 * window + 3, 2 * (MEAN + COVARIANCE) + 18 + PROJECTION),
+    # Each sample lies in two frames; its axis is mixed from theirs and brought to unit length. One axis and the memory.
+    "pca321_adaptive": lambda _, window: (3.0 * window + 6, 2 * (MEAN + COVARIANCE) + 18 + PROJECTION),
     "dft321": lambda n, _: (4.0 * n, _transforms(n) + SPECTRA_TO_ONE),
     "dft321_principal": lambda n, _: (4.0 * n, _transforms(n) + SPECTRA_TO_ONE + LEADING_AXIS),
     "dft321_windowed": lambda _, window: (3.5 * window, 2 * (_transforms(window) + _SPECTRA) + 1),
@@ -237,8 +239,8 @@ def _find_declared(name: str, reducer: OwnReducer, rate_hz: float) -> Complexity
 class Scores:
     """What a reducer makes of a segment of a scene, with the sensor mounted in one way.
 
-    change: relative change of the output, up to its sign, under sensor noise of -60 dB; the paper's metrics are NaN
-    where there are none.
+    change: relative change of the output, up to its sign, under sensor noise of -60 dB; envelope: the
+    `modulation_distance`; the paper's metrics are NaN where there are none.
     """
 
     level_db: float
@@ -249,6 +251,7 @@ class Scores:
     temporal_match: float
     gain_db: float = 0.0
     spectral_match_bounded: float = math.nan
+    envelope: float = 0.0
 
     @property
     def deviation_db(self) -> float:
@@ -284,24 +287,33 @@ class Segment:
         felt = (frequency >= LOWEST_HZ) & (frequency <= HIGHEST_HZ)
         thresholds = acceleration_threshold(np.where(felt, frequency, LOWEST_HZ))
         self._weights = np.where(felt, 1 / thresholds**2, 0.0)
+        pair = Pair(samples, samples[0], rate_hz)
+        self._felt = pair.felt
+        energy, _, self._envelope_hz = follow_energy(pair)
+        self._depths = find_depths(energy, self._envelope_hz)
         self._power = _measure_power(samples).sum(axis=0)
         self.level = float(self._power @ self._weights)
 
     def score(self, reduce: Callable[[Samples, float], Samples], both: Samples) -> Samples:
         """Score one reducer on the segment and the same with noise, (2, 3, n_samples).
 
-        Returns level in dB, spectrum, time and change.
+        Returns level in dB, spectrum, time, change and envelope.
         """
+        from scipy import fft
+
         output, disturbed = reduce(both, self.rate_hz)
-        power, size = _measure_power(output), float(np.linalg.norm(output))
+        spectrum, size = fft.rfft(output), float(np.linalg.norm(output))
+        power, energy = _square(spectrum), follow_band(spectrum, self._felt)
         if output.ndim > 1:  # axes that are kept
-            time, power = size / self._size, power.sum(axis=0)
+            time, power, energy = size / self._size, power.sum(axis=0), energy.sum(axis=0)
         else:
             along = float(np.linalg.norm(both[0] @ output))
             time = min(along / (size * self._size), 1.0) if size > 0 else 0.0
         ratio = float(power @ self._weights) / self.level
         level_db = max(10 * math.log10(ratio), SILENT_DB) if ratio > 0 else SILENT_DB
-        return np.array([level_db, self._compare(power), time, find_change(output, disturbed)])
+        envelope = float(compare_depths(self._depths, find_depths(energy, self._envelope_hz)))
+        change = find_change(output, disturbed)
+        return np.array([level_db, self._compare(power), time, change, envelope])
 
     def _compare(self, power: Samples) -> float:
         """`spectral_match_energy_weighted`, of spectra that are there already."""
@@ -311,16 +323,16 @@ class Segment:
 
 
 def complete_scores(contender: Contender, mounted: MountedSegment, scores: Samples) -> Scores:
-    """Add the paper's metrics to what `Segment.score` found, (4,)."""
+    """Add the paper's metrics to what `Segment.score` found, (5,)."""
     samples, rate_hz = mounted.turn @ mounted.segment.samples, mounted.segment.rate_hz
     output = contender.reduce(samples, rate_hz)
     spectral = bounded = temporal = math.nan
     if output.ndim == 1:
         spectral, bounded = map(float, OriginalSpectrum(samples, rate_hz).match_both(output))
         temporal = temporal_match(samples, output, rate_hz)
-    level_db, spectrum, time, change = scores.tolist()
+    level_db, spectrum, time, change, envelope = scores.tolist()
     paper = spectral, temporal, contender.gain_db, bounded
-    return Scores(level_db, spectrum, time, change, *paper)
+    return Scores(level_db, spectrum, time, change, *paper, envelope)
 
 
 def score_scene(
@@ -333,13 +345,13 @@ def score_scene(
 ) -> tuple[list[MountedSegment], Samples]:
     """Score reducers in every segment and mounting of a scene that is not silent from 20 to 1000 Hz.
 
-    judge: turns scores into shortfalls; returns the mounted segments and scores, (n_reducers, n_mounted, 4), level in
-    dB, spectrum, time and change; NaN where a reducer was not tried any further.
+    judge: turns scores into shortfalls; returns the mounted segments and scores, (n_reducers, n_mounted, 5), level in
+    dB, spectrum, time, change and envelope; NaN where a reducer was not tried any further.
     """
     rng = np.random.default_rng([seed, zlib.crc32(recording.name.encode())])
     segments = [Segment(part, recording.rate_hz, rng) for part in cut_segments(recording)]
     mounted = _mount(segments, rng, any_mounting=any_mounting)
-    scores = np.full((len(contenders), len(mounted), 4), np.nan)
+    scores = np.full((len(contenders), len(mounted), 5), np.nan)
     steady = [one.name in TURNS_ALONG or not any_mounting for one in contenders.values()]
     for row, contender in enumerate(contenders.values()):
         for segment in segments if steady[row] else ():
@@ -422,5 +434,8 @@ def _score_turn(
 def _measure_power(samples: Samples) -> Samples:
     from scipy import fft
 
-    spectrum = fft.rfft(samples)
+    return _square(fft.rfft(samples))
+
+
+def _square(spectrum: NDArray[np.complex128]) -> Samples:
     return np.asarray(np.square(spectrum.real) + np.square(spectrum.imag))

@@ -266,9 +266,7 @@ def _refuse_ratings(
     if context.axes > 1:
         return "Ratings were not used: people rated the output of one axis of an actuator."
     if not ratings:
-        margin = (
-            "a margin, from stimuli rated twice or set beforehand (in study.toml, under [analysis])"
-        )
+        margin = "a margin set beforehand ([analysis] margin in study.toml)"
         return f"Ratings were not used: equivalence needs two rated reducers and {margin}."
     return ""
 
@@ -296,7 +294,7 @@ def build_content(advice: Advice) -> dict[str, Any]:
         },
         "tolerance": {
             "weber_fraction": tolerance.weber, "level_db": tolerance.level_db, "spectrum": tolerance.spectrum,
-            "time": tolerance.time, "change": tolerance.change,
+            "time": tolerance.time, "change": tolerance.change, "envelope": tolerance.envelope,
         },
         "seed": advice.seed,
         "segment_s": advice.segment_s,

@@ -1,10 +1,9 @@
 """Scenes of an advice, the tolerances, and the verdicts on each reducer: from the signals, and from ratings.
 
 The model of ratings is the report's (`feel321.analysis.report.reducers`) as far as it goes for one recording: ratings
-on reducer, with a spread between participants. The margin is the study's: the one fixed beforehand, or half the spread
-with which people repeat their ratings on that scale and level. A reducer passes if two one-sided tests show its
-equivalence with the best-rated one on every scale and level that has a margin; "not significantly different" passes
-nobody. Without a margin nothing can be shown, either way.
+on reducer, with a spread between participants. The margin is the one that the study fixed beforehand. A reducer passes
+if two one-sided tests show its equivalence with the best-rated one on every scale and level; "not significantly
+different" passes nobody. Without a margin nothing can be shown, either way.
 
 People notice a change of vibration intensity of about a fifth; below that, two vibrations are equally strong to them.
 Published fractions lie between 0.4 and 2.3 dB. The 22 % are taken here as a share of *energy* (0.86 dB), the cautious
@@ -20,6 +19,10 @@ Energy is also what the metrics compare, so one number serves all of them:
 - *Steadiness* (change of the output, up to its sign, under sensor noise of -60 dB): ``sqrt(1 + w) - 1``, the amplitude
   which in phase with the output changes its energy by w. An output that depends on noise more than that is not
   determined by the scene.
+- *Envelope* (`modulation_distance`, the error of the depth of modulation from 2 to 50 Hz): ``sqrt(1 + w) - 1`` again,
+  the depth which changes the energy at the crests of the envelope by w. A spectrum taken over the whole scene may be
+  right while its energy is spread over time, before a tap too: nothing above sees that, as the motion that the output
+  carries is summed over the scene.
 
 The paper's own metrics are reported, but do not count. Its spectral match weighs a band without energy like any other:
 on a shaker with 99.9 % of its energy on one axis, that axis alone scores 0.61, for the sensor noise of the two others.
@@ -48,7 +51,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.analysis.contrasts.compare import equivalence, find_repeat_sd
+from feel321.analysis.contrasts.compare import equivalence
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.tradeoff.advise.measures import TURNS_ALONG, Complexity, Scores
@@ -89,18 +92,18 @@ def judge_ratings(
 ) -> dict[str, dict[str, Rated]]:
     """Judge the reducers of every recording by its ratings: recording -> reducer -> what they show.
 
-    margin: points that do not matter, fixed beforehand; half the spread of repeated ratings if left out. Recordings of
-    fewer than two rated reducers are left out; empty if there is no margin.
+    margin: points that do not matter, fixed beforehand. Recordings of fewer than two rated reducers are left out; empty
+    if there is no margin.
     """
-    if margin is not None and not (isfinite(margin) and margin > 0):
+    given = as_table(table)
+    if margin is None:
+        return {}
+    if not (isfinite(margin) and margin > 0):
         raise ValueError(f"margin must be a number of points above 0, got {margin:g}")
     judged: dict[str, list[dict[str, Rated]]] = {}
-    for part in split_parts(as_table(table)):
-        sd, _ = (2 * margin, 0) if margin else find_repeat_sd(part.rows)
-        if not sd > 0:
-            continue
+    for part in split_parts(given):
         for name, rows in part.rows.groupby(part.rows["recording"].astype(str), sort=False):
-            judged.setdefault(str(name), []).append(_judge(rows, margin=sd / 2))
+            judged.setdefault(str(name), []).append(_judge(rows, margin=margin))
     found = {name: _join([each for each in parts if each]) for name, parts in judged.items()}
     return {name: ratings for name, ratings in found.items() if ratings}
 
@@ -209,6 +212,11 @@ class Tolerance:
         """Relative change of the output under sensor noise."""
         return math.sqrt(1 + self.weber) - 1
 
+    @property
+    def envelope(self) -> float:
+        """Difference of the depth of modulation of the envelope."""
+        return math.sqrt(1 + self.weber) - 1
+
 
 @dataclass(frozen=True, slots=True)
 class Context:
@@ -315,11 +323,12 @@ class Shortfall:
     spectrum: float
     time: float
     change: float
+    envelope: float = 0.0
 
     @property
     def worst(self) -> float:
         """The largest of them."""
-        return max(self.level, self.spectrum, self.time, self.change)
+        return max(self.level, self.spectrum, self.time, self.change, self.envelope)
 
     @property
     def criterion(self) -> str:
@@ -380,10 +389,10 @@ def compare(
 ) -> NDArray[np.float64]:
     """Compare every reducer with the best one of each criterion, in units of the tolerance, mounting by mounting.
 
-    scores: (n_reducers, n_mounted, 4), level in dB, spectrum, time and change, NaN where not tried; gains_db:
+    scores: (n_reducers, n_mounted, 5), level in dB, spectrum, time, change and envelope, NaN where not tried; gains_db:
     (n_reducers, 1).
     """
-    level_db, spectrum, time, change = np.moveaxis(scores, -1, 0)
+    level_db, spectrum, time, change, envelope = np.moveaxis(scores, -1, 0)
     deviation = np.maximum(np.abs(level_db), gains_db - level_db)
     best_time = np.fmax.reduce(time, axis=0)
     nothing = np.where(np.isnan(time), np.nan, 1.0)
@@ -393,5 +402,6 @@ def compare(
         (np.fmax.reduce(spectrum, axis=0) - spectrum) / tolerance.spectrum,
         (1 - shares**2) / tolerance.time,
         (change - np.fmin.reduce(change, axis=0)) / tolerance.change,
+        (envelope - np.fmin.reduce(envelope, axis=0)) / tolerance.envelope,
     )
     return np.stack(shortfalls, axis=-1)
