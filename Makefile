@@ -4,12 +4,12 @@
 PYTHON := .venv/bin/python
 PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.txt
 PACKAGE := feel321
-EXTRAS := dev docs rig ide monitor cluster server parquet lsl bayes fuzz supply
+EXTRAS := dev docs rig ide monitor cluster server parquet lsl bayes fuzz
 comma := ,
 space := $(subst ,, )
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test coverage realtime computing check lint types floors duplicates guards bench docs screenshots soak constraints hashes verified licences advisories sbom clean
+.PHONY: help demo test coverage realtime computing check lint types floors duplicates guards bench docs screenshots soak constraints advisories clean
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' Makefile | expand -t 20
@@ -77,27 +77,8 @@ constraints: .venv/.tests ## pin what is installed now, after an upgrade
 	{ sed -n '/^#/p' constraints.txt; $(PYTHON) -m pip freeze --all --exclude-editable | grep -v '^pip==' | sort -f; } > .venv/pins
 	mv .venv/pins constraints.txt
 
-hashes: .venv/.tests ## hashes.txt: SHA-256 of every file of the pinned versions, after `make constraints`
-	$(PYTHON) .ci/supply.py hashes
-
-verified: | .venv/bin/python ## set up from files that hashes.txt knows, all extras or GROUPS="rig server"
-ifdef GROUPS
-	$(PYTHON) .ci/supply.py install $(GROUPS)
-	touch .venv/.runs
-else
-	sed 's/#.*//' .ci/packages.txt | xargs .ci/apt-install
-	$(PYTHON) .ci/supply.py install $(EXTRAS)
-	touch .venv/.runs .venv/.tests
-endif
-
-licences: .venv/.tests ## the table in docs/licences.md, from the installed packages
-	$(PYTHON) .ci/supply.py licences
-
-advisories: .venv/.tests ## known advisories of the pinned versions: 1 some, 3 not reached
-	$(PYTHON) .ci/supply.py advisories
-
-sbom: | .venv/bin/python ## the bill of materials in CycloneDX, build/sbom.json
-	$(PYTHON) .ci/supply.py sbom
+advisories: .venv/.tests ## known flaws of the pinned versions, from the network; fails where they cannot be compared
+	$(PYTHON) -m pip_audit --strict --no-deps --disable-pip --progress-spinner off -r constraints.txt
 
 clean: ## remove everything that can be made again
 	rm -rf .venv .coverage* .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis dist demo-study
