@@ -28,8 +28,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 collect_ignore = ["bench"]
 """Scripts beside each other, which `make bench` and people run; they hold no tests."""
 
-collect_ignore_glob = ["soak/[!t]*.py"]
-"""Programs that the tests of the soak start."""
 
 RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 

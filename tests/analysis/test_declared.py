@@ -78,6 +78,13 @@ def test_a_manifest_that_declares_nonsense_is_refused(
     assert message in str(caught.value)
 
 
+def test_a_manifest_nested_thousands_deep_is_refused(small: object) -> None:
+    declare(small)
+    small.manifest.with_name("manifest.json").write_text("[" * 5000, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"\Amanifest\.json: [^\n]+\Z"):
+        read(small)
+
+
 def test_a_value_beyond_declared_bounds_is_refused_with_its_line(small: object) -> None:
     manifest = pd.read_csv(small.manifest)
     manifest.loc[3, "roughness"] = 61

@@ -218,6 +218,8 @@ def test_labels_of_participants_are_joined(files: Callable[..., object]) -> None
     assert "number" not in table.rows
     told = "Participants differ in 'grip' (participants.csv; participants: unknown 1, 'fist' 1, 'pen' 1): no test"
     assert [note.startswith(told) for note in table.notes] == [True]
+    people.assign(grip="").to_csv(roster_path, index=False)  # which once stopped the analysis
+    assert read_table(study.ratings, study.manifest).notes == ()
     people.drop(columns="grip").to_csv(roster_path, index=False)
     assert read_table(study.ratings, study.manifest).notes == ()
     pd.concat([people, people]).to_csv(roster_path, index=False)

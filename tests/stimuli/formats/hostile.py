@@ -82,11 +82,15 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "npz: objects": ("a.npz", lambda: pack_zip(acceleration__npy=pack_npy((3,), dtype="|O")), "Python objects"),
     "npz: a path": ("a.npz", lambda: pack_zip(**{"/etc/acceleration.npy": FINE}), "name is a path"),
     "npz: a file that is no array": ("a.npz", lambda: pack_zip(notes__txt=b"1"), "array must be named"),
+    "npz: an array without its mark": (
+        "a.npz", lambda: pack_zip(acceleration__npy=FINE.replace(b"\x93NUMPY", b"\x93\r\n\r\n\1")), "magic string"
+    ),
     "npz: 65 535 files": ("a.npz", lambda: pack_directory(65535), "more than 1000 files"),
     "mat: 40 variables of 60 MB": ("a.mat", lambda: pack_mat(60_000_000, 40), "sizes are damaged|type 0"),
     "csv: a line of 30 MB": ("a.csv", lambda: b"1," * 15_000_000, "longer than 1048576 bytes"),
     "csv: 200 000 columns": ("a.csv", lambda: b"1," * 200_000 + b"1\n", "at most 1000 columns"),
     "csv: a cell of 9 000 letters": ("a.csv", lambda: b"x,y,z\n1,2,3\n1,2," + b"a" * 9_000, "got 'a{57}...'"),
+    "csv: a column called [[[...": ("a.csv", lambda: b"x,y," + b"[" * 5000 + b"\n1,2,3\n", r"\.\.\."),
     "csv: time stamps of a century": (
         "a.csv",
         lambda: b"time_s,x,y,z\n" + b"".join(b"%d,1,2,%d\n" % (i if i < 99 else 10**10, i % 7) for i in range(100)),
@@ -97,6 +101,11 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "csv: zero byte": ("a.csv", lambda: b"x,y,z\n" + b"1,2,3\n" * 2000 + b"1,\0,3\n", "line 2002 holds a zero byte"),
     "xml: 2 000 000 tags": ("a.xml", lambda: b"<a>" + b"<b/>" * 2_000_000 + b"</a>", "more than 10000 tags"),
     "xml: 100 000 levels": ("a.xml", lambda: b"<a>" * 100_000, "nested deeper"),
+    "xml: a number of 5 000 letters": (
+        "a.xml",
+        lambda: b"<a><SampleRate>9</SampleRate><AccelX>1 [" + b"[" * 5000 + b"</AccelX><AccelY/><AccelZ/></a>",
+        "not a number",
+    ),
     "xml: an entity": ("a.xml", lambda: b"<!DOCTYPE a [<!ENTITY b 'c'>]><a/>", "entities, which are not read"),
     "ide: an element of 1 TB": ("a.ide", lambda: b"\x1aE\xdf\xa3\x04\xff\xff\xff\xff\xff" + bytes(64), "enDAQ"),
 }  # fmt: skip

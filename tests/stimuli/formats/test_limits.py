@@ -145,6 +145,22 @@ def test_a_sidecar_is_a_regular_file_too(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "told"),
     [
+        ('{"unit": "g", "rate_hz": 1%s}' % ("0" * 400), "rate_hz must be a finite number of Hz"),
+        ("[" * 5000, "sidecar a.json"),
+    ],
+)
+def test_a_hostile_sidecar_is_refused_in_one_line(tmp_path: Path, content: str, told: str) -> None:
+    write_wav(tmp_path / "a.wav", np.ones((3, 10)), 1000)
+    (tmp_path / "a.json").write_text(content)
+    with pytest.raises(ValueError, match=told) as caught:
+        read_recording(tmp_path / "a.wav")
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
         ("a,b\n1,2\nJörg,3\n".encode("latin-1"), "line 3 holds the byte 0xf6"),
         ("a,b\n1,2\n".encode("utf-16"), "UTF-16"),
     ],

@@ -149,6 +149,11 @@ MASKING = "[masking]\nchannels = [3]\n"
             "sensor must have full_scale_m_s2 alone, or sensitivity_mv_per_g and input_peak_v",
         ),
         (
+            LIMITS
+            + f"[sensor]\nchannel = 1\nsensitivity_mv_per_g = 1{'0' * 400}\ninput_peak_v = 5.0\n",
+            "sensor: got a whole number beyond every scale",
+        ),
+        (
             LIMITS + "[calibration]\nband_hz = [1000, 20]\n",
             "calibration.band_hz must be two frequencies in Hz that rise",
         ),
