@@ -23,7 +23,6 @@ if _TYPE_CHECKING:
         tabulate_correlations,
     )
     from feel321.analysis.association.rivals import rank_metrics
-    from feel321.analysis.bids import read_bids
     from feel321.analysis.browser import write_stimulus_page
     from feel321.analysis.choices.embed import embed_triplets
     from feel321.analysis.choices.model import fit_choices
@@ -74,7 +73,7 @@ __all__ = [
     "fit_attributes", "fit_bayesian", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",
     "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority", "p1401", "plan_choices", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
-    "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model", "read_bids",
+    "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model",
     "read_table", "refine_metric", "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress",
     "tabulate_correlations", "write_report", "write_stimulus_page",
 ]  # fmt: skip

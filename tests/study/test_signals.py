@@ -34,7 +34,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     "chart": ("chart", "STUDY", "--workers", "2"),
     "stress": ("stress", "--scenes", "--out", "STUDY/stress", "--workers", "2"),
     "power": ("power", "STUDY", "--workers", "2"),
-    "export": ("export", "STUDY", "--r", "STUDY/r"),
+    "export": ("export", "STUDY", "STUDY/r", "--r"),
 }
 
 

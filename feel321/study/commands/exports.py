@@ -1,107 +1,51 @@
-"""Verb `export`: a study's data for other programs, one option per format."""
+"""Verb `export`: a study's data for others."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import click
 
 from feel321.study.commands import shared
-from feel321.study.folder import StudyFolder
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 EXAMPLE = """\b
-Example: feel321 export my-study --bids dataset
-         feel321 export my-study --r for-r
-         feel321 export --ratings ratings.csv --manifest manifest.csv --r for-r
+Example: feel321 export my-study dataset
+         feel321 export my-study for-r --r
 """
 
 
 @click.command(epilog=EXAMPLE)
-@shared.folder_argument
-@click.option(
-    "--r",
-    "r_folder",
-    metavar="DIR",
-    type=shared.FILE,
-    help="Folder for R and JASP: judgements as the primary models use them, wide tables, model.R.",
-)
-@click.option(
-    "--bids",
-    "bids_folder",
-    metavar="DIR",
-    type=shared.FILE,
-    help="Folder for a dataset to publish: BIDS, Psych-DS and RO-Crate, de-identified.",
-)
-@shared.flag("--keep-ids", "With --bids: keep the study's codes instead of random numbers.")
-@shared.flag("--simulated", "With --bids: simulated participants too, marked as such.")
-@shared.flag("--report", "With --bids: the report too; it needs --keep-ids.")
-@shared.ratings_option
-@shared.manifest_option
-@shared.metric_option
-def export(  # noqa: PLR0913 - one per option
-    folder: Path,
-    *,
-    r_folder: Path | None,
-    bids_folder: Path | None,
-    keep_ids: bool,
-    simulated: bool,
-    report: bool,
-    ratings: Path | None,
-    manifest: Path | None,
-    metrics: tuple[str, ...],
-) -> None:
-    """Write a study's data for other programs.
+@click.argument("places", metavar="[STUDY] DIR", nargs=-1, required=True, type=shared.FILE)
+@shared.flag("--keep-ids", "Keep the study's codes of participants instead of random numbers.")
+@shared.flag("--simulated", "Simulated participants too, marked as such.")
+@shared.flag("--r", "Write for R and JASP instead: judgements, wide tables, and model.R.", "for_r")
+def export(places: tuple[Path, ...], *, keep_ids: bool, simulated: bool, for_r: bool) -> None:
+    """Write a study's data for others, into the folder DIR.
 
-    --bids writes a dataset for a repository: judgements, participants, stimuli and a description of every column, in
-    folders that the validators of BIDS and Psych-DS accept. Participants get random numbers; personal answers, typed
-    texts, notes, days and names of machines are left out. Authors and licence come from [publication] in study.toml.
+    Writes a BIDS dataset for a repository: judgements, participants, stimuli, a description of every column, and the
+    methods section. Participants get random numbers; personal answers, typed texts, notes, days and names of machines
+    are left out. Authors and licence come from [publication] in study.toml.
 
     --r writes CSV files that R, JASP and jamovi read without options, and model.R, which fits the primary models with
-    lme4 and prints their slopes beside those of feel321.
+    lme4 and prints their slopes beside those of feel321. They hold the study's codes of participants.
     """
-    if (r_folder is None) == (bids_folder is None):
-        raise click.UsageError("export needs one format; give --bids DIR or --r DIR")
-    if r_folder is None or bids_folder is not None:
-        if ratings is not None or metrics:
-            raise click.UsageError(
-                "--bids exports a whole study; leave out --ratings, --manifest and --metric"
-            )
-        _export_bids(
-            folder, bids_folder or folder, keep_ids=keep_ids, simulated=simulated, report=report
-        )
-        return
-    if keep_ids or simulated or report:
-        raise click.UsageError(
-            "--keep-ids, --simulated and --report go with --bids; leave them out"
-        )
-    if manifest is not None and ratings is None:
-        raise click.UsageError(
-            "--manifest needs --ratings; give both, or --ratings alone in a study"
-        )
+    *studies, target = places
+    if len(studies) > 1:
+        raise click.UsageError(f"export takes a study and a folder, got {len(places)} names")
+    if for_r and (keep_ids or simulated):
+        raise click.UsageError("--keep-ids and --simulated are for BIDS; leave them out with --r")
     from feel321.analysis.export import export_r
     from feel321.study.analyze import read_study_table
-
-    table, seed = read_study_table(
-        StudyFolder(folder), ratings=ratings, manifest=manifest, metrics=metrics or None
-    )
-    with shared.recording(StudyFolder(folder), "export", r_folder):
-        export_r(table, r_folder, rng=seed)
-    shared.echo(f"{r_folder}: next, in that folder: Rscript model.R")
-
-
-def _export_bids(
-    folder: Path, target: Path, *, keep_ids: bool, simulated: bool, report: bool
-) -> None:
-    """Write the dataset, and list what `[publication]` lacks."""
-    from feel321.study.export.dataset import ExportChoices, export_bids
+    from feel321.study.export.dataset import export_bids
     from feel321.study.folder import require_study
 
-    choices = ExportChoices(keep_ids=keep_ids, simulated=simulated, report=report)
-    study = require_study(folder)
+    study = require_study(studies[0] if studies else Path())
     with shared.recording(study, "export", target):
-        for line in export_bids(study, target, choices):
+        if for_r:
+            table, seed = read_study_table(study)
+            export_r(table, target, rng=seed)
+            shared.echo(f"{target}: next, in that folder: Rscript model.R")
+            return
+        for line in export_bids(study, target, keep_ids=keep_ids, simulated=simulated):
             shared.warn(line)
     shared.echo(f"{target}: check it with: bids-validator-deno {target}")

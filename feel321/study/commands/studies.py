@@ -350,7 +350,6 @@ Example: feel321 analyze my-study
          feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
          feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match --metric temporal_match
          feel321 analyze my-study --rivals
-         feel321 analyze --bids dataset --out report
 """
 
 
@@ -358,13 +357,6 @@ Example: feel321 analyze my-study
 @shared.folder_argument
 @shared.ratings_option
 @shared.manifest_option
-@click.option(
-    "--bids",
-    "dataset",
-    metavar="DIR",
-    type=shared.FILE,
-    help="A dataset that export --bids wrote, instead of a study; with --out.",
-)
 @click.option(
     "--out", type=shared.FILE, help="Folder of the report.  [default: report/ in the study]"
 )
@@ -385,7 +377,6 @@ def analyze(  # noqa: PLR0913 - one per option
     *,
     ratings: Path | None,
     manifest: Path | None,
-    dataset: Path | None,
     out: Path | None,
     metrics: tuple[str, ...],
     rivals: bool,
@@ -403,10 +394,6 @@ def analyze(  # noqa: PLR0913 - one per option
         raise click.UsageError(
             "--manifest needs --ratings; give both, or --ratings alone in a study"
         )
-    if dataset is not None:
-        choices = bool(ratings or metrics or rivals or bayes)
-        _analyze_dataset(dataset, out, has_choices=choices, as_json=as_json)
-        return
     study = StudyFolder(folder)
     if ratings is not None and manifest is None:
         _require_stimuli(study)
@@ -436,16 +423,3 @@ def _require_stimuli(study: StudyFolder) -> None:
         raise click.UsageError(
             "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
         )
-
-
-def _analyze_dataset(dataset: Path, out: Path | None, *, has_choices: bool, as_json: bool) -> None:
-    """Write the report of a dataset that was exported, with the choices that lie beside it."""
-    if out is None or has_choices:
-        raise click.UsageError(
-            "--bids takes a dataset and --out DIR, and no other choice; its own are exported with it"
-        )
-    from feel321.study.export.readback import analyze_dataset
-
-    with shared.show_progress("analyze") as progress:
-        analyze_dataset(dataset, out, progress=progress)
-    shared.print_results(out, as_json=as_json)

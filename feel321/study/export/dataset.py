@@ -1,149 +1,225 @@
-"""A study as a dataset that BIDS and Psych-DS accept, with an RO-Crate; `export --bids`."""
+"""A study as a BIDS dataset of behavioural data (`beh`): what `feel321 export` writes."""
 
 from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass, replace
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from feel321 import intake
-from feel321.analysis.bids import CHOICES
-from feel321.files import digest_file
-from feel321.names import METRIC_INFO
+from feel321 import __version__, intake
+from feel321.analysis.table.dictionary import describe_column
+from feel321.analysis.table.metrics import gather_info
+from feel321.files import digest_file, make_folder, sync_folder, temporary_folder, write_bytes
+from feel321.records import to_json_value
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import analyze
-from feel321.study.actuator import certificate as certificates
-from feel321.study.export import credit, people, tables, writing
-from feel321.study.export.crate import make_crate
+from feel321.study.analyze import list_info, list_labels
+from feel321.study.auditing.seal import make_seal
+from feel321.study.columns import RATING_COLUMNS
 from feel321.study.export.narrative import METHODS_FILE, make_methods
-from feel321.study.ledger.progress import note_estimates
-from feel321.study.settings import read
+from feel321.study.export.people import gather_people, number_names
+from feel321.study.ratings import write_ratings
+from feel321.study.settings.read import (
+    list_origins,
+    make_design,
+    read_settings,
+    read_study_texts,
+)  # fmt: skip
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from feel321.analysis.table.items import Table
-    from feel321.analysis.table.sheets import Further
+    from feel321.protocols.questions import Question
     from feel321.study.export.people import Person
-    from feel321.study.export.tables import DataSheet
-    from feel321.study.export.writing import Content
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
+    from feel321.types import MetricInfo
 
-OWN = "derivatives/feel321"
-"""What feel321 makes of the data, a derivative dataset of its own."""
+Row = Mapping[str, str]
+Meanings = Mapping[str, Mapping[str, Any]]
+"""Column -> what its sidecar says of it."""
 
-IGNORED = "/data\n/ro-crate-metadata.json\n"
-"""`.bidsignore`: what Psych-DS and RO-Crate want and BIDS has no place for."""
-
+BIDS_VERSION = "1.11.0"
+MISSING = "n/a"
+"""What BIDS writes in a cell without a value."""
 
 NO_METHODS = f"{METHODS_FILE}: left out, for no report is of these ratings; feel321 analyze, then export again"
 
-
-@dataclass(frozen=True, slots=True)
-class ExportChoices:
-    """What goes into an export: everybody's own codes, simulated people, the report."""
-
-    keep_ids: bool = False
-    simulated: bool = False
-    report: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class _Gathered:
-    """All that an export is made of."""
-
-    study: StudyFolder
-    settings: Settings
-    people: Sequence[Person]
-    table: Table
-    further: Further
-    renamed: Mapping[str, Mapping[str, str]]
+FLAGS = {"rejected", "simulated", "training_passed"}
+OWN = {
+    "participant_id": "participant of this dataset; numbers are unrelated to the order of participation",
+    "state": "how the session ended: finished, or running if it was interrupted",
+    "done": "trials judged",
+    "total": "trials planned",
+    "age_band": "age in years, in bands of five years; 80 or more as one",
+    "rig": "rig of the sessions, numbered",
+    "calibration": "certificate of calibration of the rig, numbered",
+    "training_passed": "whether the training criterion was met",
+}
+"""Meanings of columns that the data dictionary lacks or defines differently."""
 
 
-def export_bids(study: StudyFolder, folder: Path, choices: ExportChoices) -> list[str]:
-    """Write the dataset, and list what `[publication]` does not say."""
-    writing.check_target(folder)
-    gathered = _gather(study, choices)
-    files = dict(_list_files(gathered, choices))
-    writing.write_folder(folder, files)
-    old = [] if f"{OWN}/docs/{METHODS_FILE}" in files else [NO_METHODS]
-    return [*gathered.settings.publication.list_missing(), *old]
+def export_bids(
+    study: StudyFolder, folder: Path, *, keep_ids: bool = False, simulated: bool = False
+) -> list[str]:
+    """Write the dataset into a new folder, and list what is missing from it.
+
+    keep_ids: keep the study's codes of participants. simulated: simulated participants too.
+    """
+    if folder.is_symlink() or (folder.exists() and not (folder.is_dir() and _is_empty(folder))):
+        raise FileExistsError(f"{folder}: already holds something; name a new or empty folder")
+    settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
+    people = gather_people(study, stimuli, keep_ids=keep_ids, simulated=simulated)
+    write_ratings(study, stimuli)
+    make_folder(folder.parent)
+    with temporary_folder(beside=folder) as place:
+        new = place / folder.name
+        make_folder(new, private=True)
+        missing = [*settings.publication.list_missing(), *_write_methods(study, new)]
+        _write_words(study, settings, people, folder=new)
+        _write_participants(people, new / "participants")
+        _write_answers(people, make_design(settings, study.path).questions, folder=new)
+        _write_stimuli(study, settings, new / "stimuli")
+        _write_judgements(study, settings, people, folder=new)
+        if folder.exists():
+            folder.rmdir()
+        new.rename(folder)
+    sync_folder(folder.parent)
+    return missing
 
 
-def _gather(study: StudyFolder, choices: ExportChoices) -> _Gathered:
-    settings, stimuli = read.read_settings(study.settings), read_stimuli(study.stimuli)
-    everybody = people.gather_people(
-        study, stimuli, keep_ids=choices.keep_ids, simulated=choices.simulated
-    )
-    further, _ = analyze.gather_study(study, settings)
-    notes = people.leave_out_names(further.notes, everybody)
-    if len(notes) < len(further.notes):
-        shown = (replace(one.progress, participant=one.name) for one in everybody)
-        notes += note_estimates(shown)
-    table, _ = analyze.read_study_table(study)
-    renamed = {
-        name: people.rename((getattr(one.progress, name) for one in everybody), name)
+def _is_empty(folder: Path) -> bool:
+    return not any(folder.iterdir())
+
+
+# Files.
+
+
+def _write(path: Path, content: str) -> None:
+    make_folder(path.parent, private=True)
+    write_bytes(path, content.encode(), private=True)
+
+
+def _write_json(path: Path, entry: Mapping[str, Any]) -> None:
+    known = {name: value for name, value in entry.items() if value}
+    text = json.dumps(to_json_value(known), indent=2, ensure_ascii=False, allow_nan=False)
+    _write(path, f"{text}\n")
+
+
+def write_tsv(path: Path, columns: Sequence[str], rows: Iterable[Row]) -> None:
+    """Write a table as BIDS has it: without quotes, `n/a` in an empty cell."""
+    lines = [columns, *([row.get(name, "") or MISSING for name in columns] for row in rows)]
+    for line in lines:
+        if bad := next((cell for cell in line if any(one in cell for one in "\t\r\n\0")), None):
+            raise ValueError(
+                f"a cell of a TSV table must hold no tab and no line feed, got {bad[:60]!r}; rename it in the study"
+            )
+    _write(path, "".join("\t".join(line) + "\n" for line in lines))
+
+
+def write_cell(value: object) -> str:
+    """Write a value so that it reads back the same; NaN is a missing value."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+def describe(
+    file: str, columns: Iterable[str], info: Mapping[str, MetricInfo] | None = None
+) -> dict[str, dict[str, Any]]:
+    """Describe columns for a sidecar, by the data dictionary; info: what a lab's own metrics declare."""
+    import pandas as pd
+
+    empty, found = pd.Series([], dtype=object), {}
+    for name in columns:
+        known = describe_column(file, name, empty, info=info or {})
+        entry: dict[str, Any] = {"Description": OWN.get(name, known.meaning) or f"column {name}"}
+        if known.unit and name not in OWN:
+            entry["Units"] = known.unit
+        if name in FLAGS:
+            entry["Levels"] = {"true": "yes", "false": "no"}
+        found[name] = entry
+    return found
+
+
+# Tables.
+
+
+def _write_participants(people: Sequence[Person], path: Path) -> None:
+    """Write the table of participants; without days, design numbers and names of rigs."""
+    first = ("participant_id", "simulated", "state", "sessions", "done", "total")
+    last = ("training_passed", "rig", "calibration")
+    factors = dict.fromkeys(name for one in people for name in one.progress.groups)
+    measured = dict.fromkeys(name for one in people for name in one.progress.thresholds)
+    columns = (*first, *factors, *last, *measured)
+    numbered = {
+        name: number_names((getattr(one.progress, name) for one in people), name)
         for name in ("rig", "calibration")
     }
-    return _Gathered(
-        study, settings, everybody, table, replace(further, notes=tuple(notes)), renamed
-    )
+    rows = []
+    for one in people:
+        own: dict[str, Any] = {name: getattr(one.progress, name, "") for name in (*first, *last)}
+        own |= {"participant_id": one.name, "sessions": len({row["session"] for row in one.rows})}
+        own |= {name: numbers[own[name]] for name, numbers in numbered.items()}
+        own |= {**one.progress.groups, **one.progress.thresholds}
+        rows.append({name: write_cell(own.get(name)) for name in columns})
+    group = {"Description": "group of the participant, a factor in which participants differ"}
+    write_tsv(path.with_suffix(".tsv"), columns, rows)
+    about = describe("participants.csv", columns) | dict.fromkeys(factors, group)
+    _write_json(path.with_suffix(".json"), about)
 
 
-def _list_files(gathered: _Gathered, choices: ExportChoices) -> Iterator[tuple[str, Content]]:
-    """List every file of the dataset with its content; the crate comes last, for it lists them."""
-    from feel321.analysis.report.standing import list_versions
-    from feel321.study.auditing.seal import make_seal
-
-    seal, settings = make_seal(gathered.study), gathered.settings
-    files = {
-        **dict(_list_tables(gathered, seal=seal)),
-        **dict(_list_words(gathered)),
-        **dict(_list_derived(gathered, choices)),
-    }
-    found = [
-        certificates.read_certificate(path)
-        for path in certificates.list_certificates(gathered.study.calibration)
-        if path.is_file()
-    ]
-    used = [one for one in found if one.id in gathered.renamed["calibration"]]
-    crate = make_crate(settings, files, seal=seal, versions=list_versions(), certificates=used)
-    yield from files.items()
-    yield writing.CRATE, tables.write_json(crate)
-
-
-def _list_tables(gathered: _Gathered, *, seal: str) -> Iterator[tuple[str, Content]]:
-    """List the tables: as BIDS wants them, and once more as Psych-DS does."""
-    judged = tables.make_judgements(gathered.people, gathered.table.info)
-    roster = tables.make_roster(gathered.people, gathered.renamed)
-    stimuli = _make_stimuli(gathered)
-    questions = read.make_design(gathered.settings, gathered.study.path).questions
-    answers = tables.make_answers(gathered.people, questions)
-    yield from _write_judgements(judged, gathered)
-    yield from _write_sheet("participants", roster)
-    yield from _write_sheet("stimuli/stimuli", stimuli)
-    if answers:
-        tool = {"MeasurementToolMetadata": {"Description": "Question pages of the session"}}
-        yield from _write_sheet("phenotype/questions", answers, tool)
-    sheets = {"description-participants": roster, "description-stimuli": stimuli}
-    sheets |= {"description-questions": answers} if answers else {}
-    sheets |= dict(_merge(judged))
-    for name, sheet in sheets.items():
-        yield f"data/{name}_data.csv", sheet.to_csv()
-    about = credit.describe_dataset(
-        gathered.settings, tables.list_variables(list(sheets.values())), seal=seal
-    )
-    yield "dataset_description.json", tables.write_json(about)
+def _write_answers(
+    people: Sequence[Person], questions: Sequence[Question], *, folder: Path
+) -> None:
+    """Write the answers that may be passed on, a column per question and occasion, if there are any."""
+    found = list(dict.fromkeys(name for one in people for name in one.answers))
+    if not found:
+        return
+    known = {question.name: question for question in questions}
+    meanings = describe("participants.csv", ["participant_id"])
+    for name in found:
+        stem = name.rpartition("_")[0]
+        question = known.get(name) or known.get(stem)
+        own = OWN.get(name) or OWN.get(stem)
+        meanings[name] = {"Description": own or (question.question if question else name)}
+        if question and question.kind == "likert":
+            points = enumerate(question.options, start=1)
+            meanings[name]["Levels"] = {str(n): text or f"point {n}" for n, text in points}
+        elif question and question.kind == "choice":
+            meanings[name]["Levels"] = {text: text for text in question.options}
+    path = folder / "phenotype" / "questions.tsv"
+    rows = [{"participant_id": one.name, **one.answers} for one in people]
+    write_tsv(path, ("participant_id", *found), rows)
+    tool = {"MeasurementToolMetadata": {"Description": "Question pages of the session"}}
+    _write_json(path.with_suffix(".json"), {**tool, **meanings})
 
 
-def _write_sheet(
-    name: str, sheet: DataSheet, more: Mapping[str, Any] | None = None
-) -> Iterator[tuple[str, Content]]:
-    yield f"{name}.tsv", sheet.to_tsv()
-    yield f"{name}.json", tables.write_json({**(more or {}), **sheet.to_sidecar()})
+def _write_stimuli(study: StudyFolder, settings: Settings, folder: Path) -> None:
+    """Write the vibrations and the manifest, with what its recordings are of and which are one and the same."""
+    with intake.open_text(study.manifest) as file:
+        reader = csv.DictReader(file)
+        rows, header = list(reader), list(reader.fieldnames or ())
+    origins, labels = list_origins(settings), list_labels(settings)
+    numbers = number_names(origins.values(), "source")
+    further = {"source": {name: numbers[one] for name, one in origins.items()}}
+    further |= {str(name): dict(labels[name].fillna("")) for name in labels}
+    added = [name for name in further if name not in header]
+    for row in rows:
+        row.update({name: further[name].get(row["recording"], "") for name in added})
+    info, _ = gather_info(settings.analysis.metrics, list_info(settings), study.manifest)
+    columns = (*header, *added)
+    write_tsv(folder / "stimuli.tsv", columns, rows)
+    _write_json(folder / "stimuli.json", describe("stimuli/manifest.csv", columns, info))
+    for stimulus in read_stimuli(study.stimuli).stimuli:
+        make_folder((folder / stimulus.file).parent, private=True)
+        write_bytes(
+            folder / stimulus.file, (study.stimuli / stimulus.file).read_bytes(), private=True
+        )
 
 
 def label_task(protocol: str) -> str:
@@ -152,142 +228,130 @@ def label_task(protocol: str) -> str:
 
 
 def _write_judgements(
-    judged: Mapping[tuple[str, int, str], DataSheet], gathered: _Gathered
-) -> Iterator[tuple[str, Content]]:
+    study: StudyFolder, settings: Settings, people: Sequence[Person], *, folder: Path
+) -> None:
     """Write a table per participant, session and task, and a sidecar per task."""
-    several = any(session > 1 for _, session, _ in judged)
-    texts = read.read_study_texts(gathered.settings, gathered.study.path)
-    for (label, session, protocol), sheet in judged.items():
-        task = label_task(protocol)
-        visit = f"ses-{session:02}" if several else ""
-        names = "_".join(filter(None, (f"sub-{label}", visit, f"task-{task}", "beh.tsv")))
-        yield "/".join(filter(None, (f"sub-{label}", visit, "beh", names))), sheet.to_tsv()
-        scale = texts["scales"].get(sheet.rows[0]["scale"], {})
-        page = texts["pages"].get(f"instructions.{protocol}", {})
-        own = gathered.settings.publication
-        about = credit.describe_task(scale, page, name=task, own=own)
-        yield f"task-{task}_beh.json", tables.write_json({**about, **sheet.to_sidecar()})
+    columns = RATING_COLUMNS[1:]
+    parts: dict[tuple[str, int, str], list[dict[str, str]]] = defaultdict(list)
+    for person in people:
+        for row in person.rows:
+            key = (person.name, int(row["session"]), str(row["protocol"]))
+            parts[key].append({name: write_cell(row[name]) for name in columns})
+    several = any(session > 1 for _, session, _ in parts)
+    for (name, session, protocol), rows in parts.items():
+        visit = [f"ses-{session:02}"] if several else []
+        file = "_".join([name, *visit, f"task-{label_task(protocol)}", "beh.tsv"])
+        write_tsv(folder.joinpath(name, *visit, "beh", file), columns, rows)
+    scales = {protocol: rows[0]["scale"] for (*_, protocol), rows in parts.items()}
+    meanings = describe("ratings.csv", columns)
+    texts = read_study_texts(settings, study.path)
+    for protocol, scale in scales.items():
+        about = _describe_task(protocol, scale, texts=texts, settings=settings)
+        _write_json(folder / f"task-{label_task(protocol)}_beh.json", {**about, **meanings})
 
 
-def _merge(judged: Mapping[tuple[str, int, str], DataSheet]) -> Iterator[tuple[str, DataSheet]]:
-    """Merge the judgements of everybody by task."""
-    for protocol in dict.fromkeys(protocol for *_, protocol in judged):
-        own = {key: sheet for key, sheet in judged.items() if key[2] == protocol}
-        rows = tuple(
-            {"participant_id": f"sub-{key[0]}", **row}
-            for key, sheet in own.items()
-            for row in sheet.rows
-        )
-        first = next(iter(own.values()))
-        meanings = {**tables.describe("ratings.csv", ["participant_id"]), **first.meanings}
-        yield (
-            f"task-{label_task(protocol)}",
-            tables.DataSheet(("participant_id", *first.columns), rows, meanings),
-        )
-
-
-def _make_stimuli(gathered: _Gathered) -> DataSheet:
-    """Make the table of stimuli: the manifest, with what its recordings are of and which are one and the same."""
-    with intake.open_text(gathered.study.manifest) as file:
-        reader = csv.DictReader(file)
-        rows, header = list(reader), list(reader.fieldnames or ())
-    origins = read.list_origins(gathered.settings)
-    numbered = people.rename(origins.values(), "source")
-    labels = gathered.further.labels
-    further = {"source": {name: numbered[one] for name, one in origins.items()}}
-    further |= (
-        {} if labels is None else {str(name): dict(labels[name].fillna("")) for name in labels}
-    )
-    return tables.make_stimuli(header, rows, further=further, info=gathered.table.info)
-
-
-def _list_words(gathered: _Gathered) -> Iterator[tuple[str, Content]]:
-    """List the files in plain words, and the vibrations."""
-    own = gathered.settings.publication
-    simulated = sum(one.progress.simulated for one in gathered.people)
-    missing = own.list_missing()
-    readme = credit.write_readme(
-        gathered.settings, people=len(gathered.people), simulated=simulated, missing=missing
-    )
-    yield "README", readme.encode()
-    yield "CHANGES", credit.write_changes(own).encode()
-    yield ".bidsignore", IGNORED.encode()
-    if citation := credit.write_citation(gathered.settings):
-        yield "CITATION.cff", citation.encode()
-    if own.licence:
-        holders = ", ".join(author.name for author in own.authors)
-        yield "LICENSE", credit.write_licence(own, holders).encode()
-    for stimulus in read_stimuli(gathered.study.stimuli).stimuli:
-        yield f"stimuli/{stimulus.file}", gathered.study.stimuli / stimulus.file
-
-
-def _list_derived(gathered: _Gathered, choices: ExportChoices) -> Iterator[tuple[str, Content]]:
-    """List what feel321 made of the data: choices of the analysis, methods, and the report where it is asked for."""
-    title = credit.find_title(gathered.settings)
-    about = {
-        "Name": f"{title}: analysis by feel321",
-        "BIDSVersion": credit.BIDS_VERSION,
-        "DatasetType": "derivative",
-        "GeneratedBy": [credit.SOFTWARE],
-        "SourceDatasets": [{"URL": "../.."}],
-    }
-    yield f"{OWN}/dataset_description.json", tables.write_json(about)
-    yield f"{OWN}/README", credit.write_derived_readme(title).encode()
-    yield CHOICES, tables.write_json(describe_choices(gathered))
-    report = gathered.study.report
-    if (results := _read_current(gathered.study)) is not None:
-        methods = make_methods(gathered.study, results, is_dated=False)
-        yield f"{OWN}/docs/{METHODS_FILE}", methods.encode()
-    if not choices.report:
-        return
-    if not (report / "results.json").is_file():
-        raise FileNotFoundError(f"{report}: no report yet; run feel321 analyze first")
-    if not choices.keep_ids:
-        raise ValueError(
-            "--report: a report names participants by the study's codes; add --keep-ids, or leave it out"
-        )
-    for name in sorted(writing.list_files(report)):
-        yield f"{OWN}/docs/report/{name}", report / name
-
-
-def _read_current(study: StudyFolder) -> dict[str, Any] | None:
-    """Read the results of a report that was made from these very ratings."""
-    path = study.report / "results.json"
-    if not path.is_file():
-        return None
-    results: dict[str, Any] = json.loads(intake.read_text(path))
-    made_from = results.get("inputs", {}).get("ratings_sha256")
-    return results if made_from == digest_file(study.ratings) else None
-
-
-def describe_choices(gathered: _Gathered) -> dict[str, Any]:
-    """Describe what an analysis needs besides the tables, so that it can be done again without the study."""
-    settings, further = gathered.settings, gathered.further
-    frames = {"metrics": further.metrics.reset_index(), "mountings": further.mountings}
-    paper = settings.paper
-    ours = {name: one for name, one in gathered.table.info.items() if name not in METRIC_INFO}
-    info = {**ours, **analyze.list_info(settings)}
+def _describe_task(
+    protocol: str, scale: str, *, texts: Mapping[str, Any], settings: Settings
+) -> dict[str, Any]:
+    asked, page = texts["scales"].get(scale, {}), texts["pages"].get(f"instructions.{protocol}", {})
+    ends = f"0 ({asked.get('low_label', '')}) to 100 ({asked.get('high_label', '')})"
     return {
-        "name": settings.study.name,
-        "seed": settings.study.seed,
-        "protocols": settings.session.protocols,
-        "keep_ids": all(one.label == one.progress.participant for one in gathered.people),
-        "analysis": settings.analysis.model_dump(mode="json", exclude={"screening"}),
-        "screening_left_out": len(settings.analysis.screening),
-        "info": {name: _dump(one) for name, one in info.items()},
-        "further": {
-            name: None if frame is None else frame.to_dict("list") for name, frame in frames.items()
-        },
-        "notes": further.notes,
-        "paper": paper.model_dump(mode="json") if paper else None,
-        "manifest_sha256": digest_file(gathered.study.manifest),
+        "TaskName": label_task(protocol),
+        "TaskDescription": f"{asked.get('question', protocol)} The answer is given in points from {ends}.",
+        "Instructions": " ".join(page.get("text", "").split()),
+        "InstitutionName": settings.publication.institution,
+        "InstitutionalDepartmentName": settings.publication.department,
+        "InstitutionAddress": settings.publication.address,
+        "StimulusPresentation": {"SoftwareName": "feel321", "SoftwareVersion": __version__},
     }
 
 
-def _dump(info: Any) -> dict[str, Any]:  # noqa: ANN401 - a MetricInfo
-    """Write what a metric declares; a bound that is infinite is left out."""
-    from dataclasses import asdict
-    from math import isfinite
+# Words.
 
-    found = asdict(info).items()
-    return {name: one for name, one in found if not isinstance(one, float) or isfinite(one)}
+
+def _write_words(
+    study: StudyFolder, settings: Settings, people: Sequence[Person], *, folder: Path
+) -> None:
+    """Write what the dataset is, who made it and how it may be used."""
+    own = settings.publication
+    title = own.title or settings.study.name
+    about = {
+        "Name": title,
+        "BIDSVersion": BIDS_VERSION,
+        "DatasetType": "raw",
+        "License": None if own.authors else own.licence,  # else CITATION.cff says it, once
+        "Acknowledgements": own.acknowledgements,
+        "Funding": own.funding,
+        "EthicsApprovals": own.ethics,
+        "Keywords": own.keywords,
+        "ReferencesAndLinks": () if own.authors else own.references,
+        "DatasetDOI": own.doi and f"doi:{own.doi}",
+        "GeneratedBy": [
+            {"Name": "feel321", "Version": __version__, "Description": "feel321 export"}
+        ],
+        "SourceDatasets": [{"Version": f"study sealed {make_seal(study)}"}],
+    }
+    _write_json(folder / "dataset_description.json", about)
+    _write(folder / ".bidsignore", f"/{METHODS_FILE}\n")
+    simulated = sum(one.progress.simulated for one in people)
+    ghosts = f" {simulated} of them are simulated: programs, not people." if simulated else ""
+    _write(folder / "README", README.format(
+        title=title, description=own.description or "No description was given.",
+        people=f"{len(people)} participants felt vibrations on a stylus and judged them.{ghosts}",
+    ))  # fmt: skip
+    if own.authors:
+        _write(folder / "CITATION.cff", _format_citation(settings, title))
+
+
+README = """\
+{title}
+
+{description}
+
+{people}
+
+- sub-*/: judgements, one row each, by task (BIDS, modality beh); a sidecar describes every column
+- participants.tsv, phenotype/: participants, and answers to question pages where there are any
+- stimuli/: the vibrations as WAV files, and stimuli.tsv with their metrics
+- methods.md: the study as a paper's methods section, where a report was made of it
+- CITATION.cff: authors and licence, where they were given
+
+De-identification: participants are numbered in random order, unless the study's codes were kept; times are relative to
+the start of a session; ages are in bands; personal answers, texts that participants typed, experimenters' notes, dates,
+names of machines and people, and all data of those who withdrew are left out.
+
+Written by feel321 export.
+"""
+
+
+def _format_citation(settings: Settings, title: str) -> str:
+    """Format `CITATION.cff` 1.2.0; JSON's strings are YAML's."""
+    own = settings.publication
+
+    def list_lines(facts: Mapping[str, Any]) -> list[str]:
+        known = ((name, value) for name, value in facts.items() if value)
+        return [f"{name}: {json.dumps(value, ensure_ascii=False)}" for name, value in known]
+
+    lines = list_lines({
+        "cff-version": "1.2.0", "message": own.acknowledgements or "If you use this dataset, please cite it as below.",
+        "type": "dataset", "title": title, "abstract": own.description, "version": own.version,
+        "date-released": own.released, "license": own.licence, "doi": own.doi, "keywords": own.keywords,
+    })  # fmt: skip
+    lines.append("authors:")
+    for author in own.authors:
+        first, *others = list_lines({
+            "family-names": author.family, "given-names": author.given,
+            "orcid": author.orcid and f"https://orcid.org/{author.orcid}", "affiliation": author.affiliation,
+        })  # fmt: skip
+        lines += [f"  - {first}", *(f"    {line}" for line in others)]
+    return "\n".join(lines) + "\n"
+
+
+def _write_methods(study: StudyFolder, folder: Path) -> list[str]:
+    """Write the methods section, if there is a report of these very ratings; else say that it is missing."""
+    path = study.report / "results.json"
+    results = json.loads(intake.read_text(path)) if path.is_file() else {}
+    if results.get("inputs", {}).get("ratings_sha256") != digest_file(study.ratings):
+        return [NO_METHODS]
+    _write(folder / METHODS_FILE, make_methods(study, results, is_dated=False))
+    return []

@@ -210,9 +210,9 @@ def _tell_stimuli(study: StudyFolder) -> Iterator[str]:
         f"({', '.join(f'{n} {role}' for role, n in roles.items())}), {min(lengths):.2f} to {max(lengths):.2f} s long, "
         f"at the levels {', '.join(recipe['levels'])}; gain: {recipe['gain']}."
     ).replace("stimuluss", "stimuli")
-    bands = {one.recording: one.band_high_hz for one in stimuli if one.band_high_hz < HIGHEST_HZ}
-    if bands:
-        named = ", ".join(f"{name} ({high:g} Hz)" for name, high in bands.items())
+    narrow = {one.recording: one.band_high_hz for one in stimuli if one.band_high_hz < HIGHEST_HZ}
+    if narrow:
+        named = ", ".join(f"{name} ({high:g} Hz)" for name, high in narrow.items())
         yield (
             f"Matches compare 20 to {HIGHEST_HZ:g} Hz; recordings with a lower Nyquist frequency were compared up to "
             f"that: {named}."

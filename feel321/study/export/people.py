@@ -28,9 +28,6 @@ KEY_FILE = ".export.key"
 LABEL = re.compile(r"[0-9A-Za-z]+")
 """What BIDS allows as the label of a participant."""
 
-PATH = re.compile(r"(?<![\w:/])(?:/|[A-Za-z]:\\)[\w.~-]+[/\\]")
-"""A path on a machine."""
-
 OLDEST, BAND = 80, 5
 """Ages are given in bands of five years, and from 80 on as one."""
 
@@ -132,21 +129,10 @@ def band_age(years: float) -> str:
     return f"{low}-{low + BAND - 1}"
 
 
-def rename(values: Iterable[str], stem: str) -> dict[str, str]:
+def number_names(values: Iterable[str], stem: str) -> dict[str, str]:
     """Give numbers to names that tell where and when something was made; `uncalibrated` and nothing stay."""
     kept = {"", "uncalibrated"}
     found = [value for value in dict.fromkeys(values) if value not in kept]
     return {value: value for value in kept} | {
         value: f"{stem}{number}" for number, value in enumerate(sorted(found), start=1)
     }
-
-
-def leave_out_names(notes: Iterable[str], people: Sequence[Person]) -> list[str]:
-    """Leave out notes that name a participant by the study's own code."""
-    codes = [
-        re.escape(one.progress.participant)
-        for one in people
-        if one.label != one.progress.participant
-    ]
-    found = re.compile(rf"(?<!\w)(?:{'|'.join(codes)})(?!\w)") if codes else None
-    return [note for note in notes if not (found and found.search(note)) and not PATH.search(note)]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.export.dataset import ExportChoices, export_bids
+from feel321.study.export.dataset import export_bids
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session.events import NoteTaken
@@ -155,7 +155,7 @@ def export(studied: StudyFolder, tmp_path_factory: pytest.TempPathFactory) -> Ca
 
     def run(**choices: bool) -> Path:
         folder = tmp_path_factory.mktemp("export") / "dataset"
-        export_bids(studied, folder, ExportChoices(**choices))
+        export_bids(studied, folder, **choices)
         return folder
 
     return run

@@ -157,13 +157,13 @@ def write_everything(study: StudyFolder, out: Path, *, really: bool) -> None:
         say("chart", study.path, "--out", out / "chart")
         say("advise", study.path)
         say("power", study.path, "--participants", "4,6", "--studies", 0)
-        say("export", study.path, "--bids", out / "bids", "--simulated")
+        say("export", study.path, out / "bids", "--simulated")
         say("backup", study.path, "--to", out / "safe")
     else:
         make_report(study.report)
         with shared.recording(study, "analyze", out / "elsewhere"):
             make_report(out / "elsewhere")
-    say("export", study.path, "--r", out / "for-r")
+    say("export", study.path, out / "for-r", "--r")
     say("replay", study.path, "--participant", WHO, "--out", out / "film.html")
     say("status", study.path, "--notes")
     say("inventory", study.path, "--json")
@@ -229,7 +229,7 @@ def test_links_go_and_what_they_lead_to_is_named_and_left(
 def test_an_output_that_was_changed_is_named_and_left(
     planted: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    say("export", planted.path, "--r", tmp_path / "for-r")
+    say("export", planted.path, tmp_path / "for-r", "--r")
     changed = tmp_path / "for-r" / "judgements.csv"
     changed.write_text(changed.read_text() + "mine\n")
     say("withdraw", planted.path, "--participant", WHO, "--yes")
@@ -243,7 +243,7 @@ def test_what_was_away_at_a_withdrawal_is_named_until_it_is_cleared(
     planted: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out, safe = tmp_path / "for-r", tmp_path / "safe"
-    say("export", planted.path, "--r", out)
+    say("export", planted.path, out, "--r")
     say("backup", planted.path, "--to", safe)
     for path in (out, safe):
         path.rename(tmp_path / f"away-{path.name}")
