@@ -30,9 +30,6 @@ REDUCER_NAMES = (
     "pca321_matched_windowed",
     "dft321_bands",
     "dft321_filtered",
-    "dft321_best",
-    "mag321_signed",
-    "carrier321",
 )
 """In the order of the paper, simplest first; later ones follow. The only list of names."""
 

@@ -68,20 +68,6 @@ def _length(line: Samples, wave: Samples) -> Samples:
     return np.asarray(np.linalg.norm(line) * wave)
 
 
-def _signed_length(motion: Samples) -> Samples:
-    signs = np.where(motion.sum(axis=0) < 0, -1.0, 1.0)
-    return np.asarray(signs * np.linalg.norm(motion, axis=0))
-
-
-def _carry(motion: Samples) -> Samples:
-    """Give a carrier of 250 Hz the mean energy of the past 5 ms, by its recursion."""
-    memory, energy, out = np.exp(-1 / (0.005 * RATE_HZ)), 0.0, []
-    for place, sample in enumerate(motion.T):
-        energy = memory * energy + (1 - memory) * np.square(sample).sum()
-        out.append(np.sqrt(2 * energy) * np.sin(np.pi / 2 * place))
-    return np.array(out)
-
-
 def _filter_bank(motion: Samples) -> Samples:
     """Make each of six bands as strong as all axes were in the recent past, by their recursions."""
     splits = 40.0 * 2.0 ** np.arange(5)
@@ -110,8 +96,6 @@ _CLOSED_FORMS: Mapping[str, _Form] = MappingProxyType({
     "pca321_matched_windowed": _length,
     # One gain in all bands; where the axes cancel it is limited, and there is nothing to amplify.
     "dft321_filtered": lambda line, wave: np.asarray(np.sign(line.sum()) * np.linalg.norm(line) * wave),
-    "mag321_signed": lambda line, wave: _signed_length(line[:, None] * wave),
-    "carrier321": lambda line, wave: _carry(line[:, None] * wave),
 })  # fmt: skip
 """Reducer -> its output for a motion along a line, (3,), with a waveform, (n,)."""
 
@@ -135,8 +119,6 @@ _DEFINITIONS: Mapping[str, Callable[[Samples], Samples]] = MappingProxyType({
     "mag321": lambda motion: np.sqrt(np.square(motion).sum(axis=0)),
     "soc321": lambda motion: motion.sum(axis=0),
     "dft321_filtered": _filter_bank,
-    "mag321_signed": _signed_length,
-    "carrier321": _carry,
 })  # fmt: skip
 """Reducers without frames -> their output for any motion, (3, n), by definition."""
 
@@ -149,7 +131,7 @@ OPEN_PHASE = "dft321_windowed"
 FREE_SIGN = frozenset({"pca321_adaptive", "dft321_principal_windowed", "pca321_matched_windowed"})
 """Reducers whose output's sign, the same for all of it, is left open."""
 
-TURNS_ALONG = FREE_SIGN | {"mag321", "carrier321"}
+TURNS_ALONG = FREE_SIGN | {"mag321"}
 """Reducers whose output does not depend on how the sensor is mounted, but for its sign."""
 
 

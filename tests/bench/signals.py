@@ -111,9 +111,8 @@ def measure_single() -> Iterator[Figure]:
         a = np.random.default_rng(1).standard_normal((3, n))
         for name in [name for name in REDUCERS if name not in left_out]:
             work = repeat(lambda a=a, f=REDUCERS[name]: f(a, RATE_HZ), n)
-            pairs = 5 if name == "dft321_best" else PAIRS
             what = f"{name}, n = {n}" if n == SHORT else f"{name} alone, n = {n}"
-            yield Figure(what, ratio(work, make_floor(n), pairs), FFTS)
+            yield Figure(what, ratio(work, make_floor(n)), FFTS)
 
 
 def measure_many() -> Iterator[Figure]:
@@ -122,7 +121,7 @@ def measure_many() -> Iterator[Figure]:
     floor, few = make_many_floor(a), a[:100]
     what = f"{MANY} x {SHORT}"
     yield Figure(f"reading {what}", ratio(lambda: np.einsum("kin,kin->k", a, a), floor, 5), FFTS)
-    for name in [name for name in REDUCERS if name != "dft321_best"]:  # which takes minutes
+    for name in REDUCERS:
         work = partial(stimuli.reduce_many, a, name, rate_hz=RATE_HZ)
         limit = {"dft321": 3.0, "sax321": 1.0, "mag321": 1.0}.get(name)
         yield Figure(f"{name}, {what}", ratio(work, floor, 3), FFTS, limit)

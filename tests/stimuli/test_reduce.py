@@ -33,9 +33,6 @@ CONTRACT = [
     "pca321_matched_windowed",
     "dft321_bands",
     "dft321_filtered",
-    "dft321_best",
-    "mag321_signed",
-    "carrier321",
 ]
 RATE = 1000.0
 LENGTHS = st.integers(1, 200)

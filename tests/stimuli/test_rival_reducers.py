@@ -9,17 +9,12 @@ import numpy as np
 import pytest
 
 from feel321.stimuli.reducers.bands import EDGES_HZ, FASTEST_S, SPLITS_HZ
-from feel321.stimuli.reducers.registry import (
-    COMPARISONS,
-    DEFAULT_REDUCERS,
-    REDUCERS,
-    StreamingReducer,
-)
-from feel321.stimuli.rotation import random_rotations, temporal_match_invariant
-from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS, StreamingReducer
+from feel321.stimuli.rotation import random_rotations
+from feel321.stimuli.synthesis import make_scene
 
 RATE = 4000.0
-RIVALS = ("dft321_bands", "dft321_filtered", "dft321_best", "mag321_signed", "carrier321")
+RIVALS = ("dft321_bands", "dft321_filtered")
 TIME = np.arange(4000) / RATE
 
 
@@ -34,10 +29,9 @@ def reduce(name: str, acceleration: np.ndarray) -> np.ndarray:
 def test_they_stand_last_and_no_study_compares_them_unless_it_says_so() -> None:
     assert tuple(REDUCERS)[-len(RIVALS) :] == RIVALS
     assert not {*RIVALS} & {*DEFAULT_REDUCERS}
-    assert {*COMPARISONS} < {*RIVALS}
 
 
-@pytest.mark.parametrize("name", RIVALS[:-1])
+@pytest.mark.parametrize("name", RIVALS)
 def test_motion_along_one_line_is_kept(name: str) -> None:
     wave = np.convolve(noise(4000), np.ones(5), "same")
     reduced = reduce(name, np.outer((2.0, 6.0, 3.0), wave))
@@ -45,12 +39,11 @@ def test_motion_along_one_line_is_kept(name: str) -> None:
     assert np.ptp(np.sign(reduced * wave)[np.abs(wave) > 1e-6]) == 0
 
 
-@pytest.mark.parametrize("name", ["dft321_bands", "dft321_best", "carrier321"])
-def test_turning_the_sensor_changes_at_most_the_sign(name: str) -> None:
+def test_turning_the_sensor_changes_at_most_the_sign_of_bands() -> None:
     recording = make_scene("hard_taps", rate_hz=RATE, duration_s=1).acceleration
-    once = reduce(name, recording)
+    once = reduce("dft321_bands", recording)
     for turn in random_rotations(3, np.random.default_rng(1)):
-        other = reduce(name, turn @ recording)
+        other = reduce("dft321_bands", turn @ recording)
         apart = min(np.abs(other - once).max(), np.abs(other + once).max())
         assert apart < 1e-6 * np.abs(once).max()
 
@@ -75,30 +68,6 @@ def test_each_band_moves_along_its_own_axis() -> None:
     assert np.abs(found) == pytest.approx([3, 2, 1], rel=1e-9)
     rest = reduced - found @ tones
     assert np.abs(rest).max() < 1e-9
-
-
-def test_no_phase_matches_better_than_the_best() -> None:
-    """Against the other reducers with this spectrum, random directions and random phases; a bound but for 1e-3."""
-    rng = np.random.default_rng(0)
-    for name in SCENES:
-        recording = make_scene(name, rate_hz=RATE, duration_s=0.5).acceleration
-        spectra = np.fft.rfft(recording)
-        size = np.linalg.norm(spectra, axis=0)
-        best = temporal_match_invariant(recording, reduce("dft321_best", recording), RATE)
-        rivals = [reduce("dft321", recording), reduce("dft321_principal", recording)]
-        phases = [np.angle(rng.standard_normal(3) @ spectra) for _ in range(200)]
-        phases += [rng.uniform(0, 7, size.size) for _ in range(5)]
-        rivals += [np.fft.irfft(size * np.exp(1j * phase), 2000) for phase in phases]
-        for other in rivals:
-            assert temporal_match_invariant(recording, other, RATE) <= best + 1e-3
-        assert np.abs(np.fft.rfft(reduce("dft321_best", recording))) == pytest.approx(size)
-
-
-def test_the_best_is_reached_where_it_is_known() -> None:
-    """Two tones of equal strength, x and y: the match is (|u_x| + |u_y|) / 2 at most, so 1 / sqrt 2 on the diagonal."""
-    tones = np.array([np.sin(2 * np.pi * 100 * TIME), np.sin(2 * np.pi * 300 * TIME), 0 * TIME])
-    reduced = reduce("dft321_best", tones)
-    assert temporal_match_invariant(tones, reduced, RATE) == pytest.approx(math.sqrt(0.5), rel=1e-9)
 
 
 def brute_filter_bank(acceleration: np.ndarray) -> np.ndarray:
@@ -136,33 +105,12 @@ def test_the_filter_bank_has_the_energy_of_all_axes_and_no_delay() -> None:
     assert StreamingReducer("dft321_filtered", RATE).latency_samples == 0
 
 
-def test_signed_magnitude_is_the_length_with_the_sign_of_the_sum() -> None:
+def test_the_stream_gives_what_the_whole_recording_gives() -> None:
     recording = noise(3, 1000)
-    reduced = reduce("mag321_signed", recording)
-    np.testing.assert_allclose(np.abs(reduced), np.linalg.norm(recording, axis=0), rtol=1e-14)
-    assert np.array_equal(np.sign(reduced), np.sign(recording.sum(axis=0)))
-    assert np.sum(reduced**2) == pytest.approx(np.sum(recording**2))
-
-
-def test_the_carrier_is_as_strong_as_the_recording_and_at_250_hz() -> None:
-    for seed in range(3):
-        turned = random_rotations(1, np.random.default_rng(seed))[0]
-        tones = [np.sin(2 * np.pi * 90 * TIME), np.cos(2 * np.pi * 90 * TIME), 0 * TIME]
-        reduced = reduce("carrier321", turned @ np.array(tones))
-        expected = math.sqrt(2) * np.sin(2 * np.pi * 250 * TIME)
-        # A circle has a constant length; from rest the envelope rises with 5 ms.
-        np.testing.assert_allclose(reduced[400:], expected[400:], atol=1e-6)
-        rise = math.sqrt(1 - math.exp(-20 / (0.005 * RATE)))
-        assert reduced[19] == pytest.approx(rise * expected[19], rel=1e-9)
-    slow = REDUCERS["carrier321"](noise(3, 64), 100.0)
-    assert np.abs(slow[::2]).max() < 1e-9  # a quarter of the rate
-
-
-@pytest.mark.parametrize("name", ["dft321_filtered", "mag321_signed", "carrier321"])
-def test_streams_give_what_the_whole_recording_gives(name: str) -> None:
-    recording = noise(3, 1000)
-    stream = StreamingReducer(name, RATE)
+    stream = StreamingReducer("dft321_filtered", RATE)
     cuts = [0, 1, 1, 8, 300, 301, 1000]
     pieces = [stream.process(recording[:, a:b]) for a, b in itertools.pairwise(cuts)]
-    np.testing.assert_allclose(np.concatenate(pieces), reduce(name, recording), atol=1e-12)
+    np.testing.assert_allclose(
+        np.concatenate(pieces), reduce("dft321_filtered", recording), atol=1e-12
+    )
     assert stream.flush().size == 0

@@ -40,7 +40,7 @@ from feel321.stimuli.recording import (
     coerce_real,
     largest,
 )
-from feel321.stimuli.reducers import axes, bands, fourier, intensity
+from feel321.stimuli.reducers import axes, bands, fourier
 from feel321.types import OnGap, Reducer, Samples
 
 REDUCERS: Registry[Reducer] = Registry(
@@ -70,9 +70,6 @@ REDUCERS: Registry[Reducer] = Registry(
                 axes.pca321_matched_windowed,
                 bands.dft321_bands,
                 bands.dft321_filtered,
-                fourier.dft321_best,
-                intensity.mag321_signed,
-                intensity.carrier321,
             ),
             strict=True,
         )
@@ -83,9 +80,6 @@ REDUCERS: Registry[Reducer] = Registry(
 
 DEFAULT_REDUCERS = tuple(REDUCERS)[:9]
 """What a study compares unless it says otherwise: as many as a MUSHRA page holds beside the reference and anchors."""
-
-COMPARISONS = ("dft321_best", "mag321_signed", "carrier321")
-"""Reducers to compare others with, not to build: a bound, and candidate reasons why the vector's length feels good."""
 
 
 def reduce(
@@ -149,13 +143,12 @@ def with_window(reducer: Reducer, window_s: float | None) -> Reducer:
     return partial(function, window_s=window_s)
 
 
-_NO_MEMORY = ("sax321", "say321", "saz321", "soc321", "mag321", "mag321_signed")
+_NO_MEMORY = ("sax321", "say321", "saz321", "soc321", "mag321")
 _RUNNING: dict[str, Callable[[float], Callable[[Samples], Samples]]] = {
     "sax321_matched_running": lambda rate_hz: axes.RunningAxis((), 0, rate_hz).push,
     "say321_matched_running": lambda rate_hz: axes.RunningAxis((), 1, rate_hz).push,
     "saz321_matched_running": lambda rate_hz: axes.RunningAxis((), 2, rate_hz).push,
     "dft321_filtered": lambda rate_hz: bands.FilterBank((), rate_hz).push,
-    "carrier321": lambda rate_hz: intensity.Carrier((), rate_hz).push,
 }
 _IN_FRAMES: dict[str, Callable[[float], Callable[[tuple[int, ...], int], axes.BlockProcessor]]] = {
     "pca321_adaptive": lambda rate_hz: partial(axes.PrincipalFrames, rate_hz=rate_hz),
@@ -174,7 +167,6 @@ WHY_NOT_STREAMING = {
         ("saz321_matched", "gain needs", "saz321_matched_running"),
         ("pca321_matched", "axis and its gain need", "pca321_matched_windowed"),
         ("dft321_bands", "bands' axes need", "dft321_filtered"),
-        ("dft321_best", "axis needs", "dft321_principal_windowed"),
     )
 }
 """Name -> reason, for the reducers that cannot run causally."""

@@ -43,7 +43,7 @@ from feel321.analysis.tradeoff.chart.points import (
     merge_rows,
     name_point,
 )
-from feel321.stimuli.reducers.registry import COMPARISONS, REDUCERS
+from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -194,7 +194,6 @@ def test_the_sentence_is_about_what_the_results_hold(rated: Chart, written: Path
     content = json.loads((written / "results.json").read_text(encoding="utf-8"))
     headline, merged = content["headline"], merge_equal(rated.to_frames())
     points = merged["points"][merged["points"]["measure"] == ACCURACY].set_index("reducer")
-    points = points[~points.index.isin(COMPARISONS)]
     highest = points["median"].round(2) == points["median"].round(2).max()
     best = points[highest]["ns_per_sample"].idxmin()
     assert headline.startswith(f"{best} is the ")
@@ -216,10 +215,9 @@ def test_the_sentence_is_about_what_the_results_hold(rated: Chart, written: Path
 
 def test_candidates_are_few_and_each_is_what_it_is_said_to_be(tiny: Chart, written: Path) -> None:
     merged = merge_equal(tiny.to_frames())
-    every = [one for one in list_candidates(merged) if one.reducer not in COMPARISONS]
+    every = list_candidates(merged)
     found = choose_candidates(merged)
     assert len({one.reducer for one in found}) == len(found) <= MOST
-    assert not {one.reducer for one in found} & {*COMPARISONS}
     said = {why: one for one in found for why in one.why.split(", ")}
     assert said["fastest"].ns_per_sample == min(one.ns_per_sample for one in every)
     highest = max(round(one.accuracy, 2) for one in every)
@@ -254,8 +252,6 @@ def test_few_reducers_and_an_unsteady_one_are_described_truly(tiny: Chart) -> No
     assert said["most accurate of the steady"] == "mag321"
     still = {**two, "stability": two["stability"][:0]}
     assert "steady" not in describe_finding(still)
-    only = keep(merged, COMPARISONS[0])
-    assert describe_finding(only).startswith(f"{COMPARISONS[0]} is the most accurate")
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def test_the_spectral_match_explodes_in_empty_bands_and_its_counterpart_does_not
     tone = np.array([[1.0], [0.5], [0.2]]) * np.sin(2 * np.pi * 100 * time)
     row = compare(made(tone + 1e-6 * rng.standard_normal((3, 4000)), rate_hz=4000))
     assert row.explodes
-    assert row.worst_reducer == "carrier321"  # all its energy in a band that is empty
+    assert row.worst_reducer == "mag321"  # rectified: all its energy in bands that are empty
     assert 0 <= row.spectral_bounded <= 1
     assert 0 <= row.spectral_energy_weighted <= 1
     assert f"({row.spectral_bounded:.2f} there)" in [*describe_metrics([row])][1]

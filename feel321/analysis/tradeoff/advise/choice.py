@@ -33,7 +33,7 @@ from feel321.analysis.tradeoff.advise.scene import (
 )
 from feel321.analysis.tradeoff.stress.diagnosis import eigenvalue_ratio
 from feel321.stimuli.match import LOWEST_HZ
-from feel321.stimuli.reducers.registry import COMPARISONS, REDUCERS
+from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import felt_level
 from feel321.types import Reducer, Samples
 
@@ -119,12 +119,6 @@ class SceneAdvice:
         return f"{self.scene.name}: {self.answer}{tied}, {place}: {self.reason}"
 
 
-def list_reducers(ratings: Mapping[str, Rated] | None = None) -> dict[str, Reducer]:
-    """List the reducers that may be advised: `COMPARISONS` only if they were rated."""
-    left_out = {*COMPARISONS} - {*(ratings or {})}
-    return {name: one for name, one in REDUCERS.items() if name not in left_out}
-
-
 def advise_scene(
     scene: AdviceScene,
     context: Context,
@@ -135,9 +129,9 @@ def advise_scene(
 ) -> SceneAdvice:
     """Find the simplest sufficient reducer of a scene.
 
-    reducers: those of `list_reducers` if left out.
+    reducers: feel321's own if left out.
     """
-    reducers = list_reducers(ratings) if reducers is None else reducers
+    reducers = REDUCERS if reducers is None else reducers
     if problem := _find_problem(scene.recording):
         return SceneAdvice(scene, reason=problem, why=problem)
     listed = dict(_list_contenders(scene, context, reducers))

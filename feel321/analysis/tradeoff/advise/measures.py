@@ -99,17 +99,11 @@ SILENT_DB = -120.0
 
 TURNS_ALONG = frozenset({
     "mag321", "pca321", "pca321_adaptive", "dft321_principal", "dft321_principal_windowed", "pca321_matched",
-    "pca321_matched_windowed", "dft321_bands", "dft321_best", "carrier321", "two_principal_axes", "three_axes",
+    "pca321_matched_windowed", "dft321_bands", "two_principal_axes", "three_axes",
 })  # fmt: skip
 """Reducers, and what several axes of an actuator play, whose output no rotation changes but for its sign."""
 
-TREATS_ALIKE = TURNS_ALONG | {
-    "soc321",
-    "dft321",
-    "dft321_windowed",
-    "dft321_filtered",
-    "mag321_signed",
-}
+TREATS_ALIKE = TURNS_ALONG | {"soc321", "dft321", "dft321_windowed", "dft321_filtered"}
 """Reducers whose output no permutation of the axes changes."""
 
 GAIN_DB = {"soc321": 10 * math.log10(3)}
@@ -155,11 +149,6 @@ _WORK: Mapping[str, Callable[[int, int], tuple[float, float]]] = MappingProxyTyp
     "dft321_bands": lambda n, _: (4.0 * n, _transforms(n) + LEADING_AXIS + COVARIANCE + PROJECTION + 1),
     # Five low-passes of three axes; six bands: 3 differences, 2 sums over axes, 4 squares, 2 sums, 8 for the gain, 2.
     "dft321_filtered": lambda *_: (27.0, 5 * 3 * 3 + 6 * 21.0),
-    # 13 directions in 4 steps and their size, then 24 steps; each a projection and a sum along it.
-    "dft321_best": lambda n, _: (
-        4.0 * n, _transforms(n) + SPECTRA_TO_ONE + LEADING_AXIS + (13 * 5 + 24) * 3 * PROJECTION),
-    "mag321_signed": lambda *_: (0.0, 9.0),
-    "carrier321": lambda *_: (3.0, 12.0),
 })  # fmt: skip
 """Reducer -> numbers held at once and operations per sample, by lengths of the signal and the window."""
 

@@ -11,18 +11,14 @@ from typing import TYPE_CHECKING, Any
 from feel321 import __version__
 from feel321.analysis.figures import style
 from feel321.analysis.report.section import Picture
-from feel321.analysis.tradeoff.advise.choice import (
-    SceneAdvice,
-    advise_scene,
-    find_common,
-    list_reducers,
-)
+from feel321.analysis.tradeoff.advise.choice import SceneAdvice, advise_scene, find_common
 from feel321.analysis.tradeoff.advise.measures import SEGMENT_S, TURNS
 from feel321.analysis.tradeoff.advise.scene import ANY, Context, Rated, Verdict, split_recording
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings
 from feel321.doors import announce
 from feel321.jobs import ALONE, Workers, as_workers, gather_results
 from feel321.records import to_json_value
+from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import PathLike, Reducer
 
 if TYPE_CHECKING:
@@ -243,7 +239,7 @@ def _advise(
     from threadpoolctl import threadpool_limits
 
     announce(scene.name)
-    reducers = {**list_reducers(rated), **own}
+    reducers = {**REDUCERS, **own}
     # The work is in transforms: threads of the linear algebra only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         return advise_scene(scene, context, seed=seed, ratings=rated, reducers=reducers)

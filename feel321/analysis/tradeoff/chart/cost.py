@@ -34,7 +34,7 @@ from feel321.analysis.tradeoff.chart.points import TABLES, split
 from feel321.analysis.tradeoff.stress.battery import take_excerpt
 from feel321.analysis.tradeoff.stress.measures import perturbation_gain
 from feel321.stimuli import recording
-from feel321.stimuli.reducers import axes, bands, fourier, intensity
+from feel321.stimuli.reducers import axes, bands, fourier
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
 from feel321.types import Samples
@@ -336,7 +336,7 @@ _IN_32_BIT: dict[str, Any] = {
 def _copy_modules() -> dict[str, ModuleType]:
     """Make private copies of the reducers' modules that compute in 32 bits."""
     copies: dict[str, Any] = {}
-    for original in (recording, axes, fourier, bands, intensity):
+    for original in (recording, axes, fourier, bands):
         spec: Any = find_spec(original.__name__)
         copies[spec.name] = module_from_spec(spec)
         spec.loader.exec_module(copies[spec.name])

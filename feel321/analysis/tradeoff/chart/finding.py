@@ -25,7 +25,6 @@ from feel321.analysis.tradeoff.chart.points import (
     split,
 )
 from feel321.analysis.tradeoff.stress.measures import MEASURES as STRESS
-from feel321.stimuli.reducers.registry import COMPARISONS
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -88,13 +87,12 @@ def _rank_accuracy(one: Candidate) -> tuple[float, float]:
 
 
 def choose_candidates(merged: Tables) -> tuple[Candidate, ...]:
-    """Choose at most five reducers worth considering, and say why; those that only serve comparison are left out."""
+    """Choose at most five reducers worth considering, and say why."""
     from dataclasses import replace
 
     every = list_candidates(merged)
-    rivals = [one for one in every if one.reducer not in COMPARISONS] or list(every)
     reasons: dict[str, list[str]] = {}
-    for why, one in _assign_reasons(rivals):
+    for why, one in _assign_reasons(every):
         if one.reducer in reasons or len(reasons) < MOST:
             reasons.setdefault(one.reducer, []).append(why)
     return tuple(
@@ -150,8 +148,7 @@ def find_middle(rivals: Sequence[Candidate]) -> Candidate | None:
 
 def describe_finding(merged: Tables) -> str:
     """Describe in one sentence who is most accurate, how steady it is, and what a faster one loses."""
-    every = list_candidates(merged)
-    rivals = [one for one in every if one.reducer not in COMPARISONS] or list(every)
+    rivals = list_candidates(merged)
     best, said = rivals[0], _describe_best(rivals)
     if len(rivals) == 1:
         return f"{said}."

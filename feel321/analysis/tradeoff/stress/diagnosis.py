@@ -192,15 +192,9 @@ SINGLE_AXES = tuple(
     f"sa{axis}321{form}" for form in ("", "_matched", "_matched_running") for axis in "xyz"
 )
 _FOURIER = ("dft321", "dft321_windowed")
-_BY_SUM = (*_FOURIER, "dft321_filtered", "mag321_signed")
+_BY_SUM = (*_FOURIER, "dft321_filtered")
 _PRINCIPAL = ("pca321", "pca321_adaptive", "pca321_matched", "pca321_matched_windowed")
-_LEADING = (
-    *_PRINCIPAL,
-    "dft321_principal",
-    "dft321_principal_windowed",
-    "dft321_bands",
-    "dft321_best",
-)
+_LEADING = (*_PRINCIPAL, "dft321_principal", "dft321_principal_windowed", "dft321_bands")
 _IN_FRAMES = ("pca321_adaptive", "dft321_principal_windowed")
 _SIGNS = (
     Sign("undetermined_share", "Energy of undetermined phase", undetermined_share, "felt", 0.02, "share",
@@ -281,7 +275,7 @@ def list_warnings(diagnosis: Diagnosis, gains: Sequence[StressCell]) -> tuple[st
 _AXES, _GAINED = SINGLE_AXES[:3], SINGLE_AXES[3:]
 _PCA = ("pca321", "pca321_adaptive")
 _PCA_MATCHED = ("pca321_matched", "pca321_matched_windowed")
-_DFT_ALONG = ("dft321_principal", "dft321_principal_windowed", "dft321_best")
+_DFT_ALONG = ("dft321_principal", "dft321_principal_windowed")
 _FRAMES = ("dft321_windowed", "dft321_principal_windowed")
 _REASONS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType({
     "gain": {
@@ -290,8 +284,7 @@ _REASONS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType({
         "no direction leads, so the noise of the moment determines the axis, and with it a different motion.":
             (*_PCA, *_PCA_MATCHED),
         "the phase is that of x + y + z; where the axes cancel, noise sets it.": _FOURIER,
-        "the waveform or its sign is that of x + y + z; where the axes cancel, noise sets it.":
-            ("dft321_filtered", "mag321_signed"),
+        "the waveform is that of x + y + z; where the axes cancel, noise sets it.": ("dft321_filtered",),
         "bands in which no direction leads take theirs from noise.": ("dft321_bands",),
         "the phase is that along the leading axis; where none leads, or little moves along it, noise sets it.":
             _DFT_ALONG,
@@ -302,7 +295,7 @@ _REASONS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType({
         "x + y + z is the projection on the sensor's diagonal, whose direction is the mounting's.": ("soc321",),
         "equal eigenvalues: rounding chooses among equally good axes.": ("pca321", "pca321_matched"),
         "the spectrum stays, but the phase of x + y + z follows the sensor's diagonal.": _FOURIER,
-        "the intensity stays, but x + y + z follows the sensor's diagonal.": ("dft321_filtered", "mag321_signed"),
+        "the intensity stays, but x + y + z follows the sensor's diagonal.": ("dft321_filtered",),
         "the output depends on the sensor's axes.": (),
     },
     "flip": {
@@ -317,7 +310,6 @@ _REASONS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType({
     },
     "edge": {
         "rectifying turns an offset and a vibration into another envelope.": ("mag321",),
-        "the length of the vector follows an offset, not the vibration on it.": ("mag321_signed", "carrier321"),
         "frames cut slow motion into steps; these leak into all frames.": _FRAMES,
         "the envelope of what it keeps is not that of the motion.": (),
     },
@@ -325,7 +317,7 @@ _REASONS: Mapping[str, Mapping[str, tuple[str, ...]]] = MappingProxyType({
         "it keeps one direction and drops the energy of the two others.": (*_AXES, *_PCA),
         "axes in phase add up to too much, axes in anti-phase cancel.": ("soc321",),
         "the length of the vector is mostly offset, which is not felt; its ripple is what remains.":
-            ("mag321", "mag321_signed", "carrier321"),
+            ("mag321",),
         "within a frame slow motion is an offset, whose axes are merged like a vibration's.": _FRAMES,
         "the gain is at most 10: an axis with less than a hundredth of the energy stays weak.":
             (*_GAINED, "dft321_filtered"),
