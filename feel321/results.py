@@ -32,8 +32,6 @@ from feel321.analysis.standard import P1401, P1401Difference
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.advise.page import Advice
-from feel321.analysis.tradeoff.benchmark.card import Card
-from feel321.analysis.tradeoff.benchmark.run import Benchmark
 from feel321.analysis.tradeoff.chart.compute import Chart
 from feel321.analysis.tradeoff.stress.page import Stress
 from feel321.protocols.trial import Page, Part
@@ -55,9 +53,7 @@ __all__ = [
     "Association",
     "Audit",
     "BayesianSlopes",
-    "Benchmark",
     "BradleyTerry",
-    "Card",
     "Chart",
     "ChoiceModel",
     "ChoicePower",

@@ -64,10 +64,10 @@ if _TYPE_CHECKING:
     from feel321.analysis.standard import compare_p1401, p1401
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.reading import read_table
-    from feel321.analysis.tradeoff.face import advise, benchmark, chart, stress
+    from feel321.analysis.tradeoff.face import advise, chart, stress
 
 __all__ = [
-    "RULES", "PowerDesign", "Table", "Truth", "advise", "align_spaces", "benchmark", "bradley_terry", "chart",
+    "RULES", "PowerDesign", "Table", "Truth", "advise", "align_spaces", "bradley_terry", "chart",
     "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate",
     "correlate_published", "discriminate", "embed_triplets", "equivalence", "export_r", "find_power",
     "fit_attributes", "fit_bayesian", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",

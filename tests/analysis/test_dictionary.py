@@ -10,7 +10,6 @@ import pytest
 
 from feel321.analysis.report.folder import write_flags
 from feel321.analysis.table.dictionary import describe_column, make_dictionary, read_dictionary
-from feel321.analysis.tradeoff.benchmark import leaderboard
 from feel321.analysis.tradeoff.chart import points
 from feel321.analysis.tradeoff.stress.diagnosis import SIGNS
 from feel321.names import METRIC_INFO
@@ -69,7 +68,6 @@ def test_every_table_of_a_report_is_explained(report: Path) -> None:
         ("matches.csv", MATCHES),
         ("manifest.csv", tuple(METRIC_INFO)),
         ("stress/recordings.csv", tuple(SIGNS)),
-        ("leaderboard/leaderboard.csv", tuple(column.key for column in leaderboard.COLUMNS)),
         *((f"chart/{name}.csv", columns) for name, columns in points.TABLES.items()),
     ],
 )

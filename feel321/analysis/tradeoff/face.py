@@ -12,11 +12,10 @@ if TYPE_CHECKING:
 
     from feel321.analysis.table.items import Table
     from feel321.analysis.tradeoff.advise.page import Advice
-    from feel321.analysis.tradeoff.benchmark.run import Benchmark
     from feel321.analysis.tradeoff.chart.compute import Chart
     from feel321.analysis.tradeoff.stress.page import Stress
     from feel321.stimuli.recording import Recording
-    from feel321.types import PathLike, Progress, Reducer, Rng
+    from feel321.types import Progress, Reducer, Rng
 
 
 def chart(
@@ -70,49 +69,6 @@ def chart(
         return compute_chart(
             recordings, ratings=ratings, effort=effort, seed=as_seed(rng), progress=tick
         )
-
-
-def benchmark(
-    reducers: Mapping[str, Reducer] | Iterable[str | Reducer] | None = None,
-    *,
-    recordings: PathLike | None = None,
-    progress: Progress = False,
-) -> Benchmark:
-    """Put reducers through the fixed, versioned battery, and make a card of each.
-
-    Parameters
-    ----------
-    reducers : iterable of str or callable, or Mapping of str to callable, optional
-        As for `stress`; all of `REDUCERS` if left out.
-    recordings : str or PathLike, optional
-        Folder of the public recordings, the battery's second part; the part that is bundled only, if left out.
-    progress : bool or callable
-        Whether to show a bar; or called with the numbers of steps done and to do.
-
-    Returns
-    -------
-    Benchmark
-        The cards, to be written as JSON or read as a table. All but their times come out the same again.
-
-    Raises
-    ------
-    ValueError
-        If a method is unknown, two have the same name, or the folder lacks a recording. A method that fails, changes
-        its input or is random gets no card; `failures` says why.
-
-    Examples
-    --------
-    >>> from feel321 import analysis
-    >>> cards = analysis.benchmark(["dft321", "mag321"]).cards  # doctest: +SKIP
-    >>> [card.stress["failed_scenes"] for card in cards]  # doctest: +SKIP
-    [15, 16]
-    """
-    from feel321.analysis.tradeoff.benchmark.run import run_benchmark
-    from feel321.stimuli.reducers.registry import REDUCERS
-
-    chosen = REDUCERS.choose("all" if reducers is None else reducers)
-    with follow(progress, "benchmark") as tick:
-        return run_benchmark(chosen, folder=recordings, progress=tick)
 
 
 def stress(  # noqa: PLR0913 - every choice that changes the numbers has a name of its own

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import wraps
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from feel321.records import Result
     from feel321.stimuli.guard import OwnReducer
     from feel321.stimuli.recording import Recording
-    from feel321.types import Reducer
 
     Verb = Callable[..., None]
     Ratings = dict[str, dict[str, Rated]]
@@ -35,7 +34,6 @@ class MethodTask:
     extra: tuple[Path, ...]
     output: Path
     seed: int
-    given_output: Path | None = None
     workers: Workers = ALONE
 
     def list_own(self) -> dict[str, OwnReducer]:
@@ -47,28 +45,6 @@ class MethodTask:
             return {}
         found = list_own_reducers(read_settings(self.study.settings), self.study.path)
         return {name: one for name, one in found.items() if one.method.origin != "made"}
-
-    def find_methods(self, names: Sequence[str]) -> dict[str, Reducer]:
-        """Find reducers by name, the lab's own too; all of them where none is named."""
-        from feel321.stimuli.guard import OwnReducer, find_reducer
-        from feel321.stimuli.reducers.registry import REDUCERS
-        from feel321.study.settings import read
-
-        if not names:
-            return {**REDUCERS, **self.list_own()}
-        path = self.study.path
-        own: dict[str, Reducer] = {}
-        settings = (
-            read.read_settings(self.study.settings) if self.study.settings.is_file() else None
-        )
-        for name in names:
-            if name in REDUCERS:
-                own[name] = REDUCERS[name]
-            elif settings is None:
-                own[name] = find_reducer(name, REDUCERS, folder=path)
-            elif not isinstance(method := read.find_reducer(settings, name, path), str):
-                own[name] = OwnReducer(method)
-        return own
 
     def gather(self, *, conditioned: bool = True) -> tuple[Recording, ...]:
         """Gather the recordings, conditioned or as they came from the sensor."""
@@ -138,7 +114,7 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
             study, output_folder = StudyFolder(folder), target or folder / output
             check_target(output_folder)
             chosen = _find_seed(study) if seed is None else seed
-            task = MethodTask(study, scenes, extra, output_folder, chosen, target, workers)
+            task = MethodTask(study, scenes, extra, output_folder, chosen, workers)
             verb(task=task, **own)
 
         return ask_then_do
@@ -146,95 +122,17 @@ def comparison_options(output: str) -> Callable[[Verb], Verb]:
     return give
 
 
-@click.command(
-    epilog="Example: feel321 chart my-study --scenes; or feel321 chart --benchmark --method mylab:my321 --out cards"
-)
+@click.command(epilog="Example: feel321 chart my-study --scenes")
 @comparison_options("chart")
 @click.option(
     "--full/--quick",
     help="Whole recordings, 200 orientations, signals up to 10^7 samples; takes many times as long.  [default: quick]",
 )
-@shared.flag(
-    "--benchmark",
-    "Instead, run methods on the fixed battery and write a JSON card for each; --recordings: the folder of public "
-    "recordings that are its second part.",
-)
-@click.option(
-    "--method",
-    "methods",
-    multiple=True,
-    metavar="NAME",
-    help="With --benchmark: a reducer, or your own: package.module:function, methods/file.py:function, or a table of "
-    "study.toml; repeatable.  [default: all reducers]",
-)
-@click.option(
-    "--leaderboard", "cards", type=shared.FILE, metavar="DIR",
-    help="Instead, make a leaderboard, one static page, of the cards in a folder.",
-)  # fmt: skip
-def chart(
-    *,
-    task: MethodTask,
-    full: bool,
-    as_json: bool,
-    benchmark: bool,
-    methods: tuple[str, ...],
-    cards: Path | None,
-) -> None:
+def chart(*, task: MethodTask, full: bool, as_json: bool) -> None:
     """Plot the speed of every reducer against its accuracy.
 
     Writes a page to explore, figures for print, CSV and JSON. Times are measured on this machine: leave it idle.
     """
-    if (full or task.scenes) and (benchmark or cards):
-        raise click.UsageError(
-            "--benchmark and --leaderboard exclude --full and --scenes: the battery is fixed"
-        )
-    if methods and not benchmark:
-        raise click.UsageError("--method requires --benchmark; add it")
-    if cards is not None and benchmark:
-        raise click.UsageError("--leaderboard excludes --benchmark; make the cards first")
-    if cards is not None:
-        _make_leaderboard(cards, task.given_output, as_json=as_json)
-    elif benchmark:
-        _run_benchmark(task, methods, as_json=as_json)
-    else:
-        _draw_chart(task, full=full, as_json=as_json)
-
-
-def _make_leaderboard(cards: Path, output: Path | None, *, as_json: bool) -> None:
-    from feel321.analysis.tradeoff.benchmark.leaderboard import read_leaderboard
-
-    board = read_leaderboard(cards)
-    for line in board.damaged:
-        shared.warn(line)
-    page = board.write(output or cards)
-    shared.print_results(page.parent, as_json=as_json)
-    if not board.cards:
-        raise ValueError(f"{cards}: no card can be read; measure the methods again")
-
-
-def _run_benchmark(task: MethodTask, methods: tuple[str, ...], *, as_json: bool) -> None:
-    from feel321.analysis.tradeoff.benchmark.run import run_benchmark
-
-    if len(task.extra) > 1:
-        raise click.UsageError(
-            f"--recordings must be one folder with --benchmark, got {len(task.extra)}"
-        )
-    with shared.show_progress("benchmark") as progress:
-        done = run_benchmark(
-            task.find_methods(methods), folder=next(iter(task.extra), None),
-            progress=progress,
-        )  # fmt: skip
-    paths = done.write(task.given_output or task.study.path / "benchmark")
-    if as_json:
-        shared.print_json([card.model_dump() for card in done.cards])
-    else:
-        for path in paths:
-            shared.echo(path)
-    if done.failures:
-        raise ValueError("\n".join(done.failures))
-
-
-def _draw_chart(task: MethodTask, *, full: bool, as_json: bool) -> None:
     from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
     from feel321.study.analyze import find_ratings
 
