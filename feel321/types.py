@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 __all__ = [
     "Direction",
-    "Form",
     "Grid",
     "Level",
     "Method",
@@ -23,7 +22,6 @@ __all__ = [
     "Reducer",
     "Rng",
     "Samples",
-    "Stream",
 ]
 
 Samples: TypeAlias = NDArray[np.float64]
@@ -40,9 +38,6 @@ Progress: TypeAlias = bool | Callable[[int, int], None]
 
 Level: TypeAlias = Literal["as_is", "equal_intensity"]
 """How the gain of stimuli is chosen: see `feel321.stimuli.LEVELS`."""
-
-Form: TypeAlias = Literal["whole", "windowed"]
-"""A form of DFT321: over the whole signal, or in overlapping windows."""
 
 Grid: TypeAlias = Literal["linear", "log"]
 """Frequencies of a spectral match: evenly spaced, or in equal steps of the logarithm."""
@@ -63,18 +58,6 @@ class Reducer(Protocol):
 
     def __call__(self, acceleration: Samples, rate_hz: float, /) -> Samples:
         """Reduce three axes, shape (..., 3, n), to one, shape (..., n)."""
-
-
-class Stream(Protocol):
-    """A reducer that is fed block by block; `latency_samples` is its constant delay."""
-
-    latency_samples: int
-
-    def process(self, block: Samples, /) -> Samples:
-        """Reduce the next samples, (3, k), to as many, (k,)."""
-
-    def flush(self) -> Samples:
-        """Return the last samples, as many as the latency."""
 
 
 class Metric(Protocol):

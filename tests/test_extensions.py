@@ -11,7 +11,7 @@ import pytest
 
 from feel321 import stimuli
 from feel321.extensions import find_method
-from feel321.stimuli.conformance import check_method
+from feel321.stimuli.conform import check_method
 from feel321.stimuli.guard import OwnMetric, OwnReducer, find_reducer
 
 CODE = """\

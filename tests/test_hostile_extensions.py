@@ -9,7 +9,7 @@ import pytest
 
 from feel321 import stimuli
 from feel321.extensions import find_method
-from feel321.stimuli.conformance import check_method
+from feel321.stimuli.conform import check_method
 from feel321.stimuli.sets.recipe import Recipe
 
 SCENE = stimuli.make_scene("bumps", duration_s=0.3)

@@ -7,8 +7,6 @@ from feel321.doors import forward_old_names as _forward_old_names
 from feel321.names import METRIC_INFO
 from feel321.stimuli.batch import match_many, reduce_many
 from feel321.stimuli.condition import Conditioning, condition
-from feel321.stimuli.conform import Conformity, check_dft321
-from feel321.stimuli.conform_stream import check_stream
 from feel321.stimuli.formats.read import read_recording, read_recordings
 from feel321.stimuli.match import (
     SpectralMatch,
@@ -43,7 +41,6 @@ __all__ = [
     "SCENES",
     "THRESHOLDS",
     "Conditioning",
-    "Conformity",
     "Recipe",
     "Recording",
     "Reduced",
@@ -56,9 +53,7 @@ __all__ = [
     "TemporalMatch",
     "acceleration_threshold",
     "build_stimuli",
-    "check_dft321",
     "check_stimuli",
-    "check_stream",
     "condition",
     "felt_level",
     "make_scene",
@@ -91,7 +86,6 @@ __getattr__ = _forward_old_names(
         "UNITS": "feel321.stimuli.recording:UNITS|unit=... of Recording and read_recording",
         "__version__": "feel321:__version__|feel321.__version__",
         "fade": "feel321.stimuli.condition:fade",
-        "golden_vectors": "feel321.stimuli.conform:golden_vectors|python -m feel321.stimuli",
         "resample": "feel321.stimuli.condition:resample",
         "spectral_match_energy_weighted": f"{_ROTATION}:spectral_match_energy_weighted|INVARIANTS",
         "spectral_match_invariant": f"{_ROTATION}:spectral_match_energy_weighted|INVARIANTS",

@@ -30,7 +30,7 @@ VERBS = {
     "methods": ("advise", "chart", "published", "stress"),
     "persons": ("backup", "inventory", "restore", "withdraw"),
     "planning": ("power",),
-    "signals": ("match", "port", "reduce"),
+    "signals": ("match", "reduce"),
     "stations": ("collect",),
     "studies": (
         "analyze",

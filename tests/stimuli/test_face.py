@@ -193,7 +193,7 @@ def test_a_seed_is_an_int_or_a_generator() -> None:
     assert not np.array_equal(drawn.acceleration, made.acceleration)
 
 
-@pytest.mark.parametrize("name", ["fade", "resample", "golden_vectors", "UNITS", "__version__"])
+@pytest.mark.parametrize("name", ["fade", "resample", "UNITS", "__version__"])
 def test_names_that_left_the_face_still_work(name: str) -> None:
     assert name not in dir(stimuli)
     with pytest.warns(DeprecationWarning, match=f"{name} is deprecated"):

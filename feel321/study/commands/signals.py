@@ -1,4 +1,4 @@
-"""Verbs for single recordings and for methods in other languages: reduce, match, port."""
+"""Verbs for single recordings: reduce, match."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import asdict
 from functools import partial
 from inspect import signature
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -178,54 +177,6 @@ def match(
     if facts["reasons"]:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
         raise ValueError(f"{recording.name}: {reasons}")
-
-
-@click.command(
-    epilog="Example: feel321 port vectors; run your port on them; feel321 port vectors --check"
-)
-@click.argument("folder", metavar="DIR", type=shared.FILE)
-@shared.flag(
-    "--check", "Check the answers that your port has written next to the inputs.", "is_check"
-)
-@click.option(
-    "--form",
-    type=click.Choice(["whole", "windowed", "streaming"]),
-    help="What the port implements: one transform, short frames, or block by block.  [default: whole; with --check, "
-    "as the folder says]",
-)
-@click.option(
-    "--reducer",
-    metavar="NAME",
-    help="With --form streaming: the reducer.  [default: dft321_windowed]",
-)
-@shared.json_option
-def port(
-    *, folder: Path, is_check: bool, form: str | None, reducer: str | None, as_json: bool
-) -> None:
-    """Check a DFT321 in MATLAB, C or any language.
-
-    Writes golden vectors as CSV and WAV files and says in README.txt how to answer them; --check then compares the
-    answers with the paper's equations. Three outcomes: it agrees; it agrees with the paper, but differs where the paper
-    leaves the phase open; or it does not conform, and the exit code is 1.
-    """
-    from feel321.stimuli.port import READ_ME, check_port, write_port
-
-    if reducer and form != "streaming":
-        raise click.UsageError("--reducer goes with --form streaming; add it")
-    given = {} if reducer is None else {"reducer": reducer}
-    if not is_check:
-        count = len(write_port(folder, form=form or "whole", **given))
-        facts = {"folder": str(folder), "inputs": count}
-        then = f"feel321 port {quote(str(folder))} --check"
-        text = f"{folder}: {count} inputs; answer them as {READ_ME} says, then: {then}"
-    else:
-        found = check_port(folder, form=form, **given)
-        facts = found.to_dict() | {"verdict": found.verdict}
-        text = "\n".join([f"{folder}: {found.vectors} vectors", *found.notes])
-    if as_json:
-        shared.print_json(facts)
-    else:
-        shared.echo(text)
 
 
 def _reduce(

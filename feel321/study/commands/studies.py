@@ -98,7 +98,7 @@ def check(
 
 def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -> int:
     """Check one of the lab's own methods, and print a line for each check."""
-    from feel321.stimuli.conformance import check_method
+    from feel321.stimuli.conform import check_method
     from feel321.study.methods import open_method
 
     method = open_method(name, folder, kind)
@@ -109,7 +109,12 @@ def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -
             "kind": method.kind, "name": method.name, **method.to_json(), "checks": found, "failed": failed,
         })  # fmt: skip
     else:
-        shared.echo(f"{method.kind} {method.name}: {failed or 'no'} of {len(found)} checks failed")
+        outcome = (
+            f"{failed} of {len(found)} checks failed"
+            if failed
+            else f"all {len(found)} checks passed"
+        )
+        shared.echo(f"{method.kind} {method.name}: {outcome}")
         for one in found:
             shared.echo(f"  {'ok    ' if one.passed else 'FAILED'}  {one.check}: {one.text}")
     return 1 if failed else 0

@@ -235,7 +235,7 @@ def test_ties_say_so(tell: Tell, wave: np.ndarray) -> None:
 def test_order_unit_and_seed_of_the_noise_do_not_matter(tell: Tell, name: str) -> None:
     recording = make_scene(name, duration_s=1.0)
     first = tell(recording)
-    turned = dict(reversed(REDUCERS.items()))
+    turned = dict(reversed([*REDUCERS.items()]))
     in_mg = replace(recording, acceleration=recording.acceleration / 9.80665e-3, sha256="")
     for other in (
         tell(recording, reducers=turned),
