@@ -67,6 +67,9 @@ MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
 WRITTEN = (*MATCHES, "temporal_match_windowed")
 """The metrics that `build` writes into every manifest."""
 
+ANCHOR = "anchor"
+"""The role of anchors in the manifest."""
+
 MEASURES: Mapping[str, str] = Registry(
     "measure",
     {

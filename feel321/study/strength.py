@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321.names import ANCHOR
 from feel321.protocols.trial import SURFACE
-from feel321.stimuli.sets.anchors import ANCHOR, to_db
+from feel321.stimuli.sets.anchors import to_db
 from feel321.stimuli.sets.build import Foreseen
 from feel321.stimuli.sets.manifest import StimulusSet, find_raised
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, Recipe

@@ -120,7 +120,9 @@ def test_a_table_brings_its_metrics(rows: pd.DataFrame) -> None:
 def test_every_scale_at_every_level(both: pd.DataFrame) -> None:
     found = analysis.fit_attributes(both, METRICS)
     assert list(found) == ["realism", "similarity"]
-    assert found.to_frame()["p_holm"].notna().all()
+    frame = found.to_frame()
+    assert (frame["p_holm"].notna() == frame["estimable"]).all()
+    assert frame["estimable"].any()
     levels = pd.concat([both.assign(level=name) for name in ("as_is", "equal_intensity")])
     assert list(analysis.fit_attributes(levels, METRICS)) == [
         "realism, as_is",

@@ -195,7 +195,7 @@ def test_the_first_sentence_says_which_way_the_papers_exception_was_rated() -> N
     options = {"reducer": "mag321"}
     claim = PaperClaim("excess", "it feels good", "abstract", "rating_excess", options=options)
     assert "the paper names it as an exception too" in first_line(make_table(bonus=45), claim)
-    told = first_line(make_table(bonus=-45), claim)
+    told = first_line(make_table(bonus=-45, seed=2), claim)
     assert "points lower" in told
     assert told.endswith("the paper names it too, but as rated higher.")
 

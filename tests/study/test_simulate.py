@@ -199,7 +199,7 @@ def test_changed_settings_are_refused_for_sessions_that_began(copy: StudyFolder)
         copy.settings.read_text(encoding="utf-8") + "[study]\nseed = 9\n", encoding="utf-8"
     )
     with pytest.raises(
-        ValueError, match=r"the study was changed since this plan was stored \(seed 321 -> 9\)"
+        ValueError, match=r"seed: built with 321; the settings say 9; run feel321 build"
     ):
         simulate(copy)
 

@@ -89,7 +89,7 @@ def find_power(  # noqa: PLR0913 - a design and a truth; how many studies, who d
     >>> power = analysis.find_power(design, analysis.Truth({"match": 20.0}), studies=0)
     >>> power.table[["metric", "slope", "power", "ceiling"]].round(1)
       metric  slope  power  ceiling
-    0  match   20.0    0.7      0.9
+    0  match   20.0    0.4      0.6
     """
     if studies < 0:
         raise ValueError(f"studies must be 0 or more, got {studies}; give 1000")

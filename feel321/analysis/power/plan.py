@@ -131,7 +131,7 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     >>> design = analysis.PowerDesign(items, ["match"], participants=12)
     >>> plan = analysis.plan_power(design, analysis.Truth({"match": 20.0}), studies=0)
     >>> plan.recommended.n_items, plan.hypothesis
-    (24, ('rating', 'match'))
+    (72, ('rating', 'match'))
     """
     aim = _choose_aim(design, truth, hypothesis)
     wanted = dict(zip(SIZES, (participants, recordings, reducers, repeats), strict=True))

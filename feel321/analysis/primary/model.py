@@ -79,8 +79,7 @@ class Primary(Result):
         +0.1; ``standardised standardised_low standardised_high`` in standard deviations; ``centred centred_se
         centred_df centred_p centred_low centred_high`` the slope per unit of the metric centred on recordings and on
         reducers, whose differences are fixed effects then; ``plain plain_p`` the slope without level in the model, NaN
-        where level is not in it; and ``estimable``. Where that is False, everything but the
-        estimates themselves is NaN.
+        where level is not in it; and ``estimable``. Where that is False, only the estimates themselves are not NaN.
     between : DataFrame
         Slopes between recordings, ``estimate`` to ``high``; empty where recordings are too few.
     differences : DataFrame
@@ -287,9 +286,8 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
         Let reducers feel different for reasons that no metric knows, for everyone and for each person; False is a
         sensitivity analysis, which is wrong too often where they do.
     explain : bool
-        Fit two more models: the one without metrics, from which `item_variance_explained` comes, and the one whose
-        slopes are ``centred``; and where level is in the model, one without it; all are NaN without them, in a third
-        of the time.
+        Fit the models without metrics (`item_variance_explained`), with ``centred`` slopes and without level
+        (``plain`` slopes), too; what comes from them is NaN otherwise, in a third of the time.
 
     Returns
     -------
@@ -354,7 +352,7 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     >>> primary.slopes[["tenth", "tenth_low", "tenth_high"]].round(1)
             tenth  tenth_low  tenth_high
     metric
-    match     4.2        3.7         4.7
+    match     4.1        2.9         5.3
     """
     rows, names = choose_arms(table, scale, level), choose_metrics(table, metrics)
     cells = make_cells(open_ratings(rows), names)
@@ -418,7 +416,7 @@ def fit_attributes(
     >>> rows["rating"] = 30 + 40 * rows["match"] + rng.normal(0, 5, 8)[who] + rng.normal(0, 8, 192)
     >>> analysis.fit_attributes(rows, ["match"]).to_frame()[["attribute", "metric", "tenth"]].round(1)
       attribute metric  tenth
-    0   realism  match    4.2
+    0   realism  match    4.1
     """
     rows, names = open_ratings(table), choose_metrics(table, metrics)
     several = attribute is None and "level" in rows and len(rows["level"].unique()) > 1
@@ -435,9 +433,8 @@ def _name_level(found: Slopes) -> str:
     """Name what became of level."""
     if set(LEVELS) & {*found.cells.metrics}:
         return "metric"
-    if LEVEL in found.terms.fixed:
-        return IN_MODEL
-    return "alike" if LEVEL in found.cells.items else "unknown"
+    known = "alike" if LEVEL in found.cells.items else "unknown"
+    return IN_MODEL if LEVEL in found.terms.fixed else known
 
 
 def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
@@ -450,8 +447,8 @@ def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
     table = pd.concat(tables, ignore_index=True)
     table.insert(0, "attribute", table.pop("attribute"))
     plain = adjust_holm(table["plain_p"].fillna(table["p"]).tolist())
-    table = table.assign(p_holm=adjust_holm(table["p"].tolist()))
-    return table.assign(plain_p_holm=np.where(table["plain_p"].notna(), plain, NONE))
+    plain = np.where(table["plain_p"].notna(), plain, NONE)
+    return table.assign(p_holm=adjust_holm(table["p"].tolist()), plain_p_holm=plain)
 
 
 def adjust_holm(p: Sequence[float]) -> list[float]:
@@ -597,7 +594,7 @@ def _note_limit(found: Slopes) -> Iterator[str]:
 def _warn_few(cells: Cells) -> Iterator[str]:
     scenes = "sources of recordings" if cells.shared else "recordings"
     reducers = cells.count(REDUCER) if REDUCER in cells.table else 0
-    sizes = {"participants": cells.count(WHO), scenes: cells.n_sources, "reducers": reducers}
-    for name, count in sizes.items():
+    sizes = ("participants", cells.count(WHO)), (scenes, cells.n_sources), ("reducers", reducers)
+    for name, count in sizes:
         if 1 < count < FEW:
             yield f"{count} {name} only: the spread between them is all but unknown, intervals are wide or unstable."

@@ -8,10 +8,10 @@ and then left out in the same exact way.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -283,6 +283,22 @@ def judge_level(level: str, p_holm: float, plain_p_holm: float) -> str:
     if plain == PREDICTS != verdict:
         return LOST
     return SURVIVES if verdict == PREDICTS else ""
+
+
+def list_changes(slopes: Iterable[Mapping[Any, Any]]) -> Iterator[Mapping[Any, Any]]:
+    """List the slopes without flagged raters from which another conclusion follows than from everyone's."""
+    slopes = list(slopes)
+    whole = {_find_place(row): _find_direction(row) for row in slopes if row["panel"] == "everyone"}
+    yield from (row for row in slopes if _find_direction(row) != whole[_find_place(row)])
+
+
+def _find_place(row: Mapping[Any, Any]) -> tuple[str, str, str]:
+    return row["scale"], row["level"], row["metric"]
+
+
+def _find_direction(row: Mapping[Any, Any]) -> float:
+    """Find the direction in which a metric predicts; 0 where nothing is claimed."""
+    return float(np.sign(row["tenth"])) if row["verdict"] == PREDICTS else 0.0
 
 
 def measure_influence(

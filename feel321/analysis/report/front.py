@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 
 from feel321.analysis import words
 from feel321.analysis.primary.model import FEWEST
-from feel321.analysis.primary.sensitivity import LOST, NOT_ESTIMABLE, OPEN, PREDICTS
+from feel321.analysis.primary.sensitivity import LOST, NOT_ESTIMABLE, OPEN, PREDICTS, list_changes
 from feel321.analysis.report.parts import describe_hint, split_parts
-from feel321.analysis.report.raters import list_changes
 from feel321.analysis.report.section import Picture, Section, make_slug
 from feel321.analysis.report.standing import Standing
 

@@ -164,14 +164,16 @@ def _describe_excess(answers: Sequence[PaperAnswer]) -> Iterator[str]:
             reducer, metrics = one.claim.options["reducer"], one.claim.options.get("metrics", ())
             metrics = [metrics] if isinstance(metrics, str) else list(metrics)
             predict = "predicts" if len(metrics) == 1 else "predict"
-            names = words.join_words([words.format_name(str(name)) for name in metrics])
+            names = words.join_words([
+                words.format_name(str(name)) for name in metrics or ["the metrics"]
+            ])
             also = (
                 "the paper says so too"
                 if one.verdict == paper_claims.AGREES
                 else "not as in the paper"
             )
             yield (
-                f"the reducer {reducer} was rated {points} points {way} than {names or 'the metrics'} {predict} "
+                f"the reducer {reducer} was rated {points} points {way} than {names} {predict} "
                 f"from the other reducers; {also}."
             )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +12,7 @@ from feel321.analysis import words
 from feel321.analysis.figures.choices import draw_raters
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.primary.plan import make_cells
-from feel321.analysis.primary.sensitivity import PREDICTS, conclude
+from feel321.analysis.primary.sensitivity import conclude, list_changes
 from feel321.analysis.report import parts
 from feel321.analysis.report.section import (
     METRIC,
@@ -343,22 +343,6 @@ def _conclude_panels(slopes: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         adjusted = adjust_holm([row["p"] for row in own])
         rows += [row | {"verdict": conclude(p)} for row, p in zip(own, adjusted, strict=True)]
     return rows
-
-
-def list_changes(slopes: Iterable[Mapping[Any, Any]]) -> Iterator[Mapping[Any, Any]]:
-    """List the slopes without flagged raters from which another conclusion follows than from everyone's."""
-    slopes = list(slopes)
-    whole = {_find_place(row): _find_direction(row) for row in slopes if row["panel"] == "everyone"}
-    yield from (row for row in slopes if _find_direction(row) != whole[_find_place(row)])
-
-
-def _find_place(row: Mapping[Any, Any]) -> tuple[str, str, str]:
-    return row["scale"], row["level"], row["metric"]
-
-
-def _find_direction(row: Mapping[Any, Any]) -> float:
-    """Find the direction in which a metric predicts; 0 where nothing is claimed."""
-    return float(np.sign(row["tenth"])) if row["verdict"] == PREDICTS else 0.0
 
 
 def _describe_changes(slopes: Sequence[Mapping[str, Any]]) -> str:

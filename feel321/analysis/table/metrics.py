@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from feel321.analysis.table import schema
-from feel321.names import MATCHES, METRIC_INFO, REDUCER_NAMES
+from feel321.names import MATCHES, METRIC_INFO, REDUCER_NAMES, WRITTEN
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def describe_explored(metrics: Sequence[str]) -> dict[str, schema.ColumnInfo]:
     >>> list(describe_explored(["spectral_match_bounded", "temporal_match"]))[:1]
     ['spectral_match']
     """
-    own = {name: schema.ColumnInfo(METRIC_INFO[name].label, kind="metric") for name in MATCHES}
+    own = {name: schema.ColumnInfo(METRIC_INFO[name].label, kind="metric") for name in WRITTEN}
     return {
         name: column for name, column in (own | describe_further()).items() if name not in metrics
     }

@@ -245,10 +245,6 @@ ANCHORS: Registry[Callable[..., Samples]] = Registry(
 """Name -> anchor, made from a conditioned recording; the names stand in the manifest's column `reducer`."""
 
 
-ANCHOR = "anchor"
-"""Their role in the manifest."""
-
-
 def weigh_bands(recording: Recording) -> tuple[Samples, Samples]:
     """Find the bands in which a recording has least energy: of all that are felt, and of those that are easily felt.
 

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 from feel321 import intake
 from feel321.doors import Registry, as_path
 from feel321.files import digest_file, list_csv, write_chunks, write_twin
+from feel321.names import ANCHOR
 from feel321.records import Result
 from feel321.stimuli.sets import details
-from feel321.stimuli.sets.anchors import ANCHOR
 from feel321.stimuli.wav import read_wav
 from feel321.types import PathLike, Samples
 

@@ -21,7 +21,7 @@ from feel321 import __version__
 from feel321.doors import announce, check_name
 from feel321.extensions import Method
 from feel321.files import replace_bytes
-from feel321.names import METRIC_INFO
+from feel321.names import ANCHOR, METRIC_INFO
 from feel321.stimuli.condition import condition, fade, resample
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.match import (
@@ -33,7 +33,7 @@ from feel321.stimuli.match import (
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording, digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.anchors import ANCHOR, ANCHORS, loudest_levels, to_db
+from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL, Recipe
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import encode_wav

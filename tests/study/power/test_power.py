@@ -124,7 +124,7 @@ def test_weak_slopes_have_no_answer_but_a_reason(task: PowerTask, tmp_path: Path
 def test_closed_form_that_simulation_disproves_is_not_advised(
     task: PowerTask, tmp_path: Path
 ) -> None:
-    found = plan(task, tmp_path, 3.0)
+    found = plan(task, tmp_path, 9.0)
     low = {"simulated": 0.4, "simulated_high": 0.5, "recommended": False}
     disproved = replace(
         found.plan, recommended=None, table=found.plan.table.assign(**low, power=0.995)
