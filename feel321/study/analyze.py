@@ -33,7 +33,7 @@ from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
 from feel321.study.paper import make_paper
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
-from feel321.study.persons.outputs import closing_results
+from feel321.study.persons.withdrawal import closing_results
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings

@@ -28,7 +28,6 @@ VERBS = {
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
     "methods": ("advise", "chart", "published", "stress"),
-    "persons": ("backup", "inventory", "restore", "withdraw"),
     "planning": ("power",),
     "signals": ("match", "reduce"),
     "stations": ("collect",),
@@ -40,10 +39,10 @@ VERBS = {
         "ledger",
         "new",
         "note",
-        "release",
         "simulate",
         "status",
         "texts",
+        "withdraw",
     ),
     "watch": ("monitor", "rehearse", "replay"),
 }
@@ -52,7 +51,7 @@ VERBS = {
 LONGEST = 1000
 """Letters of a line of an error."""
 
-RESUMED = {"backup", "build", "collect", "demo", "power", "restore", "run", "simulate", "withdraw"}
+RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 

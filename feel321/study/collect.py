@@ -20,7 +20,7 @@ from feel321.study.auditing.journals import list_files
 from feel321.study.folder import require_study
 from feel321.study.ledger import database, progress, slots
 from feel321.study.persons import withdrawal
-from feel321.study.persons.vault import PERSONAL_FILE
+from feel321.study.persons.answers import PERSONAL_FILE
 from feel321.study.session import journal as journals
 from feel321.study.session.identity import find_differences
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan
@@ -335,7 +335,10 @@ def _find_doubles(
         for name in sorted(names) if len(names) > 1 else ():
             if name in gathered and not gathered[name].is_here:
                 rest = ", ".join(sorted(names - {name}))
-                yield name, f"has {what}, and so has {rest}; release one where the session was held"
+                yield (
+                    name,
+                    f"has {what}, and so has {rest}; withdraw one with --keep-data where the session was held",
+                )
 
 
 # Copies, and the ledger.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
@@ -124,14 +123,8 @@ class StudyFolder:
         return [journal for folder in self.participants for journal in list_journals(folder)]
 
     def make_sessions(self) -> None:
-        """Make the folder of the sessions: its owner's alone, or its group's too where `[data] group_readable` says so.
-
-        Whatever is private and lies in it takes that over.
-        """
-        if not self.sessions.is_dir():
-            make_folder(self.sessions, private=True)
-            if self.asks_for("group_readable"):
-                self.sessions.chmod(0o750)
+        """Make the folder of the sessions, its owner's alone; a lab may open it to its group (mode 0750)."""
+        make_folder(self.sessions, private=True)
 
     def share(self, path: Path) -> None:
         """Let the group read a table that was derived from sessions which it may read."""
@@ -139,14 +132,6 @@ class StudyFolder:
         if self.sessions.is_dir() and is_of_group(self.sessions):
             for one in filter(Path.is_file, (path, twin)):
                 one.chmod(0o640)
-
-    def asks_for(self, choice: str) -> bool:
-        """Check whether `[data]` asks for this; whoever plans sessions reads the settings in full."""
-        try:
-            tables = tomllib.loads(intake.read_small(self.settings))
-        except (OSError, ValueError, RecursionError):
-            return False
-        return isinstance(own := tables.get("data"), dict) and own.get(choice) is True
 
     @property
     def _entries(self) -> list[Path]:

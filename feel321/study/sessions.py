@@ -14,7 +14,7 @@ from feel321.study.ledger import slots
 from feel321.study.ledger.keeper import Keeper
 from feel321.study.ledger.progress import check_anchors
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
-from feel321.study.persons.vault import PERSONAL_FILE, Vault, find_vault, make_keeper
+from feel321.study.persons.answers import make_keeper
 from feel321.study.provenance import find_changes
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
@@ -49,7 +49,6 @@ class Room:
     stale: Stale
     now: Clock
     pace: Pace = SIMULATED
-    vault: Vault | None = None
     warn: Callable[[str], None] | None = None
 
 
@@ -81,7 +80,6 @@ def lead_session(
             if on_step is not None:
                 on_step(replace(place, left_s=left_s.get(place.done)))
 
-        others = [one / PERSONAL_FILE for one in room.study.participants]
         with ExitStack() as stack:
             stack.callback(keeper.close)
             presenter = stack.enter_context(make_presenter(stored, journal, by_code))
@@ -92,7 +90,7 @@ def lead_session(
                 journal=journal,
                 scales=room.scales,
                 on_step=note,
-                keep=make_keeper(folder, journal, vault=room.vault, others=others),
+                keep=make_keeper(folder, journal),
             )
         return outcome, "; ".join(filter(None, (journal.notice, keeper.notice)))
 
@@ -144,8 +142,7 @@ def open_room(
     ledger, notice = slots.open_study_ledger(study, now=now)
     scales = make_scales(read_study_texts(settings, study.path))
     stale = Stale(**settings.session.stale.model_dump())
-    vault = find_vault(study, needed=any(one.personal for one in make_design(settings).questions))
-    return Room(study, stimuli, scales, ledger, stale, now, vault=vault), notice
+    return Room(study, stimuli, scales, ledger, stale, now), notice
 
 
 def plan_sessions(

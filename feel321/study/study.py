@@ -175,8 +175,7 @@ class Contents:
         Returns
         -------
         DataFrame
-            One row per answer, as in `answers.csv`, which is written anew; empty where nothing was asked. Encrypted
-            answers are here with the passphrase (FEEL321_PASSPHRASE), and never in `answers.csv`.
+            One row per answer, as in `answers.csv`, which is written anew; empty where nothing was asked.
         """
         import pandas as pd
 

@@ -447,12 +447,9 @@ def find_warnings(
     study: StudyFolder, settings: Settings, recordings: Sequence[Facts] = ()
 ) -> list[str]:
     """Find what is allowed in a study and still worth knowing."""
-    from feel321.study.persons.modes import describe_wide
-
     remarks = [f"{study.settings.name}: {remark}" for remark in list_remarks(settings)]
     remarks += find_copies(recordings)
     remarks += _find_slow(settings, recordings)
-    remarks += describe_wide(study)
     language = find_language(settings, study.path)
     if isinstance(language, Path) and (borrowed := list_borrowed(language)):
         remarks.append(

@@ -20,7 +20,6 @@ LEFT_OUT = {
     ("analysis/figures/style.py", "write_text"),
     ("study/export/writing.py", "rename"),  # a whole folder in the place of another one
     ("study/auditing/anchors.py", "rename"),  # a clone that can be made anew
-    ("study/persons/backup.py", "replace"),
     ("study/study.py", "replace"),  # of values in a data frame
 }
 

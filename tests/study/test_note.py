@@ -19,8 +19,7 @@ from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.lab import Visit, run_participant
 from feel321.study.ledger.progress import write_roster
-from feel321.study.persons.notes import take_note
-from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+from feel321.study.persons.withdrawal import release_participant, take_note, withdraw_participant
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import NOTE_LETTERS, NoteTaken
 from feel321.study.session.journal import read_journal

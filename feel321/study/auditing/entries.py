@@ -13,7 +13,6 @@ from feel321.study.folder import StudyFolder
 from feel321.study.ledger.database import Entry
 from feel321.study.ledger.rigs import describe_rigs, find_rig_use
 from feel321.study.ledger.slots import name_place
-from feel321.study.persons.modes import describe_wide
 from feel321.study.session import events
 from feel321.study.session.journal import find_cut, list_journals, read_journal
 from feel321.study.session.plan import TOMBSTONE_FILE, read_dossier, replay
@@ -57,4 +56,3 @@ def list_remarks(study: StudyFolder) -> Iterator[str]:
         except (*MALFORMED, OSError, ValueError):
             continue  # among the findings
     yield from describe_rigs(uses)
-    yield from describe_wide(study)

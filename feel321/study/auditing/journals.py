@@ -9,7 +9,7 @@ from pathlib import Path
 from feel321.study.auditing.steps import audit_steps
 from feel321.study.exploration.track import MOTION, name_track
 from feel321.study.folder import DELIVERED, name_delivered
-from feel321.study.persons.vault import audit_apart
+from feel321.study.persons.answers import audit_personal
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
 from feel321.study.session.journal import Chain, Record, list_journals, name_journal, read_journal
@@ -54,7 +54,7 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
     yield from steps
     if not steps:  # else records need not be as they should
         yield from _audit_files(chain.records, path.parent)
-        yield from audit_apart(path.parent, chain.records)
+        yield from audit_personal(path.parent, chain.records)
 
 
 def _audit_header(header: events.SessionBegun, plan: Plan, path: Path) -> Iterator[str]:

@@ -22,7 +22,7 @@ from feel321.study.auditing.tables import audit_tables
 from feel321.study.folder import StudyFolder, reading_origin
 from feel321.study.ledger.progress import find_leftovers
 from feel321.study.ledger.slots import find_lost, read_study_ledger
-from feel321.study.persons.removal import find_data_left, list_stale
+from feel321.study.persons.withdrawal import find_data_left, list_stale
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_plan
 
 

@@ -10,7 +10,7 @@ import json
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,6 @@ from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger.progress import ROSTER_FILE, list_progress, list_roster
 from feel321.study.persons import answers
-from feel321.study.persons.vault import UNLOCK_VARIABLE
 from feel321.study.ratings import read_judgements
 from feel321.study.session.plan import TOMBSTONE_FILE
 
@@ -35,8 +34,7 @@ Row = Mapping[str, str]
 class Derived:
     """A table as the journals give it; key: columns that name a row, lagging: columns that change as a session goes on.
 
-    skipped: participants whose journals cannot be read, which is found elsewhere. sealed: whether answers that are
-    encrypted could not be opened.
+    skipped: participants whose journals cannot be read, which is found elsewhere.
     """
 
     path: Path
@@ -44,7 +42,6 @@ class Derived:
     key: tuple[str, ...]
     lagging: frozenset[str] = frozenset()
     skipped: frozenset[str] = frozenset()
-    sealed: bool = False
 
 
 def audit_tables(study: StudyFolder) -> tuple[list[str], list[str]]:
@@ -75,10 +72,7 @@ def derive_tables(study: StudyFolder) -> Iterator[Derived]:
     )
     asked = ("participant", "session", "question", "occasion")
     place = study.path / answers.ANSWERS_FILE
-    vault = answers.try_vault(study)
-    asking = place, answers.COLUMNS, asked
-    derived = _derive(study, asking, lambda own: answers.read_answers(own, vault))
-    yield replace(derived, sealed=vault is None)
+    yield _derive(study, (place, answers.COLUMNS, asked), answers.read_answers)
     matched = ("participant", "trial", "stimulus_id")
     place = study.path / matches.MATCHES_FILE
     table = place, matches.COLUMNS, matched
@@ -140,7 +134,6 @@ class _Comparison:
         except (ValueError, csv.Error) as error:
             self.findings.append(f"{derived.path}: cannot be read ({error}); {ANEW}")
             return
-        self._note_sealed(derived, [row for _, row in written])
         left: dict[tuple[str, ...], list[Row]] = defaultdict(list)
         for row in derived.rows:
             left[_name(row, derived.key)].append(row)
@@ -159,14 +152,6 @@ class _Comparison:
             self.findings.append(f"{derived.path}, line {line}: {wrong}{remedy}")
         there = {_name(row, derived.key) for _, row in written}
         self._find_missing(derived, [own for owns in left.values() for own in owns], there)
-
-    def _note_sealed(self, derived: Derived, written: Sequence[Row]) -> None:
-        told = [row for row in written if row.get("storage") == "encrypted" and row.get("answer")]
-        if told and derived.sealed:
-            self.remarks.append(
-                f"{derived.path}: {len(told)} encrypted answers stand there in clear and could not be compared, for "
-                f"there is no passphrase; set {UNLOCK_VARIABLE} and audit again; {ANEW}"
-            )
 
     def _judge(
         self, row: Row, own: list[Row], derived: Derived, *, known: Collection[tuple[str, ...]]
@@ -222,22 +207,15 @@ def _find_nobody(study: StudyFolder, who: str) -> str:
     return f"a row of {who or 'nobody'}, of whom there is no journal; restore sessions/ from a copy"
 
 
-def _is_hidden(row: Row, own: Row, derived: Derived) -> bool:
-    """Whether an answer is not to be compared: it is encrypted, and left out of the table or without its passphrase."""
-    is_sealed = own.get("storage") == row.get("storage") == "encrypted"
-    return is_sealed and (derived.sealed or not row["answer"])
-
-
 def _find_wrong(row: Row, own: Row, derived: Derived) -> str:
     """Find the first cell that the journals contradict."""
     is_old = "last_utc" in own and row.get("last_utc") != own["last_utc"]
     if is_old and (row.get("last_utc") or "") > own["last_utc"]:
         return f"last_utc is {row['last_utc']}, the journals end at {own['last_utc']}"
     is_old |= own.get("rejected") == "true" and row.get("rejected") == "false"
-    hidden = {"answer"} if _is_hidden(row, own, derived) else ()
     for name, value in own.items():
         got = row.get(name, value)  # an earlier version wrote fewer columns
-        if name not in hidden and got != value and not (is_old and name in derived.lagging):
+        if got != value and not (is_old and name in derived.lagging):
             return f"{name} is {got!r}, the journals say {value!r}"
     return ""
 

@@ -316,16 +316,9 @@ def dump_json(entry: object) -> str:
     return json.dumps(to_json_value(entry), indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def describe_due(study: Study) -> list[str]:
-    """Describe what of a study is due for removal, and what to do."""
-    from feel321.study.persons import retention
-
-    return list(retention.describe_due(study.folder, today=study.now().date()))
-
-
 def recording(study: StudyFolder, verb: str, path: Path) -> AbstractContextManager[None]:
     """Record what a verb writes outside the study's own places, so that a withdrawal finds it."""
-    from feel321.study.persons.outputs import recording_output
+    from feel321.study.persons.withdrawal import recording_output
     from feel321.study.session.journal import utc_now
 
     return recording_output(study, verb, path, now=utc_now)

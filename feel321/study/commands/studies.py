@@ -1,7 +1,8 @@
-"""Verbs of a study: new, check, build, demo, simulate, status, note, ledger, release, analyze."""
+"""Verbs of a study: new, check, build, demo, simulate, status, note, ledger, withdraw, analyze."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from shlex import quote
@@ -77,15 +78,14 @@ def check(
     if method is not None:
         context.exit(_check_method(folder, method, kind, as_json=as_json))
     study = shared.open_study(folder)
-    found, due = study.check(), shared.describe_due(study)
-    for text in (*shared.cap(found.remarks), *shared.cap(found.warnings), *shared.cap(due)):
+    found = study.check()
+    for text in (*shared.cap(found.remarks), *shared.cap(found.warnings)):
         shared.warn(text)
     if as_json:
         shared.print_json({
             "problems": found.problems,
             "warnings": found.warnings,
             "notes": found.notes,
-            "due": due,
             **found.figures,
         })
     else:
@@ -261,7 +261,7 @@ def status(*, study: Study, with_notes: bool, rehearsals: bool, as_json: bool) -
         shared.print_json(asdict(state))
         return
     notes = state.list_notes() if with_notes else []
-    shared.echo("\n".join([state.summary(), *notes, *shared.describe_due(study)]))
+    shared.echo("\n".join([state.summary(), *notes]))
 
 
 @click.command(
@@ -278,7 +278,7 @@ def note(*, study: Study, text: str, participant: str, rehearsals: bool) -> None
     recorded: never edited, removed only by withdraw, and it changes the seal of audit. Write no names. Shown by
     status --notes.
     """
-    from feel321.study.persons.notes import take_note
+    from feel321.study.persons.withdrawal import take_note
 
     folder = _choose(study, rehearsals=rehearsals).folder
     if notice := take_note(folder, participant, text, now=study.now):
@@ -314,18 +314,56 @@ def _choose(study: Study, *, rehearsals: bool) -> Study:
     return replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))
 
 
-@click.command(epilog="Example: feel321 release my-study --participant p07")
+@click.command(
+    epilog="""\b
+Example: feel321 withdraw my-study --participant p07 --yes
+         feel321 withdraw my-study --participant p07 --keep-data
+"""
+)
 @shared.study_argument
 @shared.participant_option
-def release(*, study: Study, participant: str) -> None:
-    """Free the slot of a participant who will not return.
+@click.option("--reason", default="", help="The reason, for the tombstone.")
+@shared.flag("--keep-data", "Keep what was recorded; only free the design slot.")
+@shared.flag("--yes", "Do not ask.", "is_sure")
+@click.pass_context
+def withdraw(
+    context: click.Context,
+    *,
+    study: Study,
+    participant: str,
+    reason: str,
+    keep_data: bool,
+    is_sure: bool,
+) -> None:
+    """Remove the data of a participant for good, and free the design slot.
 
-    What was recorded is kept; the next participant gets the design slot.
+    Data go from sessions, rehearsals, tables and results; outputs elsewhere are listed, to be removed by hand. The code
+    is not reused. --keep-data, for somebody who will not return: what was recorded stays, the next participant gets the
+    slot.
     """
-    from feel321.study.persons.withdrawal import release_participant
+    from feel321.study.auditing.sealing import seal_withdrawal
+    from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 
-    number = release_participant(study.folder, participant, now=study.now)
-    shared.echo(f"{study.folder.path}: {participant} is released, number {number} is free")
+    folder = study.folder
+    if keep_data:
+        number = release_participant(folder, participant, now=study.now)
+        shared.echo(f"{folder.path}: {participant} is released, number {number} is free")
+        return
+    if not is_sure and not sys.stdin.isatty():
+        raise click.UsageError("no terminal to ask for confirmation; add --yes")
+    question = f"Remove all data of {participant} in {folder.path} for good?"
+    if not is_sure and not click.confirm(question, err=True):
+        shared.echo(f"{folder.path}: nothing was removed")
+        context.exit(1)
+    removed = withdraw_participant(
+        folder, participant, now=study.now, reason=reason, warn=shared.warn
+    )
+    if problem := seal_withdrawal(folder, participant, now=study.now):
+        shared.warn(problem)
+    shared.echo(
+        f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
+        "Copies that feel321 did not make must be removed by hand"
+    )
 
 
 @click.command(epilog="Example: feel321 ledger my-study")

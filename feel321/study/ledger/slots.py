@@ -416,7 +416,7 @@ def _check_slots(entries: Iterable[Entry]) -> None:
             if holder != entry.participant:
                 raise ValueError(
                     f"number {entry.number} must be held by one participant, got {holder} and {entry.participant}; "
-                    "release one, or move one's folder out of sessions/"
+                    "withdraw one with --keep-data, or move one's folder out of sessions/"
                 )
 
 

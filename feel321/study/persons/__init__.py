@@ -1,1 +1,1 @@
-"""Personal data in a study: where they are, withdrawal, separate storage, backups, and how long they are kept."""
+"""Personal answers, kept apart from the journals, and participants who leave."""

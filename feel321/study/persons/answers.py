@@ -1,62 +1,61 @@
-"""`answers.csv`: one row per answer to a question page, derived from the journals and from nothing else."""
+"""Answers to question pages: `answers.csv`, and personal ones apart from the journal in `personal.jsonl`.
+
+The journal's record of a personal answer holds the salted SHA-256 of it, the file the answer and the salt. So the file
+can be removed, and the journal's chain still holds; without the salt the digest does not show what was answered. The
+answer is on the disk before the record is: an answer without its record was never given, and is dropped at the next.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import secrets
 from typing import TYPE_CHECKING, Any
 
-from feel321.files import write_table
+from feel321.files import write_table, write_text
 from feel321.protocols.questions import PREFIX, find_question
-from feel321.study.persons.vault import Vault, find_vault, read_answers_apart
 from feel321.study.session.events import QuestionAnswered, SessionSuperseded
 from feel321.study.session.plan import TOMBSTONE_FILE, read_as_written, read_dossier
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterator, Mapping
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
+    from feel321.study.session.journal import Journal, Records
     from feel321.study.session.plan import Plan
 
-ANSWERS_FILE = "answers.csv"
+    Row = dict[str, Any]
+
+ANSWERS_FILE, PERSONAL_FILE = "answers.csv", "personal.jsonl"
 
 COLUMNS = (
     "participant", "session", "question", "kind", "when", "occasion", "answer", "personal", "response_time_s",
     "rejected", "simulated", "storage",
 )  # fmt: skip
 
+_PLACE = ("session", "question", "occasion")
 
-def write_answers(study: StudyFolder) -> list[dict[str, Any]]:
+
+def write_answers(study: StudyFolder) -> list[Row]:
     """Write all answers of a study, if it has or had any, and return them.
 
-    Those of a session that was begun anew are there and marked as rejected; `storage` says how each is kept. Personal
-    answers that are encrypted are returned with the passphrase only (environment variable FEEL321_PASSPHRASE), and
-    never written.
+    Those of a session that was begun anew are there and marked as rejected; `storage` says where each is kept.
     """
-    vault = find_vault(study)
-    rows = [row for folder in study.participants for row in read_answers(folder, vault)]
+    rows = [row for folder in study.participants for row in read_answers(folder)]
     path = study.path / ANSWERS_FILE
     if rows or path.exists():
-        sealed = {"answer": ""}
-        kept = (row | sealed if row["storage"] == "encrypted" else row for row in rows)
-        write_table(path, COLUMNS, kept, private=True)
+        write_table(path, COLUMNS, rows, private=True)
         study.share(path)
     return rows
 
 
-def try_vault(study: StudyFolder) -> Vault | None:
-    """Take the passphrase of the environment; none where it is another, or files of answers are damaged."""
-    try:
-        return find_vault(study)
-    except (OSError, ValueError):
-        return None
-
-
-def read_answers(folder: Path, vault: Vault | None = None) -> Iterator[dict[str, Any]]:
+def read_answers(folder: Path) -> Iterator[Row]:
     """Read the answers of one participant; a withdrawn one has none."""
     if (folder / TOMBSTONE_FILE).exists():
         return
     dossier = read_dossier(folder)
-    plan, apart = dossier.plan, read_answers_apart(folder, vault)
+    plan, personal = dossier.plan, read_personal(folder)
     for number, chain in enumerate(dossier.chains, start=1):
         facts = {
             "session": number,
@@ -65,32 +64,103 @@ def read_answers(folder: Path, vault: Vault | None = None) -> Iterator[dict[str,
         }
         with read_as_written(folder):
             answers = list(chain.records.find(QuestionAnswered))
-        yield from ({**_describe(one, plan, apart), **facts} for one in answers)
+        yield from ({**_describe(one, plan, personal), **facts} for one in answers)
 
 
-def _describe(
-    answered: QuestionAnswered, plan: Plan, apart: Mapping[str, tuple[str, Any]]
-) -> dict[str, Any]:
+def _describe(answered: QuestionAnswered, plan: Plan, personal: Mapping[str, Any]) -> Row:
     question = find_question(plan.questions, f"{PREFIX}{answered.question}")
     storage, value = "journal", answered.value
     if answered.sha256:
-        storage, value = apart.get(answered.sha256, ("removed", None))
+        storage = "apart" if answered.sha256 in personal else "removed"
+        value = personal.get(answered.sha256)
     return {
         "participant": plan.participant,
         "question": answered.question,
         "kind": question.kind if question else "",
         "when": question.when if question else "",
         "occasion": answered.occasion,
-        "answer": _write_value(value),
+        "answer": "" if value is None else value if isinstance(value, str) else f"{value:.12g}",
         "personal": _write_flag(is_so=answered.personal),
         "response_time_s": answered.stood_s,
         "storage": storage,
     }
 
 
-def _write_value(value: float | str | None) -> str:
-    return "" if value is None else value if isinstance(value, str) else f"{value:.12g}"
-
-
 def _write_flag(*, is_so: bool) -> str:
     return "true" if is_so else "false"
+
+
+# Personal answers apart from the journal.
+
+
+def make_keeper(folder: Path, journal: Journal) -> Callable[[str, int, float | str | None], str]:
+    """Make what keeps a personal answer of a session before its record is written, and returns the digest for that."""
+    header = journal.records.find_header()
+    session = header.session if header else 1
+
+    def keep(question: str, occasion: int, value: float | str | None) -> str:
+        known = {event.sha256 for event in journal.records.find(QuestionAnswered)}
+        row = {"session": session, "question": question, "occasion": occasion, "value": value}
+        return keep_answer(folder, row, known=known)
+
+    return keep
+
+
+def keep_answer(folder: Path, row: Row, *, known: Collection[str]) -> str:
+    """Add an answer to a participant's file, without those of its session whose records were never written."""
+    salt = secrets.token_hex(16)
+    sha256 = _digest(folder.name, row, salt)
+    rows = [
+        one
+        for one in _read_rows(folder)
+        if one["session"] != row["session"] or one["sha256"] in known
+    ]
+    rows.append(row | {"salt": salt, "sha256": sha256})
+    text = "".join(f"{json.dumps(one, ensure_ascii=False)}\n" for one in rows)
+    write_text(folder / PERSONAL_FILE, text, private=True)
+    return sha256
+
+
+def read_personal(folder: Path) -> dict[str, Any]:
+    """Read the personal answers of a participant by their digests; none where the file was removed."""
+    found = {}
+    for row in _read_rows(folder):
+        if _digest(folder.name, row, row["salt"]) != row["sha256"]:
+            raise ValueError(
+                f"{folder / PERSONAL_FILE}: {row['question']} was changed after it was written; restore it from a copy"
+            )
+        found[row["sha256"]] = row["value"]
+    return found
+
+
+def _digest(participant: str, row: Row, salt: str) -> str:
+    text = json.dumps([salt, participant, *(row[name] for name in _PLACE), row["value"]])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _read_rows(folder: Path) -> list[Row]:
+    path = folder / PERSONAL_FILE
+    if not path.is_file():
+        return []
+    try:
+        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        is_ours = all({*row} == {*_PLACE, "value", "salt", "sha256"} for row in rows)
+    except (TypeError, ValueError):
+        is_ours = False
+    if not is_ours:
+        raise ValueError(f"{path}: not as feel321 wrote it; restore it from a copy")
+    return rows
+
+
+def audit_personal(folder: Path, records: Records) -> Iterator[str]:
+    """Check that the participant's file has each personal answer that a journal names, unless it was removed whole."""
+    named = [one for one in records.find(QuestionAnswered) if one.sha256]
+    if not named or not (folder / PERSONAL_FILE).is_file():
+        return
+    try:
+        kept = read_personal(folder)
+    except ValueError as error:
+        yield f": {error}"
+        return
+    if gone := [one.question for one in named if one.sha256 not in kept]:
+        yield f": personal answers {', '.join(gone)} are gone from {PERSONAL_FILE}; restore it from a copy"

@@ -1,27 +1,42 @@
-"""Participants who leave: one who withdraws takes all data along, one who is released leaves them.
+"""Participants between and after sessions: notes about them, and those who leave.
 
-Either way the slot is free for the next. A withdrawal that is interrupted at any instant has left everything as it
-was, or a tombstone that says so; the same call finishes it.
+One who withdraws takes all data along, one who is released leaves them. Either way the slot is free for the next. A
+withdrawal that is interrupted at any instant has left everything as it was, or a tombstone that says so; the same call
+finishes it. Links go, and what they lead to is named and left. What verbs wrote outside of the study is named too:
+`outputs.jsonl` lists it.
 """
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+import csv
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from pathlib import Path
 
 from sqlalchemy import Engine
 
-from feel321.files import hold_lock, make_folder
+from feel321.files import (
+    TEMPORARY,
+    UNFINISHED,
+    hold_lock,
+    is_of_group,
+    make_folder,
+    sweep,
+    sweep_temporary,
+    sync_folder,
+    write_text,
+)
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import server
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import database, progress, slots
 from feel321.study.ledger.database import Entry, read_ledger
 from feel321.study.matches import MATCHES_FILE, write_matches
-from feel321.study.persons import removal
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.ratings import write_ratings
-from feel321.study.session.events import SessionFinished, SessionReleased
+from feel321.study.session.events import NoteTaken, SessionFinished, SessionReleased
 from feel321.study.session.journal import (
     PARTICIPANT_ID,
     Clock,
@@ -31,6 +46,11 @@ from feel321.study.session.journal import (
     require_journal,
 )
 from feel321.study.session.plan import TOMBSTONE_FILE
+
+OUTPUTS_FILE = "outputs.jsonl"
+
+RESULTS = ("report", "chart", "advice", "power")
+"""Folders of results in a study that ratings may be in, unless another name was given."""
 
 
 def withdraw_participant(
@@ -56,7 +76,7 @@ def withdraw_participant(
         raise ValueError(f"participant {participant}: withdrew at {found.utc}, all data are gone")
     if folder.is_symlink():  # what it leads to is left, but looked at
         found = found or _make_tombstone(folder, entry, reason=reason, now=now)
-        _announce(removal.drop_link(folder), say)
+        _announce(_drop_link(folder), say)
     with hold_folder(folder):
         # Or the tombstone of a withdrawal that was interrupted.
         tombstone = found or _make_tombstone(folder, entry, reason=reason, now=now)
@@ -76,7 +96,7 @@ def _is_over(study: StudyFolder, entry: Entry, found: progress.Tombstone | None)
     if found is None or (found.state, entry.state) != (progress.REMOVED, "withdrawn"):
         return False
     left = progress.find_leftovers(study.sessions / entry.participant)
-    return not any((left, *removal.find_data_left(study)))
+    return not any((left, *find_data_left(study)))
 
 
 def _announce(lines: Iterable[str], say: Callable[[str], None]) -> None:
@@ -85,12 +105,14 @@ def _announce(lines: Iterable[str], say: Callable[[str], None]) -> None:
 
 
 def clear_derived(study: StudyFolder, tombstone: progress.Tombstone) -> Iterator[str]:
-    """Remove the participant from all that was derived, whatever a kill left of it included."""
-    yield from removal.clear_unfinished(study)
+    """Remove the participant from all that was derived, whatever a kill left of it included; yield what is left."""
+    yield from _clear_unfinished(study)
     yield from _renew_tables(study)
     if tombstone.journals:
-        yield from removal.clear_results(study)
-        yield from removal.clear_outputs(study)
+        yield from _clear_results(study)
+        for output in list_outputs(study, before=tombstone.utc):
+            is_there = Path(output.path).exists()
+            yield output.describe() if is_there else f"{output.describe()}; nothing is there now"
 
 
 def _withdraw_rehearsals(
@@ -103,7 +125,7 @@ def _withdraw_rehearsals(
         return []
     removed = []
     if folder.is_symlink() or folder.is_dir():
-        _announce(removal.drop_link(folder), say)
+        _announce(_drop_link(folder), say)
         with hold_folder(folder):
             removed = [
                 f"{own.sessions.name}/{participant}/{name}" for name in _remove_data(folder, say)
@@ -140,11 +162,40 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
             _write_release(journal, participant)
             slots.enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
             return entry.number
-        removal.clear_folder(folder, keep={folder / progress.LOCK_FILE})
+        _remove_data(folder, lambda _: None)
         slots.enter(ledger, participant, None)
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
     return entry.number
+
+
+def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) -> str:
+    """Write a note into the newest journal of a participant; returns what the experimenter should know besides.
+
+    A note is a record like any other: chained, seen by the ledger, part of the seal. It moves no trial, makes no old
+    session fresh, and is in no table of ratings.
+    """
+    note = NoteTaken(text)
+    ledger, notice = slots.open_study_ledger(study, now=now)
+    entry = require_entry(ledger, participant, study=study, verb="take the note")
+    folder = study.sessions / participant
+    if progress.read_tombstone(folder) is not None:
+        raise ValueError(f"participant {participant}: withdrew, nothing is recorded any longer")
+    begin = f"participant {participant}: no session has begun, so there is no journal; begin one, then add the note"
+    if not list_journals(folder):
+        raise ValueError(begin)
+    with hold_folder(folder):
+        progress.check_anchors(entry.anchors, folder)
+        journal = require_journal(list_journals(folder)[-1], now=now)
+        if journal.records.find_header() is None:
+            raise ValueError(begin)
+        journal.write(note)
+        notices = [notice, journal.notice]
+        try:
+            slots.enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
+        except (OSError, ValueError) as error:
+            notices.append(f"the note is in the journal, not yet in the ledger ({error})")
+    return "; ".join(filter(None, notices))
 
 
 def require_entry(ledger: Engine, participant: str, *, study: StudyFolder, verb: str) -> Entry:
@@ -185,11 +236,64 @@ def _make_tombstone(folder: Path, entry: Entry, *, reason: str, now: Clock) -> p
 
 
 def _remove_data(folder: Path, say: Callable[[str], None]) -> list[str]:
-    """Remove everything in a folder but its tombstone and the lock that is held."""
+    """Remove everything in a folder but its tombstone and the lock that is held; returns the names."""
     kept = {folder / TOMBSTONE_FILE, folder / progress.LOCK_FILE}
-    removed, said = removal.clear_folder(folder, keep=kept)
-    _announce(said, say)
-    return removed
+    removed = []
+    for path in sorted({*folder.rglob("*")} - kept, reverse=True):
+        removed.append(path.relative_to(folder).as_posix())
+        if path.is_symlink():
+            _announce(_drop_link(path), say)
+        elif path.is_dir():
+            path.rmdir()
+        else:
+            path.unlink()
+    sync_folder(folder)
+    return sorted(removed)
+
+
+def _drop_link(path: Path) -> Iterator[str]:
+    """Remove a link, and name what it leads to: that is left as it is."""
+    if path.is_symlink():
+        target = path.resolve()
+        path.unlink()
+        yield f"{path}: was a link and is removed; {target} is left, remove the participant's data there"
+
+
+def _clear_unfinished(study: StudyFolder) -> Iterator[str]:
+    """Remove what killed runs left, in the study and in the system's temporary folder; name what a live one holds."""
+    sweep(study.path)
+    sweep_temporary()
+    for path in sorted(study.path.rglob("*")):
+        if UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name):
+            if path.is_symlink():
+                yield from _drop_link(path)
+            else:
+                yield f"{path}: is still being written; when it is finished, run feel321 audit"
+
+
+def _clear_results(study: StudyFolder) -> Iterator[str]:
+    """Remove the folders of results that were made of ratings."""
+    from feel321.analysis.report.folder import remove_results
+
+    for folder in _list_results(study):
+        if folder.is_symlink():
+            yield from _drop_link(folder)
+            continue
+        remove_results(folder)
+        verb = {"report": "analyze", "advice": "advise"}.get(folder.name, folder.name)
+        yield f"{folder}: was removed because it held the participant's data; make it again: feel321 {verb}"
+        if folder.exists():
+            yield f"{folder}: holds other files; remove those with the participant's data"
+
+
+def _list_results(study: StudyFolder) -> Iterator[Path]:
+    """List the folders of results made of ratings; a chart of recordings alone takes hours and holds nobody's."""
+    for folder in (study.path / name for name in RESULTS):
+        rated = folder / "tables" / "rated.csv"
+        is_chart = folder.name == "chart" and rated.is_file()
+        is_unrated = is_chart and len(rated.read_bytes().splitlines()) <= 1
+        if folder.is_symlink() or (folder.is_dir() and not is_unrated):
+            yield folder
 
 
 def _renew_tables(study: StudyFolder) -> Iterator[str]:
@@ -202,11 +306,11 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
     }
     # The Parquet twin of the ratings is made with the CSV; where that fails, or is missing, no twin may stay.
     twin = study.ratings.with_suffix(".parquet")
-    yield from removal.drop_link(twin)
+    yield from _drop_link(twin)
     twin.unlink(missing_ok=True)
     for path, write in tables.items():
         is_there = path.exists()
-        yield from removal.drop_link(path)
+        yield from _drop_link(path)
         if is_there:
             try:
                 write()
@@ -233,3 +337,135 @@ def _write_release(journal: Journal, participant: str) -> None:
     # After a crash, the journal may know already what the ledger does not.
     if not journal.records.has(SessionReleased):
         journal.write(SessionReleased())
+
+
+# What is left of those who withdrew, for the audit.
+
+
+def find_data_left(study: StudyFolder) -> Iterator[str]:
+    """Find data of those who withdrew in every place but their own folder, which the audit looks at by itself."""
+    stones = _read_tombstones(study)
+    for name in stones:
+        finish = f"finish: feel321 withdraw {study.path} --participant {name}"
+        if (rehearsed := study.path / "rehearsals" / name).exists():
+            yield f"{rehearsed}: is of a rehearsal of {name}, who withdrew; {finish}"
+        for table in (study.ratings.name, progress.ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE):
+            if name in _list_named(study.path / table):
+                yield f"{study.path / table}: holds rows of {name}, who withdrew; {finish}"
+    newest = _find_newest(stones)
+    for folder in _list_results(study) if newest else ():
+        results = folder / "results.json"
+        if (
+            results.is_file()
+            and results.stat().st_mtime < datetime.fromisoformat(newest).timestamp()
+        ):
+            yield f"{results}: was made before somebody withdrew; remove it, and make it again"
+
+
+def list_stale(study: StudyFolder) -> Iterator[str]:
+    """Name what verbs wrote outside of the study before somebody withdrew, as far as it is there."""
+    if newest := _find_newest(_read_tombstones(study)):
+        for output in list_outputs(study, before=newest):
+            if Path(output.path).exists():
+                yield output.describe()
+
+
+def _read_tombstones(study: StudyFolder) -> dict[str, progress.Tombstone]:
+    found = {}
+    for folder in study.participants:
+        with suppress(ValueError):  # reported by whoever looks at the folder
+            if stone := progress.read_tombstone(folder):
+                found[folder.name] = stone
+    return found
+
+
+def _find_newest(stones: Mapping[str, progress.Tombstone]) -> str:
+    """Find when the last of those withdrew who had recorded something; empty if nobody."""
+    times = [one.utc for one in stones.values() if one.journals]
+    return max(times, key=datetime.fromisoformat, default="")
+
+
+def _list_named(table: Path) -> set[str | None]:
+    """List whom a table has rows of."""
+    if not table.is_file():
+        return set()
+    with table.open(encoding="utf-8", newline="", errors="replace") as file:
+        return {row.get("participant") for row in csv.DictReader(file)}
+
+
+# What verbs write outside of the study.
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenOutput:
+    """What a verb wrote outside of the study: where, and when it began."""
+
+    verb: str
+    path: str
+    utc: str
+
+    def describe(self) -> str:
+        """Say what there is to do when somebody withdrew since."""
+        return (
+            f"{self.path}: {self.verb} wrote there before a participant withdrew; write it anew, or remove the "
+            f"participant's data there and its line in {OUTPUTS_FILE}"
+        )
+
+
+@contextmanager
+def recording_output(study: StudyFolder, verb: str, path: Path, *, now: Clock) -> Iterator[None]:
+    """Record where a verb writes, before it does; the study's own folders of results need no record."""
+    path = path.resolve()
+    if study.settings.is_file() and not _is_own(study, path):
+        others = [one for one in _read_outputs(study) if (one.verb, one.path) != (verb, str(path))]
+        new = WrittenOutput(verb, str(path), now().isoformat(timespec="seconds"))
+        lines = [json.dumps(asdict(one), ensure_ascii=False) for one in (*others, new)]
+        text = "".join(f"{line}\n" for line in lines)
+        write_text(study.path / OUTPUTS_FILE, text, private=True)
+    with closing_results(study, path):
+        yield
+
+
+def list_outputs(study: StudyFolder, *, before: str) -> list[WrittenOutput]:
+    """List what was written until a time."""
+    last = datetime.fromisoformat(before)
+    return [one for one in _read_outputs(study) if datetime.fromisoformat(one.utc) <= last]
+
+
+def _read_outputs(study: StudyFolder) -> list[WrittenOutput]:
+    path = study.path / OUTPUTS_FILE
+    if not path.is_file():
+        return []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        found = [WrittenOutput(**json.loads(line)) for line in lines]
+        _ = [datetime.fromisoformat(one.utc) for one in found]
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path}: not as feel321 wrote it ({error}); restore it from a copy"
+        ) from None
+    return found
+
+
+def _is_own(study: StudyFolder, path: Path) -> bool:
+    return path.resolve().parent == study.path.resolve() and path.name in RESULTS
+
+
+@contextmanager
+def closing_results(study: StudyFolder, folder: Path) -> Iterator[None]:
+    """Make a study's own folder of results private before anything is in it, and its files once they are written."""
+    if os.name == "nt" or not study.settings.is_file() or not _is_own(study, folder):
+        yield
+        return
+    is_shared = study.sessions.is_dir() and is_of_group(study.sessions)
+    is_new, mode = not folder.exists(), 0o750 if is_shared else 0o700
+    make_folder(folder, private=True)
+    folder.chmod(mode)
+    try:
+        yield
+    finally:
+        for path in folder.rglob("*"):
+            if not path.is_symlink():
+                path.chmod(mode if path.is_dir() else mode & 0o640)
+        if is_new and not any(folder.iterdir()):
+            folder.rmdir()

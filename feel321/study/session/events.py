@@ -181,10 +181,6 @@ class NoteTaken(SessionEvent, event="note"):
             )
 
 
-class PersonalRemoved(NoteTaken, event="personal_removed"):
-    """The personal answers of the participant were removed on purpose; their digests stay."""
-
-
 class AttemptEvent(SessionEvent):
     """Something that happened in an attempt at a trial; attempts are numbered from 1."""
 
@@ -298,7 +294,7 @@ class TrialSpoiled(AttemptEvent, event="spoiled"):
 REPAIRS = (ClockStepped, LineRecovered)
 """May come anywhere in a journal."""
 
-OPENING = (*REPAIRS, NoteTaken, PersonalRemoved, DeviceOpened, RigAccepted, SessionResumed)
+OPENING = (*REPAIRS, NoteTaken, DeviceOpened, RigAccepted, SessionResumed)
 """May come before anybody has come back to work."""
 
 UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)

@@ -7,7 +7,6 @@ stimuli or the protocols know under another name has that name as its `serializa
 import math
 import re
 from collections.abc import Mapping
-from datetime import date
 from math import prod
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Self
@@ -296,13 +295,6 @@ class SourceTable(kinds.TomlTable):
         raise NotImplementedError
 
 
-def _check_day(text: str) -> str:
-    try:
-        return date.fromisoformat(text).isoformat()
-    except ValueError:
-        raise ValueError('must be a day, such as "2031-12-31"') from None
-
-
 def _check_scene(scene: str) -> str:
     for part in scene.split("+"):
         kinds.check_one_of(part, SCENES)
@@ -547,15 +539,6 @@ class AnalysisTable(kinds.TomlTable):
     hypotheses: tuple[kinds.Words, ...] = ()
 
 
-class DataTable(kinds.TomlTable):
-    """`[data]`: who may read what people gave, and how long it is kept."""
-
-    group_readable: bool = False
-    encrypt_personal: bool = False
-    keep_until: Annotated[str, AfterValidator(_check_day)] | None = None
-    keep_personal_months: Annotated[int, Field(ge=0, le=1200)] | None = None
-
-
 class LedgerTable(kinds.TomlTable):
     """`[ledger]`: where it is kept who takes part, if several stations run the study."""
 
@@ -588,6 +571,5 @@ class Settings(kinds.TomlTable):
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()
     ledger: LedgerTable = LedgerTable()
-    data: DataTable = DataTable()
     paper: PaperTable | None = None
     publication: PublicationTable = PublicationTable()

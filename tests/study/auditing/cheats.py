@@ -253,12 +253,12 @@ def _(study: StudyFolder) -> None:
 @cheat("an answer to a question is edited", LEDGER)
 def _(study: StudyFolder) -> None:
     path = folder(study) / "personal.jsonl"
-    head, row, *rest = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    row, *rest = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     place = [row[name] for name in row if name not in {"salt", "sha256", "value"}]
     old, row["value"] = row["sha256"], 44
     own = json.dumps([row["salt"], "sim001", *place, row["value"]]).encode()
     row["sha256"] = hashlib.sha256(own).hexdigest()
-    path.write_text("".join(json.dumps(one) + "\n" for one in (head, row, *rest)), encoding="utf-8")
+    path.write_text("".join(json.dumps(one) + "\n" for one in (row, *rest)), encoding="utf-8")
     records = list(read_journal(journal(study)).records)
     chain(journal(study), [
         replace(r, data={**r.data, "sha256": row["sha256"]}) if r.data.get("sha256") == old else r for r in records

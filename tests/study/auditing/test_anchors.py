@@ -30,8 +30,7 @@ from feel321.study.collect import collect_sessions
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.ledger.progress import write_roster
 from feel321.study.ledger.slots import rebuild_ledger
-from feel321.study.persons.notes import take_note
-from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.persons.withdrawal import take_note, withdraw_participant
 from feel321.study.session.journal import utc_now
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
@@ -15,15 +14,12 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from feel321.files import digest_file
 from feel321.study.analyze import analyze_study
 from feel321.study.export import dataset as dataset_module
 from feel321.study.export import people
 from feel321.study.export.dataset import NO_METHODS, export_bids
 from feel321.study.export.people import KEY_FILE, band_age, blur, name_people
 from feel321.study.folder import StudyFolder
-from feel321.study.persons.outputs import WrittenOutput
-from feel321.study.persons.removal import clear_outputs
 from feel321.study.settings.publication import PublicationTable, check_orcid
 from tests.study.export.conftest import PLANTED
 
@@ -241,22 +237,3 @@ def test_an_interrupted_export_leaves_nothing(
 
 def test_an_export_is_its_owners_alone(dataset: Path) -> None:
     assert {path.stat().st_mode & 0o077 for path in dataset.rglob("*")} == {0}
-
-
-def test_a_copy_of_a_study_leaves_the_exports_of_the_original(
-    studied: StudyFolder, tmp_path: Path
-) -> None:
-    copied = StudyFolder(tmp_path / "copy")
-    shutil.copytree(studied.path, copied.path)
-    output = tmp_path / "out"
-    output.mkdir()
-    (output / "p.csv").write_text("p")
-    made = WrittenOutput(
-        "export", output, "2026-01-01T00:00:00+00:00", {"p.csv": digest_file(output / "p.csv")}
-    )
-    for place, said in [(str(studied.path.resolve()), 1), (str(copied.path.resolve()), 0)]:
-        text = json.dumps(asdict(replace(made, study=place)) | {"path": str(output)})
-        (copied.path / "outputs.jsonl").write_text(f"{text}\n")
-        told = list(clear_outputs(copied))
-        assert len(told) == said
-        assert output.exists() is bool(said)

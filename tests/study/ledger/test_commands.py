@@ -95,7 +95,11 @@ def test_a_rebuild_tells_what_it_forgets(begun: Any, say: Say) -> None:
 def test_a_damaged_ledger_is_one_line(begun: Any, say: Say) -> None:
     path = begun.study.ledger
     path.write_bytes(b"x" * 1000)
-    for arguments in (["ledger"], ["ledger", "--rebuild"], ["release", "--participant", "p01"]):
+    for arguments in (
+        ["ledger"],
+        ["ledger", "--rebuild"],
+        ["withdraw", "--keep-data", "--participant", "p01"],
+    ):
         code, out, err = say(*arguments, begun.study.path)
         assert (code, out) == (1, "")
         assert err == (
@@ -139,10 +143,10 @@ def test_withdraw_says_what_was_removed_and_what_is_left_to_do(begun: Any, say: 
 
 
 def test_release_says_which_number_is_free(begun: Any, say: Say) -> None:
-    assert say("release", begun.study.path, "--participant", "p02") == (
+    assert say("withdraw", begun.study.path, "--participant", "p02", "--keep-data") == (
         0,
         f"{begun.study.path}: p02 is released, number 2 is free\n",
         "",
     )
-    code, _, err = say("release", begun.study.path, "--participant", "p02")
+    code, _, err = say("withdraw", begun.study.path, "--participant", "p02", "--keep-data")
     assert (code, err) == (1, "feel321: participant p02: was released before; number 2 is free\n")

@@ -117,7 +117,7 @@ def test_one_number_held_twice_is_refused_and_the_ledger_stays(make_lab: Any) ->
     shutil.copytree(other.begin("p02"), lab.study.sessions / "p02")
     kept = entries(lab)
     with pytest.raises(
-        ValueError, match="number 1 must be held by one participant, got p01 and p02; release"
+        ValueError, match="number 1 must be held by one participant, got p01 and p02; withdraw"
     ):
         rebuild_ledger(lab.study)
     assert entries(lab) == kept

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.persons.vault import UNLOCK_VARIABLE
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study
 from tests.study.conftest import SMALLEST_STUDY
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 ASKING = '[[session.questions]]\nuse = "demographics"\n'
-TRUE = "correct horse battery"
 
 
 def now() -> datetime:
@@ -39,16 +37,7 @@ def made_asking(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
 
 
 @pytest.fixture(scope="session")
-def made_sealed(made_asking: StudyFolder, tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
-    study = copy_study(made_asking, tmp_path_factory.mktemp("sealed") / "study")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(UNLOCK_VARIABLE, TRUE)
-        simulate_study(study, participants=2, seed=3, now=now)
-    return study
-
-
-@pytest.fixture(scope="session")
-def made_open(made_asking: StudyFolder, tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
-    study = copy_study(made_asking, tmp_path_factory.mktemp("open") / "study")
-    simulate_study(study, participants=3, seed=3, now=now)
+def made_held(made_asking: StudyFolder, tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
+    study = copy_study(made_asking, tmp_path_factory.mktemp("held") / "study")
+    simulate_study(study, participants=2, seed=3, now=now)
     return study

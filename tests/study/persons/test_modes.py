@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.study.persons.places import list_places
+from feel321.study.persons.withdrawal import recording_output
 from feel321.study.simulation import simulate_study
 
 if TYPE_CHECKING:
@@ -41,7 +41,10 @@ def test_places_are_their_owners_from_the_first_byte(
     smallest: StudyFolder, monkeypatch: pytest.MonkeyPatch, *, is_shared: bool
 ) -> None:
     with smallest.settings.open("a", encoding="utf-8") as file:
-        file.write(f"{ASKING}[data]\ngroup_readable = {str(is_shared).lower()}\n")
+        file.write(ASKING)
+    smallest.make_sessions()
+    file_mode, folder_mode = (0o640, 0o750) if is_shared else (0o600, 0o700)
+    smallest.sessions.chmod(folder_mode)
     opened: list[tuple[str, int]] = []
     original = os.open
 
@@ -52,19 +55,27 @@ def test_places_are_their_owners_from_the_first_byte(
 
     monkeypatch.setattr(os, "open", note)
     simulate_study(smallest, participants=1, seed=3, now=lambda: datetime.now(UTC))
-    file_mode, folder_mode = (0o640, 0o750) if is_shared else (0o600, 0o700)
-    places = {
-        place.path: place.kind
-        for place in list_places(smallest)
-        if place.kind not in {"temporary", "checkpoints"}
-    }
-    assert {"plan", "journal", "personal", "ledger", "ratings", "roster", "answers"} <= {
-        *places.values()
-    }
-    assert {path.name: oct(find_mode(path)) for path in places} == {
-        path.name: oct(file_mode) for path in places
+    tables = [smallest.path / f"{name}.csv" for name in ("ratings", "participants", "answers")]
+    files = [*tables, *(path for path in smallest.sessions.rglob("*") if path.is_file())]
+    assert {"plan.json", "session-01.jsonl", "personal.jsonl"} <= {path.name for path in files}
+    assert {path.name: oct(find_mode(path)) for path in files} == {
+        path.name: oct(file_mode) for path in files
     }
     folders = [smallest.sessions, *(path for path in smallest.sessions.rglob("*") if path.is_dir())]
     assert {find_mode(path) for path in folders} == {folder_mode}
     assert len(opened) > 5
     assert {mode for _, mode in opened} == {file_mode}
+
+
+@pytest.mark.parametrize(("folder_mode", "file_mode"), [(0o700, 0o600), (0o750, 0o640)])
+def test_results_are_as_private_as_the_sessions(
+    smallest: StudyFolder, folder_mode: int, file_mode: int
+) -> None:
+    smallest.make_sessions()
+    smallest.sessions.chmod(folder_mode)
+    with recording_output(smallest, "analyze", smallest.report, now=lambda: datetime.now(UTC)):
+        (smallest.report / "tables").mkdir()
+        (smallest.report / "tables" / "raters.csv").touch()
+    found = [smallest.report, *smallest.report.rglob("*")]
+    assert [find_mode(path) for path in found] == [folder_mode, folder_mode, file_mode]
+    assert not (smallest.path / "outputs.jsonl").exists()

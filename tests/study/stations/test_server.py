@@ -21,8 +21,7 @@ from feel321.study import server as servers
 from feel321.study.auditing.study import audit_study
 from feel321.study.collect import collect_sessions
 from feel321.study.ledger import database, slots, stations
-from feel321.study.persons.notes import take_note
-from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+from feel321.study.persons.withdrawal import release_participant, take_note, withdraw_participant
 from feel321.study.server import Server, check_url, find_server, name_schema
 from feel321.study.settings.read import read_settings
 from feel321.study.simulation import simulate_study

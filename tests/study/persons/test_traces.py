@@ -1,4 +1,4 @@
-"""The registry is complete: marks planted in a study are in its places only, and nowhere once somebody withdrew."""
+"""Marks planted in a study are nowhere in it once somebody withdrew, and outputs elsewhere are named."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ import pytest
 from feel321.study.auditing.study import audit_study, examine
 from feel321.study.cli import main
 from feel321.study.commands import shared
-from feel321.study.persons.places import KEPT, KINDS, NAMED, list_places
 from feel321.study.session import engine
 from feel321.study.workflow import build_study
 
@@ -158,7 +157,6 @@ def write_everything(study: StudyFolder, out: Path, *, really: bool) -> None:
         say("advise", study.path)
         say("power", study.path, "--participants", "4,6", "--studies", 0)
         say("export", study.path, out / "bids", "--simulated")
-        say("backup", study.path, "--to", out / "safe")
     else:
         make_report(study.report)
         with shared.recording(study, "analyze", out / "elsewhere"):
@@ -166,34 +164,30 @@ def write_everything(study: StudyFolder, out: Path, *, really: bool) -> None:
     say("export", study.path, out / "for-r", "--r")
     say("replay", study.path, "--participant", WHO, "--out", out / "film.html")
     say("status", study.path, "--notes")
-    say("inventory", study.path, "--json")
+
+
+KEPT = {"withdrawn.json", "ledger.sqlite", "ledger.log", "checkpoints.jsonl", "outputs.jsonl"}
+"""Files that may hold the code of somebody who withdrew."""
 
 
 @pytest.mark.parametrize("really", [False, pytest.param(True, marks=pytest.mark.soak)])
-def test_marks_are_in_named_places_only_and_gone_once_somebody_withdrew(
-    planted: StudyFolder, tmp_path: Path, *, really: bool
+def test_marks_are_gone_once_somebody_withdrew_and_outputs_elsewhere_are_named(
+    planted: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str], *, really: bool
 ) -> None:
-    write_everything(planted, tmp_path / "out", really=really)
+    write_everything(planted, out := tmp_path / "out", really=really)
     plant_more(planted)
     assert SECRET.encode() in planted.ledger.read_bytes()
-    places = {place.path.resolve(): place.kind for place in list_places(planted)}
-    for mark in (WHO, SECRET):
-        hits = {path.resolve() for path in grep(tmp_path, mark)}
-        assert len(hits) > 10
-        assert {path for path in hits if not places.keys() & {path, *path.parents}} == set()
+    assert len(grep(planted.path, SECRET)) > 5
     others = {path: path.read_bytes() for path in (planted.sessions / "sim001").iterdir()}
     say("withdraw", planted.path, "--participant", WHO, "--yes")
-    if really:  # a backup is named, and lets go of the participant with the next one
-        say("backup", planted.path, "--to", tmp_path / "out" / "safe")
-        assert not [*(tmp_path / "out" / "bids").rglob("*.tsv")]
-    assert grep(tmp_path, SECRET) == set()
-    kept = {place.path: place.kind for place in list_places(planted)}
-    hits = [path for path in grep(tmp_path, WHO) if tmp_path / "out" / "safe" not in path.parents]
-    left = {kept[path] for path in hits}
-    assert left <= {kind for kind, facts in KINDS.items() if facts.at_withdrawal == KEPT} | {
-        "ledger"
-    }
-    assert "tombstone" in left
+    told = capsys.readouterr().err
+    outputs = sorted(out.iterdir())
+    assert len(outputs) > 2
+    for path in outputs:
+        assert f"{path}: " in told
+    assert {path for path in grep(tmp_path, SECRET) if out not in path.parents} == set()
+    left = {path.name for path in grep(tmp_path, WHO) if out not in path.parents}
+    assert {"withdrawn.json"} <= left <= KEPT
     assert {path: path.read_bytes() for path in others} == others
     assert audit_study(planted) == []
 
@@ -226,42 +220,24 @@ def test_links_go_and_what_they_lead_to_is_named_and_left(
     assert [path.name for path in folder.iterdir()] == ["withdrawn.json"]
 
 
-def test_an_output_that_was_changed_is_named_and_left(
+def test_what_was_written_elsewhere_before_a_withdrawal_is_named_until_it_is_gone(
     planted: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    say("export", planted.path, tmp_path / "for-r", "--r")
-    changed = tmp_path / "for-r" / "judgements.csv"
-    changed.write_text(changed.read_text() + "mine\n")
-    say("withdraw", planted.path, "--participant", WHO, "--yes")
-    assert f"{changed}: was changed since export wrote it" in capsys.readouterr().err
-    assert [path.name for path in (tmp_path / "for-r").iterdir()] == ["judgements.csv"]
-    kinds = {place.path: place.kind for place in list_places(planted)}
-    assert kinds[changed] == "output"  # it is still remembered
-
-
-def test_what_was_away_at_a_withdrawal_is_named_until_it_is_cleared(
-    planted: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out, safe = tmp_path / "for-r", tmp_path / "safe"
+    out, away = tmp_path / "for-r", tmp_path / "away"
     say("export", planted.path, out, "--r")
-    say("backup", planted.path, "--to", safe)
-    for path in (out, safe):
-        path.rename(tmp_path / f"away-{path.name}")
+    assert examine(planted).remarks == ()
+    out.rename(away)
     say("withdraw", planted.path, "--participant", WHO, "--yes")
+    named = f"{out}: export wrote there before a participant withdrew"
     told = capsys.readouterr().err
-    assert f"{out}: what export wrote there is not here now" in told
-    assert f"{safe}: a backup with the participant's data is not here now" in told
-    assert [line.partition(":")[0] for line in examine(planted).remarks] == [str(out), str(safe)]
-    for path in (out, safe):
-        (tmp_path / f"away-{path.name}").rename(path)
-    found = examine(planted)
-    assert [line.partition(":")[0] for line in found.findings] == [str(out)]
-    assert f"{safe}: is a backup with data of {WHO}, who withdrew" in found.remarks[-1]
-    say("withdraw", planted.path, "--participant", WHO, "--yes")
-    say("backup", planted.path, "--to", safe)
-    found = examine(planted)
-    assert (found.findings, found.remarks, out.exists()) == ((), (), False)
-    assert grep(tmp_path, SECRET) == set()
+    assert named in told
+    assert "nothing is there now" in told
+    assert examine(planted).remarks == ()
+    away.rename(out)
+    (remark,) = examine(planted).remarks
+    assert remark.startswith(named)
+    shutil.rmtree(out)
+    assert examine(planted).remarks == ()
 
 
 DYING = """
@@ -269,10 +245,9 @@ import os, signal, sys
 from datetime import UTC, datetime
 from pathlib import Path
 from feel321.study.folder import StudyFolder
-from feel321.study.persons import removal, retention
 from feel321.study.persons.withdrawal import withdraw_participant
 import feel321.analysis.report.folder, feel321.stimuli.sets.manifest, filelock
-root, verb = Path(sys.argv[1]), sys.argv[2]
+root = Path(sys.argv[1])
 steps = {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
 def now():
     return datetime.now(UTC)
@@ -289,21 +264,18 @@ for place in sorted(root.iterdir(), key=lambda path: int(path.name)):
     study, child = StudyFolder(place / "study"), os.fork()
     if not child:
         die_at(int(place.name))
-        if verb == "personal":
-            retention.remove_personal(study, "sim002", now=now)
-        else:
-            withdraw_participant(study, "sim002", now=now)
+        withdraw_participant(study, "sim002", now=now)
         os._exit(0)
     _, status = os.waitpid(child, 0)
     print(place.name, "whole" if os.WIFEXITED(status) else "killed", flush=True)
 """
 
 
-def kill_at_steps(planted: StudyFolder, root: Path, verb: str, steps: range) -> dict[int, str]:
+def kill_at_steps(planted: StudyFolder, root: Path, steps: range) -> dict[int, str]:
     for step in steps:
         shutil.copytree(planted.path, root / str(step) / "study", symlinks=True)
     done = subprocess.run(
-        [sys.executable, "-c", DYING, root, verb], capture_output=True, text=True, check=True
+        [sys.executable, "-c", DYING, root], capture_output=True, text=True, check=True
     )
     return {int(line.split()[0]): line.split()[1] for line in done.stdout.splitlines()}
 
@@ -316,7 +288,7 @@ def test_after_any_kill_the_same_call_finishes_and_nothing_is_found(
     plant_more(planted)
     shutil.rmtree(tmp_path / "tmp" / "feel321-1-dead")
     (root := tmp_path / "kills").mkdir()
-    ends = kill_at_steps(planted, root, "withdraw", range(0, 300, stride))
+    ends = kill_at_steps(planted, root, range(0, 300, stride))
     assert "killed" in ends.values()
     assert "whole" in ends.values()
     for step in ends:
@@ -327,12 +299,6 @@ def test_after_any_kill_the_same_call_finishes_and_nothing_is_found(
         assert {path.name for path in (study.sessions / WHO).iterdir()} - {".lock"} == {
             "withdrawn.json"
         }
-
-
-def test_every_kind_says_what_becomes_of_it() -> None:
-    for kind, facts in KINDS.items():
-        assert facts.at_withdrawal in {KEPT, NAMED, "removed", "rewritten"}, kind
-        assert facts.holds, kind
 
 
 def test_audit_names_what_came_back_with_a_copy(planted: StudyFolder, tmp_path: Path) -> None:
