@@ -9,8 +9,7 @@ import secrets
 import shutil
 import sys
 import tempfile
-import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from filecmp import cmp
 from itertools import chain, count
@@ -83,45 +82,6 @@ def write_chunks(path: Path, chunks: Iterable[str], *, private: bool = False) ->
     with _naming(path):
         _replace(path, write, private=private)
     return next(written)
-
-
-LONG_TABLE = 100_000
-"""Rows above which a table is written as Parquet too."""
-
-
-def write_twin(path: Path, rows: int, *, text: Collection[str]) -> None:
-    """Write a CSV table of so many rows as Parquet beside it, if it is long; warns where pyarrow is missing.
-
-    text: columns whose cells stay as they are written; the others are numbers or flags, an empty cell of which is null.
-    The CSV is what counts: the Parquet file holds its digest, and one that was written from an earlier one goes.
-    """
-    twin = path.with_suffix(".parquet")
-    twin.unlink(missing_ok=True)
-    if rows <= LONG_TABLE:
-        return
-    try:
-        from pyarrow import csv as tables
-        from pyarrow import float64, parquet, string, types
-    except ImportError:
-        how = "pip install feel321[parquet] for Parquet too"
-        warnings.warn(f"{path.name}: {rows} rows, as CSV only; {how}", stacklevel=2)
-        return
-    convert = tables.ConvertOptions(
-        column_types=dict.fromkeys(text, string()), null_values=[""], timestamp_parsers=[]
-    )
-    table = tables.read_csv(path, convert_options=convert)
-    for place, column in enumerate(table.schema):
-        if types.is_null(column.type):  # nothing but empty cells
-            empty = table.column(place).cast(float64())
-            table = table.set_column(place, column.name, empty)
-    table = table.replace_schema_metadata({TWIN_OF: digest_file(path)})
-    with _naming(twin):
-        private = not path.stat().st_mode & 0o007
-        _replace(twin, lambda file: parquet.write_table(table, file), private=private)
-
-
-TWIN_OF = b"feel321.csv_sha256"
-"""In the metadata of a Parquet file: the digest of the CSV that it was written from."""
 
 
 def digest_file(path: Path) -> str:

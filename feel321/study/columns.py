@@ -14,9 +14,3 @@ RATING_COLUMNS = (
     "delivered_by", "sensation_level_db", "other_id", "motion_distance_m", "motion_mean_speed_m_s",
 )  # fmt: skip
 """The columns of `ratings.csv`, in order."""
-
-TEXT_COLUMNS = (
-    "participant", "protocol", "stimulus_id", "recording", "reducer", "level", "reference_id", "scale", "delivered_by",
-    "other_id",
-)  # fmt: skip
-"""Those of them that hold text, the others numbers and flags."""

@@ -128,10 +128,8 @@ class StudyFolder:
 
     def share(self, path: Path) -> None:
         """Let the group read a table that was derived from sessions which it may read."""
-        twin = path.with_suffix(".parquet")
-        if self.sessions.is_dir() and is_of_group(self.sessions):
-            for one in filter(Path.is_file, (path, twin)):
-                one.chmod(0o640)
+        if path.is_file() and self.sessions.is_dir() and is_of_group(self.sessions):
+            path.chmod(0o640)
 
     @property
     def _entries(self) -> list[Path]:

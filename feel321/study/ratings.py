@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from feel321.files import write_table, write_twin
+from feel321.files import write_table
 from feel321.protocols.tasks import find_other, score_trial
 from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.columns import RATING_COLUMNS, TEXT_COLUMNS
+from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.sensation import find_own_levels
 from feel321.study.session.codes import list_by_code
@@ -36,7 +36,6 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     """
     rows = (row for folder in study.participants for row in read_judgements(folder, stimuli))
     count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
-    write_twin(study.ratings, count, text=TEXT_COLUMNS)
     study.share(study.ratings)
     return count
 

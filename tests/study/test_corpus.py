@@ -8,11 +8,9 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from feel321 import files
-from feel321.analysis import browser, read_table
+from feel321.analysis import browser
 from feel321.doors import announcing
 from feel321.stimuli.sets import details
 from feel321.stimuli.wav import write_wav
@@ -228,65 +226,9 @@ def test_a_manifest_is_read_entry_by_entry_as_it_is_as_a_whole(corpus: StudyFold
             list(details.iterate_rows(corpus.stimuli))
 
 
-def read_as_text(path: Path) -> pd.DataFrame:
-    return pd.read_csv(path, dtype=str, keep_default_na=False)
-
-
-def test_a_long_table_is_written_as_parquet_with_the_same_values_and_types(
-    corpus: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_long_lists_of_faults_are_cut(
+    corpus: StudyFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Participants 001 and null, a recording called NA: text stays as it is written, numbers are numbers."""
-    named = zip(("NA", "1e3", "2026-11-23"), sorted((tmp_path / "corpus").iterdir()), strict=False)
-    for name, path in named:
-        path.rename(path.with_stem(name))
-    text = CORPUS.replace("recordings_per_participant = 3", "")
-    corpus.settings.write_text(text, encoding="utf-8")
-    monkeypatch.setattr(files, "LONG_TABLE", 1)
-    build_study(corpus, page=False)
-    listed, written = corpus.manifest.with_suffix(".parquet"), read_as_text(corpus.manifest)
-    twin = pd.read_parquet(listed)
-    assert {"NA", "1e3", "2026-11-23"} < {*twin["recording"]}
-    for name, column in twin.items():
-        if isinstance(column[0], str):
-            assert list(column) == list(written[name])
-        else:
-            np.testing.assert_array_equal(column, pd.to_numeric(written[name]).to_numpy())
-    tests = twin.loc[twin["role"] == "test", "stimulus_id"]
-    rows = [
-        {"participant": who, "stimulus_id": name, "rating": 2.5 * place, "trial": place}
-        for who in ("001", "null")
-        for place, name in enumerate(tests)
-    ]
-    ratings = tmp_path / "ratings.csv"
-    fixed = {"scale": "realism", "reference_id": "", "rejected": "false", "empty": ""}
-    count = files.write_table(ratings, [*rows[0], *fixed], (row | fixed for row in rows))
-    text_columns = ("participant", "stimulus_id", "scale", "reference_id")
-    files.write_twin(ratings, count, text=text_columns)
-    given = ratings.with_suffix(".parquet")
-    assert [*pd.read_parquet(given)["reference_id"].unique()] == [""]
-    whole = read_table(given, listed).rows
-    pd.testing.assert_frame_equal(whole, read_table(ratings, corpus.manifest).rows)
-    assert {*whole["participant"]} == {"001", "null"}
-    ratings.write_text(ratings.read_text().replace(",2.5,", ",99.0,"))
-    with pytest.raises(
-        ValueError, match=r"^ratings\.parquet: was written from another ratings\.csv"
-    ):
-        read_table(given, listed)
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.warns(UserWarning, match=r"^ratings\.csv: \d+ rows, as CSV only; pip install"):
-        files.write_twin(ratings, count, text=text_columns)
-    assert not given.exists()  # it was of an earlier table
-
-
-@pytest.mark.filterwarnings("default::UserWarning")
-def test_a_missing_extra_is_warned_of_once_and_long_lists_of_faults_are_cut(
-    corpus: StudyFolder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(files, "LONG_TABLE", 1)
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert cli.main(["build", str(corpus.path)]) == 0
-    said = capsys.readouterr().err
-    assert said.count("feel321: warning: manifest.csv: 24 rows, as CSV only; pip install") == 1
     for number in range(60):
         (corpus.path / "corpus" / f"empty{number}.wav").touch()
     assert cli.main(["build", str(corpus.path)]) == 1

@@ -15,8 +15,6 @@ from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import schema
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, leave_rejected
 from feel321.doors import as_names, as_path
-from feel321.files import TWIN_OF, digest_file, file_named
-from feel321.stimuli.formats.common import foreign_errors
 from feel321.types import MetricInfo, PathLike
 
 if TYPE_CHECKING:
@@ -66,28 +64,7 @@ def open_source(given: PathLike | DataFrame, what: str) -> Source:
     if isinstance(given, DataFrame):
         return Source(given, what)
     path = as_path(given, what)
-    return Source(open_parquet(path) if path.suffix == ".parquet" else path, path.name)
-
-
-def open_parquet(path: Path) -> DataFrame:
-    """Read a table in Parquet, if it is not of another CSV than the one beside it."""
-    try:
-        from pyarrow import parquet
-    except ImportError:
-        raise ValueError(
-            f"{path.name}: Parquet needs pyarrow; pip install feel321[parquet], or give the CSV"
-        ) from None
-    with file_named(path), foreign_errors("a Parquet table"):
-        table = parquet.read_table(path)
-        frame: DataFrame = table.to_pandas()
-    beside = path.with_suffix(".csv")
-    made_of = (table.schema.metadata or {}).get(TWIN_OF)
-    if made_of and beside.is_file() and made_of != digest_file(beside).encode():
-        raise ValueError(
-            f"{path.name}: was written from another {beside.name} than the one beside it, which was changed since; "
-            f"give {beside.name}, which is what counts"
-        )
-    return frame
+    return Source(path, path.name)
 
 
 # `ratings.csv`, from feel321 or from elsewhere.

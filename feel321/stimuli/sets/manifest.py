@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from feel321 import intake
 from feel321.doors import Registry, as_path
-from feel321.files import digest_file, list_csv, write_chunks, write_twin
+from feel321.files import digest_file, list_csv, write_chunks
 from feel321.names import ANCHOR
 from feel321.records import Result
 from feel321.stimuli.sets import details
@@ -122,7 +122,6 @@ STRONG_GAIN = 100.0
 # The temporal match of an anchor is 0 but for rounding; so may be that of a silent test stimulus.
 _ROUNDING = 1e-9
 _READ_AS = get_type_hints(Stimulus)
-_TEXT = [name for name in COLUMNS if _READ_AS[name] is str]
 _SHARED = frozenset({"recording", "reducer", "level", "role", "recording_sha256"})
 
 
@@ -263,7 +262,6 @@ def write_manifest(
     whole = {"columns": COLUMN_UNITS | own, **head, **warned}
     details.write_details(folder, head=whole, tables=tables, rows=map(describe_row, stimuli))
     write_chunks(folder / "manifest.csv", list_csv(columns, map(describe_row, stimuli)))
-    write_twin(folder / "manifest.csv", len(stimuli), text=_TEXT)
     return built
 
 

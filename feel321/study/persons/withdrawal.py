@@ -304,10 +304,6 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
         study.path / ANSWERS_FILE: lambda: write_answers(study),
         study.path / MATCHES_FILE: lambda: write_matches(study, read_stimuli(study.stimuli)),
     }
-    # The Parquet twin of the ratings is made with the CSV; where that fails, or is missing, no twin may stay.
-    twin = study.ratings.with_suffix(".parquet")
-    yield from _drop_link(twin)
-    twin.unlink(missing_ok=True)
     for path, write in tables.items():
         is_there = path.exists()
         yield from _drop_link(path)

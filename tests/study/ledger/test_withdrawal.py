@@ -90,20 +90,6 @@ def two(lab: Any) -> Any:
     return lab
 
 
-@pytest.mark.parametrize("with_csv", [True, False])
-def test_no_parquet_twin_outlives_a_table_that_cannot_be_rewritten(
-    two: Any, now: Any, *, with_csv: bool
-) -> None:
-    """There is no stimulus set here; without the CSV there is nothing to rewrite, and the twin goes too."""
-    ratings = two.study.ratings
-    twin = ratings.with_suffix(".parquet")
-    left = [twin, ratings.with_name(".ratings.parquet.1.part"), *([ratings] if with_csv else [])]
-    for path in left:
-        path.write_text("participant\np01\n")
-    withdraw_participant(two.study, "p01", now=now)
-    assert not any(path.exists() for path in left)
-
-
 def test_all_data_go_and_a_tombstone_stays(two: Any, now: Any) -> None:
     folder = two.study.sessions / "p01"
     last = (folder / "session-01.jsonl").read_bytes().splitlines()[-1]

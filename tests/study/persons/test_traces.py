@@ -63,10 +63,6 @@ def unpack(content: bytes) -> Iterator[bytes]:
         with zipfile.ZipFile(BytesIO(content)) as archive:
             for name in archive.namelist():
                 yield from unpack(archive.read(name))
-    elif content[:4] == b"PAR1":
-        from pyarrow import parquet
-
-        yield parquet.read_table(BytesIO(content)).to_pandas().to_csv().encode()
 
 
 def say(*arguments: object) -> None:
