@@ -88,7 +88,6 @@ __getattr__ = _forward_old_names(
         "fade": "feel321.stimuli.condition:fade",
         "resample": "feel321.stimuli.condition:resample",
         "spectral_match_energy_weighted": f"{_ROTATION}:spectral_match_energy_weighted|INVARIANTS",
-        "spectral_match_invariant": f"{_ROTATION}:spectral_match_energy_weighted|INVARIANTS",
         "temporal_match_invariant": f"{_ROTATION}:temporal_match_invariant|INVARIANTS",
     },
 )

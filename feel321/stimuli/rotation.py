@@ -9,9 +9,9 @@ Both lie between 0 and 1, or are NaN where the recording leaves nothing to match
   others, and changes with the mounting. Its counterpart weighs the axes by their energy.
 - The paper's spectral match is rotation-invariant already. But it divides by the recording's energy at every frequency
   and so is unbounded below: a little energy in a band that the recording left empty outweighs everything else. Its
-  counterpart divides once, by what either signal has: it is named for that, `spectral_match_energy_weighted`. (It was
-  called `spectral_match_invariant`; that name still works.) Where the strongest band holds nearly all energy it says
-  little about the others, which `match.spectral_match_bounded` weighs alike: read both.
+  counterpart divides once, by what either signal has: it is named for that, `spectral_match_energy_weighted`. Where
+  the strongest band holds nearly all energy it says little about the others, which `match.spectral_match_bounded`
+  weighs alike: read both.
 
 References
 ----------
@@ -160,9 +160,6 @@ def temporal_match_invariant(
         return math.nan
     return min(float(together / scale), 1.0) if scale > 0 else 0.0
 
-
-spectral_match_invariant = spectral_match_energy_weighted
-"""The former name of `spectral_match_energy_weighted`."""
 
 INVARIANTS: Registry[Metric] = Registry(
     "invariant",

@@ -242,10 +242,7 @@ def test_any_numeric_column_may_be_declared(files: Callable[..., object]) -> Non
             ["temporal_match", "temporal_match"],
             "metrics must be one name or more, each once, got temporal_match, temporal_match",
         ),
-        (
-            ["spectral_match_bounded"],
-            "(built before it existed: build the set again, or use spectral_match)",
-        ),
+        (["spectral_match_bounded"], "(build the set again, or use spectral_match)"),
     ],
 )
 def test_metrics_that_a_manifest_does_not_have(

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321 import stimuli
 from feel321.names import MATCHES
 from feel321.stimuli.match import (
     WeberSmoothing,
@@ -211,11 +210,6 @@ def test_an_offset_alone_is_silence() -> None:
 @pytest.mark.parametrize("n", [1, 2, 3])
 def test_signals_too_short_for_a_frequency_have_no_match(n: int) -> None:
     assert np.isnan(spectral_match_energy_weighted(noise(3, n), noise(n), RATE))
-
-
-def test_the_former_name_still_works() -> None:
-    with pytest.warns(DeprecationWarning, match="INVARIANTS"):
-        assert stimuli.spectral_match_invariant is INVARIANTS["spectral_match"]
 
 
 @pytest.mark.parametrize("counterpart", INVARIANTS.values(), ids=list(INVARIANTS))

@@ -876,22 +876,6 @@ def test_a_recording_without_anything_to_match_is_refused(
 
 
 @pytest.mark.parametrize("name", ["spectral_match_bounded", "temporal_match_windowed"])
-def test_a_set_of_an_earlier_version_has_no_further_metric(
-    name: str, built: StimulusSet, tmp_path: Path
-) -> None:
-    with (built.folder / "manifest.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    older = [column for column in CONTRACT if column != name]
-    with (tmp_path / "manifest.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, older, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(rows)
-    for row, one in zip(read_stimuli(tmp_path).stimuli, built.stimuli, strict=True):
-        assert math.isnan(getattr(row, name))
-        assert replace(row, **{name: getattr(one, name)}) == one
-
-
-@pytest.mark.parametrize("name", ["spectral_match_bounded", "temporal_match_windowed"])
 def test_a_further_metric_that_is_not_known_is_an_empty_cell(
     name: str, built: StimulusSet, tmp_path: Path
 ) -> None:

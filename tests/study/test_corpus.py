@@ -210,8 +210,7 @@ def test_a_manifest_is_read_entry_by_entry_as_it_is_as_a_whole(corpus: StudyFold
     path = corpus.stimuli / details.NAME
     text = path.read_text(encoding="utf-8")
     whole = json.loads(text)
-    layouts = [json.dumps(whole, indent=4), json.dumps(whole, indent=1, sort_keys=True), text]
-    for layout in layouts:
+    for layout in (json.dumps(whole, indent=4), text):
         path.write_text(layout, encoding="utf-8")
         assert details.read_head(corpus.stimuli) == {
             name: value for name, value in whole.items() if name not in details.LONG

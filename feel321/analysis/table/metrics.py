@@ -37,14 +37,10 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "rotation_sd": ("standard deviation of the {} over random orientations of the sensor", ""),
     "delivered": ("{} of the signal as it was delivered", ""),
     "energy_weighted": ("{} with frequencies weighted by their energy", "spectral_match"),
-    "invariant": (
-        "counterpart of the {} that no orientation changes",
-        "spectral_match temporal_match",
-    ),
+    "invariant": ("counterpart of the {} that no orientation changes", "temporal_match"),
 }
 """Suffix of a metric's name -> meaning, and the metrics that have it, all if none is named: per stimulus in the
-manifest, or per judgement in the ratings, where a stimulus has the mean over its judgements. `spectral_match_invariant`
-is the former name of `spectral_match_energy_weighted`; tables that use it are read as before."""
+manifest, or per judgement in the ratings, where a stimulus has the mean over its judgements."""
 
 
 def _describe_rotations() -> Iterator[tuple[str, MetricInfo]]:

@@ -263,7 +263,7 @@ def _refuse_missing(
             continue
         instead, why = schema.STAND_INS.get(name), ""
         if instead in sheet:
-            why = f" (built before it existed: build the set again, or use {instead})"
+            why = f" (build the set again, or use {instead})"
         elif name in metrics_of.ROTATIONS:
             why = " (feel321 analyze computes it in a study, from the recordings that its set was built from)"
         lacks = "no numbers in column" if name in sheet else "no column"

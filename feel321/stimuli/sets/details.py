@@ -59,14 +59,10 @@ def _separate(entries: Iterable[str]) -> Iterator[str]:
 def read_head(folder: Path) -> dict[str, Any]:
     """Read what is said of the whole set."""
     head: dict[str, Any] = {}
-    is_first = True
     for section, _, value in _scan(folder / NAME, skip=LONG):
-        if section not in LONG:
-            head[section] = value
-        elif is_first and "recipe" in head:
-            break  # an earlier version put the tables among it
-        else:
-            is_first = False
+        if section in LONG:
+            break
+        head[section] = value
     return head
 
 

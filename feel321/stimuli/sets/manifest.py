@@ -48,13 +48,13 @@ class Stimulus:
     sha256, recording_sha256 : str
         Digests of the file and of its source.
     spectral_match_bounded : float
-        As the other matches; NaN in a set that an earlier version built.
+        As the other matches; NaN where nothing could be compared.
     sensation_level_db : float
-        How strong it is felt; NaN for silence, and in a set that an earlier version built.
+        How strong it is felt; NaN for silence.
     temporal_match_windowed : float
-        As the other matches; NaN in a set that an earlier version built.
+        As the other matches; NaN where nothing could be compared.
     band_high_hz : float
-        Upper edge of the band that the matches compare; NaN in a set that an earlier version built.
+        Upper edge of the band that the matches compare; NaN where it is not known.
     metrics : Mapping of str to float
         Further metrics, each a column of its own; NaN where nothing could be compared.
     """
@@ -114,7 +114,7 @@ COLUMN_UNITS: dict[str, str] = {
 }
 COLUMNS = tuple(COLUMN_UNITS)
 FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]
-"""Columns of further metrics: a set that an earlier version built may lack them, and a cell may be empty."""
+"""Columns of further metrics, whose cells may be empty."""
 
 STRONG_GAIN = 100.0
 """40 dB: a recording that is played with more is mostly sensor noise, or its unit is wrong."""
@@ -334,7 +334,7 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
 
 
 def _read_row(row: dict[str, str], place: str) -> Stimulus:
-    wrong = [name for name in COLUMNS if row.get(name) is None and name not in {*FURTHER} - {*row}]
+    wrong = [name for name in COLUMNS if row.get(name) is None]
     further = {name: cell for name, cell in row.items() if name not in COLUMNS}
     wrong += [str(name) for name, cell in further.items() if not (name and isinstance(cell, str))]
     if wrong:

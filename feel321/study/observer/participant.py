@@ -315,9 +315,7 @@ class Touch:
                 "read the percepts of the whole set first"
             )
         match: float = getattr(stimulus, self.model.spectral_metric)
-        if math.isnan(
-            match
-        ):  # a set that was built before the bounded match existed has eq. 1 only
+        if math.isnan(match):  # the bounded match may be unknown
             match = stimulus.spectral_match
         spectral, is_reduced = min(max(match, 0.0), 1.0), stimulus.reducer != ORIGINAL
         bonus = self.model.reducers.get(stimulus.reducer, 0.0)
