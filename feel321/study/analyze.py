@@ -26,7 +26,7 @@ from feel321.stimuli.sets.manifest import find_methods, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.auditing.sealing import sealing_analysis
 from feel321.study.folder import StudyFolder, require_study
-from feel321.study.freezing.standing import make_standing
+from feel321.study.freeze import make_standing
 from feel321.study.ledger.progress import Progress as Participant
 from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches

@@ -54,13 +54,8 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 from feel321.study.observer.casting import Casting, cast_observers, find_person
-from feel321.study.sessions import (
-    lead_session,
-    list_rig_problems,
-    open_room,
-    plan_sessions,
-    require_current_set,
-)
+from feel321.study.provenance import require_current_set
+from feel321.study.sessions import lead_session, list_rig_problems, open_room, plan_sessions
 
 INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
 

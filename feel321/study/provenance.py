@@ -5,11 +5,26 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from shlex import quote
+from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.recipe import Recipe, describe_recipe
 from feel321.stimuli.sets.render import list_methods
 from feel321.study.folder import read_origin
+from feel321.study.settings.read import make_recipe
+
+if TYPE_CHECKING:
+    from feel321.study.folder import StudyFolder
+    from feel321.study.settings.schema import Settings
+
+
+def require_current_set(study: StudyFolder, settings: Settings) -> None:
+    """Check that the stimulus set is the one of the settings; no recording is read for it."""
+    named = dict.fromkeys(entry.title for entry in settings.recordings)
+    if changes := find_changes(study.stimuli, make_recipe(settings, study.path), named):
+        raise ValueError(
+            "\n".join(f"{change}; run feel321 build {quote(str(study.path))}" for change in changes)
+        )
 
 
 def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | None]) -> list[str]:

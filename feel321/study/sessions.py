@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
-from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import make_scales
@@ -15,13 +14,12 @@ from feel321.study.ledger.keeper import Keeper
 from feel321.study.ledger.progress import check_anchors
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.persons.answers import make_keeper
-from feel321.study.provenance import find_changes
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.plan import Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Place, Presenter
-from feel321.study.settings.read import make_design, make_recipe, make_terms, read_study_texts
+from feel321.study.settings.read import make_design, make_terms, read_study_texts
 
 if TYPE_CHECKING:
     from sqlalchemy import Engine
@@ -93,15 +91,6 @@ def lead_session(
                 keep=make_keeper(folder, journal),
             )
         return outcome, "; ".join(filter(None, (journal.notice, keeper.notice)))
-
-
-def require_current_set(study: StudyFolder, settings: Settings) -> None:
-    """Check that the stimulus set is the one of the settings; no recording is read for it."""
-    named = dict.fromkeys(entry.title for entry in settings.recordings)
-    if changes := find_changes(study.stimuli, make_recipe(settings, study.path), named):
-        raise ValueError(
-            "\n".join(f"{change}; run feel321 build {quote(str(study.path))}" for change in changes)
-        )
 
 
 def list_rig_problems(

@@ -34,9 +34,10 @@ from feel321.study.auditing.sealing import seal_study
 from feel321.study.ledger.progress import write_roster
 from feel321.study.matches import write_matches
 from feel321.study.persons.answers import write_answers
+from feel321.study.provenance import require_current_set
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import Clock
-from feel321.study.sessions import Room, lead_session, open_room, plan_sessions, require_current_set
+from feel321.study.sessions import Room, lead_session, open_room, plan_sessions
 from feel321.study.settings.read import read_settings
 from feel321.study.strength import find_unfelt
 

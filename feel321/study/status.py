@@ -18,7 +18,7 @@ from feel321.protocols.order import TASK_ORDERS
 from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.freezing.record import describe_frozen
+from feel321.study.freeze import describe_frozen
 from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
 from feel321.study.ledger.rigs import RigUse, describe_rigs, find_rig_use
 from feel321.study.minutes import (

@@ -238,7 +238,7 @@ class Auditable(Contents):
         from feel321.study.auditing.seal import make_seal
         from feel321.study.auditing.study import examine
         from feel321.study.findings import Audit
-        from feel321.study.freezing.record import describe_frozen, find_faults
+        from feel321.study.freeze import describe_frozen, find_faults
 
         extra = [as_path(one, "anchors") for one in anchors]
         with follow(self.progress, "audit") as step:
@@ -420,7 +420,7 @@ class Study(Plannable):
         Problems
             All that was found, at once.
         """
-        from feel321.study.freezing.record import describe_frozen, find_faults
+        from feel321.study.freeze import describe_frozen, find_faults
         from feel321.study.workflow import check_study
 
         with follow(self.progress, "check") as step:

@@ -11,7 +11,6 @@ import pytest
 READS = {"open", "read_text", "read_bytes"}
 EDITED = {"settings", "ratings", "manifest", "rig"}
 STRICT = {
-    "study/freezing/counted.py",
     "study/export/narrative.py",
     "study/settings/edit.py",
     "study/settings/fields.py",

@@ -88,8 +88,8 @@ class Standing:
     sentence : str
         The state in one sentence, which opens the page.
     state : str
-        ``none``: nothing was frozen; ``before``: frozen before the first rating; ``after``: after it; ``unsound``: the
-        file cannot be trusted; ``elsewhere``: the ratings are not those of the study.
+        ``none``: nothing was frozen; ``before``: frozen before the first rating; ``unsound``: the file cannot be
+        trusted; ``elsewhere``: the ratings are not those of the study.
     hypotheses : tuple of Hypothesis
         What was declared.
     reason : str

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from feel321.study.commands import shared
+from feel321.study.session.identity import FROZEN_FILE
 
 if TYPE_CHECKING:
     from feel321.study.findings import Audit
@@ -169,69 +170,53 @@ def seal(  # noqa: PLR0913 - one per option
 @click.command(
     epilog="""\b
 Example: feel321 freeze my-study
-         feel321 freeze my-study --because "one recording was too weak to feel"
-         feel321 freeze my-study --text > preregistration.md
+         feel321 freeze my-study --show
 """
 )
 @shared.study_argument
-@click.option(
-    "--because", default="", metavar="TEXT", help="Why choices frozen earlier are being changed."
-)
-@click.option(
-    "--participants",
-    type=click.IntRange(1, 100_000),
-    help="Planned number of participants.  [default: from feel321 power]",
-)
-@shared.flag(
-    "--after-data",
-    "Freeze although people have rated; every result is then exploratory.",
-    "after_data",
-)
 @shared.flag("--show", "Only show what is frozen, and what has changed since.", "only_show")
-@shared.flag(
-    "--text", "Print the text of a pre-registration, for OSF, and write nothing.", "as_text"
-)
 @shared.json_option
-def freeze(  # noqa: PLR0913 - one per option
-    *,
-    study: Study,
-    because: str,
-    participants: int | None,
-    after_data: bool,
-    only_show: bool,
-    as_text: bool,
-    as_json: bool,
-) -> None:
+def freeze(*, study: Study, only_show: bool, as_json: bool) -> None:
     """Freeze hypotheses, design and analysis before the first rating is seen.
 
-    Writes frozen.json: design, stimuli, protocols, metrics, rules, seeds and hypotheses, with their digests. analyze
-    then marks results as confirmatory or exploratory, and names every choice that was changed. Freezing again before
-    the first rating keeps the former state as history and asks for a reason. Ratings are counted, never shown.
+    Writes frozen.json: settings, stimuli, code and hypotheses, with their digests. analyze then marks results as
+    confirmatory or exploratory, and names every setting that was changed. It may be written again until a person has
+    rated. No rating is shown.
     """
-    from feel321.study.freezing import freeze as freezing
-    from feel321.study.freezing import text
+    from feel321.study import freeze as freezing
 
-    if only_show or as_text:
-        state = freezing.compare_now(study.folder, participants=participants)
-        if as_json:
-            shared.print_json(text.describe_json(state))
-        else:
-            shared.echo(text.write_registration(state) if as_text else text.write_state(state))
-        return
-    frozen, changes = freezing.freeze_study(
-        study.folder,
-        now=study.now,
-        because=because,
-        after_data=after_data,
-        participants=participants,
-    )
-    state = replace(freezing.compare_now(study.folder), changes=tuple(changes))
+    if only_show:
+        frozen = freezing.read_frozen(study.folder)
+        changes = freezing.list_changes(study.folder, study.settings, frozen) if frozen else {}
+    else:
+        frozen, changes = freezing.freeze_study(study.folder, now=study.now)
+    faults = freezing.find_faults(study.folder)
     if as_json:
-        shared.print_json(text.describe_json(state))
+        own = asdict(frozen) if frozen else None
+        shared.print_json({"frozen": own, "changes": [*changes.values()], "faults": faults})
         return
+    for line in faults:
+        shared.warn(line)
+    if frozen is None:
+        shared.echo(
+            f"{study.folder.path}: nothing is frozen; before the first rating: feel321 freeze"
+        )
+        return
+    lines = [f"{study.folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
+    if only_show:
+        own_words = frozen.settings["analysis.hypotheses"]
+        lines += [
+            "hypotheses:",
+            *(f"  {one}" for one in (*frozen.hypotheses, *own_words)),
+            "settings:",
+        ]
+        lines += [
+            f"  {name} = {freezing.describe_value(one)}" for name, one in frozen.settings.items()
+        ]
     shared.echo(
         "\n".join([
-            *changes,
-            f"{study.folder.path / 'frozen.json'}: {text.describe_written(frozen)}",
+            *lines,
+            *(["changed:"] if changes else []),
+            *(f"  {one}" for one in changes.values()),
         ])
     )

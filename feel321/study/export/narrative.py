@@ -17,7 +17,7 @@ from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator import certificate as certificates
 from feel321.study.folder import read_recipe
-from feel321.study.freezing.record import read_frozen
+from feel321.study.freeze import read_frozen
 from feel321.study.ledger import progress as progresses
 from feel321.study.ledger.slots import read_study_ledger
 from feel321.study.session import plan as plans
@@ -276,8 +276,6 @@ def _tell_frozen(study: StudyFolder, *, is_dated: bool) -> str:
         return "The choices of the analysis were not frozen beforehand."
     day = f" on {frozen.utc[:10]}" if is_dated else ""
     when = f"The choices of the analysis were frozen{day}"
-    if frozen.is_late:
-        return f"{when}, after {_count(frozen.rated.judgements, 'judgement')} had been made."
     return f"{when}, before any rating was given (frozen.json, SHA-256 {frozen.sha256[:12]})."
 
 

@@ -116,8 +116,8 @@ class StudyPower(Planned, results.PageResult):
 
 
 FREEZE = (
-    "Before the first rating, feel321 freeze writes down this number of participants, the hypotheses and the analysis, "
-    "so that results can be told apart into confirmatory and exploratory ones."
+    "Before the first rating, feel321 freeze writes down the hypotheses and the analysis, so that results can be told "
+    "apart into confirmatory and exploratory ones."
 )
 
 

@@ -20,7 +20,7 @@ from feel321.doors import announce, check_name
 from feel321.files import make_folder
 from feel321.protocols import trial
 from feel321.stimuli.sets import build, manifest
-from feel321.study import minutes, ratings, sessions
+from feel321.study import minutes, provenance, ratings
 from feel321.study.metrics import measure_declared
 from feel321.study.observer import casting
 from feel321.study.observer.participant import SPECTRAL
@@ -155,7 +155,7 @@ def split_expected(
 def _open_stimuli(study: StudyFolder, settings: Settings) -> StimulusSet:
     """Read the stimulus set; where none is built, measure what it would hold and write nothing."""
     if study.manifest.exists():
-        sessions.require_current_set(study, settings)
+        provenance.require_current_set(study, settings)
         return manifest.read_stimuli(study.stimuli)
     recordings = read.open_recordings(settings, study.path)
     recipe = read.make_recipe(settings, study.path)

@@ -1,0 +1,403 @@
+"""`frozen.json`: what was decided before ratings were seen, and when; compared with today's settings one by one.
+
+Parsed settings are compared, never the file's text: a comment, the order of keys or a default that is written out
+changes nothing. Recordings count by their names and contents, methods of the lab's own by their names and code,
+wherever the files lie. What affects neither the ratings nor their analysis does not count.
+
+The file holds the digest of itself, and every session that begins after freezing names it in its header. So a file that
+was edited, or written later with the clock set back, is seen.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+from feel321 import intake
+from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_versions
+from feel321.doors import name_of
+from feel321.files import write_text
+from feel321.study.session.events import TrialRated
+from feel321.study.session.identity import FROZEN_FILE
+from feel321.study.session.journal import list_journals
+from feel321.study.session.plan import PLAN_FILE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.folder import StudyFolder
+    from feel321.study.session.journal import Clock
+    from feel321.study.settings.schema import Settings
+
+UNCOUNTED: Any = {
+    "study": {"name"}, "session": {"consent", "language"}, "recordings": True, "reducers": True, "formats": True,
+    "metrics": {"__all__": {"use", "command", "timeout_s", "label", "unit"}}, "observer": True, "ledger": True,
+    "paper": True, "publication": True,
+}  # fmt: skip
+"""Settings that do not count, or count by what they lead to: recordings and code by content, texts by their digest."""
+
+ASIDE = (
+    "study.seed", "analysis.draws", "analysis.margin", "analysis.hypotheses", "session.stale", "session.texts",
+    "rig.certificate", "software.",
+)  # fmt: skip
+"""Settings that the declared tests do not depend on: a change of them is named and leaves the tests as declared."""
+
+MOST = 3
+"""Changes that the report's sentence names before it only counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frozen:
+    """What was frozen; former: digests of the states that it replaced, sha256: of itself."""
+
+    utc: str
+    settings: Mapping[str, Any]
+    hypotheses: tuple[Hypothesis, ...]
+    former: tuple[str, ...] = ()
+    sha256: str = field(default="", compare=False)
+
+    @property
+    def amended(self) -> str:
+        """How often it replaced another one, for a sentence."""
+        times = len(self.former)
+        return f"amended {times} time{'s' * (times > 1)}" if times else ""
+
+
+def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, str]]:
+    """Write `frozen.json`, before the first rating of a person; return what it holds and what differs from before."""
+    from feel321.stimuli.sets.manifest import read_stimuli
+    from feel321.study.provenance import require_current_set
+    from feel321.study.settings.read import read_settings
+
+    former, settings = read_frozen(study), read_settings(study.settings)
+    if rated := next(_list_rated(study), ""):
+        raise ValueError(
+            f"{study.path}: {rated} has rated already, so it is too late to freeze; all results stay exploratory"
+        )
+    if not study.manifest.is_file():
+        raise FileNotFoundError(
+            f"{study.manifest}: there is no stimulus set yet, which is part of what is frozen; build it first: "
+            f"feel321 build {quote(str(study.path))}"
+        )
+    require_current_set(study, settings)
+    named = list_settings(study, settings, read_stimuli(study.stimuli))
+    own = Frozen(now().isoformat(timespec="seconds"), named, tuple(_list_hypotheses(settings)))
+    if former is not None:
+        changes = find_changes(former.settings, named)
+        if not changes:
+            return former, {}
+        return write_frozen(study, replace(own, former=(*former.former, former.sha256))), changes
+    return write_frozen(study, own), {}
+
+
+def write_frozen(study: StudyFolder, frozen: Frozen) -> Frozen:
+    """Write the file, with the digest of itself."""
+    own = asdict(frozen)
+    del own["sha256"]
+    sealed = replace(frozen, sha256=digest_value(own))
+    text = json.dumps(asdict(sealed), indent=1, ensure_ascii=False)
+    write_text(study.path / FROZEN_FILE, f"{text}\n")
+    return sealed
+
+
+def read_frozen(study: StudyFolder) -> Frozen | None:
+    """Read the file, if there is one; one that is damaged or was edited is refused."""
+    path = study.path / FROZEN_FILE
+    if not path.is_file():
+        return None
+    try:
+        own = json.loads(path.read_bytes())
+        sha256 = own.pop("sha256")
+        is_sealed = digest_value(own) == sha256
+        hypotheses = tuple(Hypothesis(**one) for one in own.pop("hypotheses"))
+        frozen = Frozen(
+            **own | {"former": tuple(own["former"])}, hypotheses=hypotheses, sha256=sha256
+        )
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
+        is_sealed, frozen = False, None
+    if not is_sealed:
+        raise ValueError(
+            f"{path}: changed after it was written (its SHA-256 does not match), or not a file of feel321 freeze; "
+            "restore it from a copy"
+        )
+    return frozen
+
+
+def digest_value(value: object) -> str:
+    """Digest a value that JSON can hold, whatever the order of its keys."""
+    text = json.dumps(value, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+# What counts, and what of it has changed.
+
+
+def list_settings(study: StudyFolder, settings: Settings, stimuli: StimulusSet) -> dict[str, Any]:
+    """List everything that counts by its dotted name, as JSON can hold it, in alphabetical order."""
+    from feel321.study.settings.read import CONSENT, read_study_texts
+
+    found = dict(_flatten(settings.model_dump(mode="json", exclude=UNCOUNTED)))
+    for name in ("stimuli.reducers", "stimuli.metrics", "analysis.screening"):
+        found[name] = [name_of(one) for one in found[name]]
+    found["stimuli.reference"] = name_of(found["stimuli.reference"])
+    # What participants read counts, but an ethics board may still reword the page of consent.
+    texts = read_study_texts(settings, study.path)
+    texts["pages"] = {key: page for key, page in texts["pages"].items() if key != CONSENT}
+    found |= {"stimuli.set": stimuli.sha256, "session.texts": digest_value(texts)}
+    found |= {f"recordings.{row.recording}": row.recording_sha256 for row in stimuli.stimuli}
+    found |= dict(_list_code(settings, study))
+    if settings.paper:
+        claims = settings.paper.model_dump(mode="json")["claims"]
+        found |= {f"paper.claims.{one['name']}": one for one in claims}
+    found |= {f"analysis.{name}": said for name, said in MODEL.items()}
+    found |= {f"software.{name}": number for name, number in list_versions().items()}
+    return dict(sorted(found.items()))
+
+
+def _flatten(entry: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in entry.items():
+        if isinstance(value, dict):
+            yield from _flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _list_code(settings: Settings, study: StudyFolder) -> Iterator[tuple[str, str]]:
+    """List the digests of the lab's own code: reducers, metrics, screening rules and protocols."""
+    from feel321.analysis.screening.rules import find_rules
+    from feel321.protocols.tasks import digest_protocols
+    from feel321.study.settings.read import find_metric, make_recipe
+
+    rules = find_rules(settings.analysis.screening, study.path)
+    code = [name for name, table in settings.metrics.items() if table.use or table.command]
+    declared = [find_metric(settings, name, study.path) for name in code]
+    own = [one for one in declared if not isinstance(one, str)]
+    for method in (*make_recipe(settings, study.path).methods, *own, *rules):
+        yield f"code.{method.kind.replace(' ', '_')}.{method.name}", method.sha256
+    for name, sha256 in digest_protocols(settings.session.protocols).items():
+        yield f"code.{name}", sha256
+
+
+def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
+    """List the declared slopes: one for each scale and level on which stimuli are rated, and each metric."""
+    from feel321.analysis.table.metrics import make_info
+    from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
+    from feel321.names import METRIC_INFO
+    from feel321.study.settings.read import make_design
+
+    tasks = make_design(settings).tasks
+    scales = dict.fromkeys(name for task in tasks for name in (task.scales or (task.protocol,)))
+    rated = [RECAST if name == PAIRED else name for name in scales]
+    for scale in (name for name in rated if name not in {ANSWERED, *CHOSEN}):
+        for level in settings.stimuli.levels:
+            for metric in settings.analysis.metrics:
+                own = settings.metrics.get(metric)
+                info = (
+                    make_info(metric, own.to_facts())
+                    if own
+                    else METRIC_INFO.get(metric) or make_info(metric, {})
+                )
+                yield Hypothesis(scale, level, metric, info.higher)
+
+
+def find_changes(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, str]:
+    """Name each changed setting in plain words: its dotted name -> "NAME: was ..., now ..."."""
+    from feel321.study.settings.schema import SceneTable, Settings
+
+    # A setting that came with a later version of feel321, and is at its default, is no change.
+    usual = Settings(recordings=(SceneTable(scene="bumps"),))
+    defaults = dict(_flatten(usual.model_dump(mode="json", exclude=UNCOUNTED)))
+    before = {name: defaults.get(name) for name in now} | dict(frozen)
+    names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+    # What a metric declares says nothing new where the metric itself came or went.
+    both = set(before.get("analysis.metrics") or ()) & set(now["analysis.metrics"])
+    names = [one for one in names if one.split(".")[0] != "metrics" or one.split(".")[1] in both]
+    return {
+        name: f"{name}: was {describe_value(before.get(name))}, now {describe_value(now.get(name))}"
+        for name in names
+    }
+
+
+def describe_value(value: object) -> str:
+    """Write a value for reading.
+
+    Examples
+    --------
+    >>> describe_value(None), describe_value(["a", "b"]), describe_value(0.05), describe_value("0" * 64)
+    ('not set', 'a, b', '0.05', '000000000000...')
+    """
+    if value is None:
+        return "not set"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(describe_value, value)) or "none"
+    if isinstance(value, str) and len(value) == hashlib.sha256().digest_size * 2:
+        return f"{value[:12]}..."
+    return json.dumps(value, ensure_ascii=False) if isinstance(value, dict) else str(value)
+
+
+# The state in a line, and what is wrong with it.
+
+
+def describe_frozen(study: StudyFolder) -> str:
+    """Describe in one line what is frozen, for check, status and audit; empty where nothing is."""
+    try:
+        frozen = read_frozen(study)
+    except ValueError:
+        return f"frozen: {FROZEN_FILE} cannot be trusted (feel321 audit)"
+    if frozen is None:
+        return ""
+    when = f"frozen: {frozen.utc[:16].replace('T', ' ')} UTC, before any rating"
+    return ", ".join(filter(None, [when, frozen.amended]))
+
+
+def find_faults(study: StudyFolder) -> list[str]:
+    """Find reasons to distrust the frozen file: edits, and times that do not agree with the journals."""
+    try:
+        frozen = read_frozen(study)
+    except ValueError as error:
+        return [str(error)]
+    return [f"{study.path / FROZEN_FILE}: {one}" for one in _list_faults(study, frozen)]
+
+
+def _list_faults(study: StudyFolder, frozen: Frozen | None) -> Iterator[str]:
+    sessions = [own for folder in _list_people(study) for own in _list_sessions(study, folder)]
+    if frozen is None:
+        if path := next((path for path, _, named in sessions if named), ""):
+            yield f"is not there, though {path} names it in its header; restore it from a copy"
+        return
+    when, known = _read_time(frozen.utc), {frozen.sha256, *frozen.former}
+    first = min((utc for own in _list_people(study) for utc in _list_times(own)), default=when)
+    if first < when:
+        yield (
+            f"says that it was frozen before any rating, on {frozen.utc}, but a person had rated by "
+            f"{first.isoformat()}"
+        )
+    for path, utc, named in sessions:
+        if named and named not in known:
+            yield f"is not the one that {path} names in its header; restore the former file"
+        elif not named and utc > when:
+            yield f"says that it was written before the session of {path}, whose header knows of no frozen file"
+
+
+def _list_people(study: StudyFolder) -> Iterator[Path]:
+    """List the folders of participants who are not simulated; one whose plan cannot be read counts as a person."""
+    for folder in study.participants:
+        try:
+            plan = json.loads((folder / PLAN_FILE).read_bytes())
+            is_simulated = plan["simulated"] is True
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            is_simulated = False
+        if not is_simulated:
+            yield folder
+
+
+def _list_sessions(study: StudyFolder, folder: Path) -> Iterator[tuple[str, datetime, str]]:
+    """List journal, when it was begun, and the digest of the frozen file that its header names."""
+    for path in list_journals(folder):
+        with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            head = json.loads(path.read_bytes().partition(b"\n")[0])
+            named = head["data"].get("frozen", "")
+            yield path.relative_to(study.path).as_posix(), _read_time(head["utc"]), named
+
+
+def _list_times(folder: Path) -> Iterator[datetime]:
+    """List when a participant rated, without a look at any rating; what cannot be read is found by the audit."""
+    mark = f'"event": "{TrialRated.event}"'.encode()
+    lines = (line for path in list_journals(folder) for line in path.read_bytes().split(b"\n"))
+    for line in (line for line in lines if mark in line):
+        with suppress(ValueError, KeyError, TypeError, RecursionError):
+            yield _read_time(json.loads(line)["utc"])
+
+
+def _read_time(utc: str) -> datetime:
+    return datetime.fromisoformat(utc).astimezone(UTC)
+
+
+def _list_rated(study: StudyFolder) -> Iterator[str]:
+    """List people who rated, by journals, or by the table where their journals are gone."""
+    yield from (folder.name for folder in _list_people(study) if any(_list_times(folder)))
+    if study.ratings.is_file():
+        with intake.open_text(study.ratings) as file:
+            rows = csv.DictReader(file)
+            yield from (row["participant"] for row in rows if row.get("simulated") == "false")
+
+
+# What it makes of an analysis.
+
+
+ELSEWHERE = Standing(
+    "These ratings come from elsewhere, so what the study froze does not hold for them: all results are exploratory.",
+    "elsewhere",
+    reason="the ratings are not the study's own",
+)
+
+
+def list_changes(study: StudyFolder, settings: Settings, frozen: Frozen) -> dict[str, str]:
+    """Name what differs from what was frozen."""
+    from feel321.stimuli.sets.manifest import read_stimuli
+
+    now = list_settings(study, settings, read_stimuli(study.stimuli))
+    return find_changes(frozen.settings, now)
+
+
+def make_standing(
+    study: StudyFolder,
+    settings: Settings,
+    *,
+    metrics: Sequence[str] = (),
+    draws: int | None = None,
+    own: bool = True,
+) -> Standing:
+    """Compare what is about to be analysed with the frozen file.
+
+    metrics, draws: where they are not the settings'; own: whether the ratings are those of the study.
+    """
+    if not own:
+        return ELSEWHERE if (study.path / FROZEN_FILE).exists() else Standing()
+    if faults := find_faults(study):
+        said = faults[0].partition(": ")[2].partition(";")[0]
+        verb = "was " if said.startswith("changed") else ""
+        first = f"All results are exploratory, because {FROZEN_FILE} cannot be trusted: it {verb}{said}."
+        reason = f"{FROZEN_FILE} cannot be trusted"
+        return Standing(first, "unsound", reason=reason, changes=tuple(faults))
+    frozen = read_frozen(study)
+    if frozen is None:
+        return Standing()
+    given = {"metrics": tuple(metrics) or None, "draws": draws}
+    named = {name: value for name, value in given.items() if value is not None}
+    asked = settings.model_copy(update={"analysis": settings.analysis.model_copy(update=named)})
+    changes = list_changes(study, asked, frozen)
+    aside = [text for name, text in changes.items() if name.startswith(ASIDE)]
+    weighty = [text for name, text in changes.items() if not name.startswith(ASIDE)]
+    when = f"on {frozen.utc[:10]}" + (f" ({frozen.amended})" if frozen.former else "")
+    reason = ""
+    if weighty:
+        reason = "settings were changed after they were frozen"
+        first = (
+            f"All results are exploratory, because settings that were frozen {when} have changed: "
+            f"{_shorten(weighty)}."
+        )
+    else:
+        count = len(frozen.hypotheses)
+        slopes = "the declared slope is" if count == 1 else f"the {count} declared slopes are"
+        first = (
+            f"Hypotheses and analysis were frozen {when}, before any person rated: {slopes} confirmatory, all else is "
+            "exploratory."
+        )
+    if aside:
+        first += f" The declared tests do not depend on what else has changed: {_shorten(aside)}."
+    changed = (*weighty, *aside)
+    return Standing(first, "before", frozen.hypotheses, reason, changed, frozen.utc, frozen.sha256)
+
+
+def _shorten(texts: Sequence[str]) -> str:
+    left = len(texts) - MOST
+    return "; ".join([*texts[:MOST], *([f"and {left} more"] if left > 0 else [])])

@@ -1,1 +1,0 @@
-"""Decisions made before ratings are seen: recorded, shown as text, and compared with what was done."""
