@@ -16,7 +16,6 @@ from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, Redu
 from feel321.analysis.contrasts.discrimination import Discrimination
 from feel321.analysis.mixed.model import Estimate, MixedFit
 from feel321.analysis.power.design import Power, PowerPlan
-from feel321.analysis.primary.bayes import BayesianSlopes
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.published import Published
@@ -52,7 +51,6 @@ __all__ = [
     "Alpha",
     "Association",
     "Audit",
-    "BayesianSlopes",
     "BradleyTerry",
     "Chart",
     "ChoiceModel",

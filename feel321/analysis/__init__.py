@@ -51,7 +51,6 @@ if _TYPE_CHECKING:
     from feel321.analysis.power.design import PowerDesign, Truth
     from feel321.analysis.power.find import find_power
     from feel321.analysis.power.plan import plan_power
-    from feel321.analysis.primary.bayes import fit_bayesian
     from feel321.analysis.primary.model import fit_attributes, fit_primary
     from feel321.analysis.primary.multiverse import run_multiverse
     from feel321.analysis.published import correlate_published, map_published
@@ -70,7 +69,7 @@ __all__ = [
     "RULES", "PowerDesign", "Table", "Truth", "advise", "align_spaces", "bradley_terry", "chart",
     "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate",
     "correlate_published", "discriminate", "embed_triplets", "equivalence", "export_r", "find_power",
-    "fit_attributes", "fit_bayesian", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",
+    "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",
     "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority", "p1401", "plan_choices", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model",

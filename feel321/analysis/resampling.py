@@ -32,14 +32,13 @@ class Choices:
 
     draws: bootstrap draws per interval and random pairings per permutation test. margin: difference in points that
     does not matter; None: nobody chose one, so equivalence is not tested. seed: random seed. rules: the lab's own
-    screening rules. bayes: whether slopes are estimated with priors, too.
+    screening rules.
     """
 
     draws: int = 2000
     margin: float | None = None
     seed: int = 0
     rules: tuple[Method, ...] = ()
-    bayes: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""

@@ -52,7 +52,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     metrics: Sequence[str] | None = None,
     draws: int | None = None,
     rivals: bool = False,
-    bayes: bool = False,
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> Results:
@@ -78,7 +77,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             metrics=metrics or chosen.metrics,
             further=further,
             rules=find_rules(chosen.screening, study.path),
-            bayes=bayes,
             about=about,
             **_list_declared(settings, further),
             progress=progress,

@@ -495,9 +495,7 @@ class Study(Plannable):
         with follow(self.progress, "status") as step:
             return read_status(self.folder, progress=step)
 
-    def analyze(
-        self, draws: int | None = None, *, rivals: bool = False, bayes: bool = False
-    ) -> Results:
+    def analyze(self, draws: int | None = None, *, rivals: bool = False) -> Results:
         """Relate the ratings to the match metrics and write the report into `report/`.
 
         Parameters
@@ -506,8 +504,6 @@ class Study(Plannable):
             Bootstrap draws per interval; as `study.toml` declares by default.
         rivals : bool
             Also say which of all metrics predicts best, corrected for how many were tried.
-        bayes : bool
-            Also estimate the primary slopes with priors, as a sensitivity analysis; needs the extra ``bayes``.
 
         Returns
         -------
@@ -518,8 +514,6 @@ class Study(Plannable):
         from feel321.study.export.narrative import write_methods
 
         with follow(self.progress, "analyze") as step:
-            results = analyze_study(
-                self.folder, draws=draws, rivals=rivals, bayes=bayes, progress=step
-            )
+            results = analyze_study(self.folder, draws=draws, rivals=rivals, progress=step)
         write_methods(self.folder, self.folder.report)
         return results

@@ -31,7 +31,7 @@ QUESTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
         "Can people tell them apart?", ("discrimination", "told_apart", "space", "maps"),
     ),
     "trust": ("Can the raters be trusted?", ("raters", "delivered")),
-    "hinge": ("How much does it hinge on choices?", ("robustness", "bayes")),
+    "hinge": ("How much does it hinge on choices?", ("robustness",)),
     "computed": ("How was it computed?", ("standard",)),
 }  # fmt: skip
 """Anchor of each question -> how it is put, and the sections that answer it, by their keys."""

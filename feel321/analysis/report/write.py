@@ -21,7 +21,6 @@ from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.page import render_template
 from feel321.analysis.report import (
     association,
-    bayes,
     delivered,
     front,
     maps,
@@ -238,7 +237,6 @@ def describe_inputs(
     told["metrics"] = ", ".join(table.metrics)
     margin = "none" if choices.margin is None else str(choices.margin)
     told |= {"draws": str(choices.draws), "margin": margin, "seed": str(choices.seed)}
-    told |= bayes.describe_sampler() if choices.bayes else {}
     for rule in choices.rules:
         told |= {f"rule_{rule.name}": rule.place, f"rule_{rule.name}_sha256": rule.sha256}
     return told
@@ -270,7 +268,6 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     delivered.compute,
     raters.compute,
     robustness.compute_robustness,
-    bayes.compute,
     standard.compute,
 )
 """The one list of a report's sections, in its order; each takes all ratings and gives a section, or the reason why
@@ -289,7 +286,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     further: Further | None = None,
     info: Mapping[str, MetricInfo] | None = None,
     rules: Sequence[object] = (),
-    bayes: bool = False,
     paper: Paper | None = None,
     about: About | None = None,
     rng: Rng = 0,
@@ -324,8 +320,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         What metrics declare: which way each points, its bounds, label and unit (`read_table`).
     rules : sequence of str, callable or Method
         The lab's own screening rules, beside feel321's (`screen_raters`).
-    bayes : bool
-        Whether the primary slopes are estimated with priors, too, as a sensitivity analysis (`fit_bayesian`).
     paper : Paper, optional
         The paper that is replicated: its claims are answered first.
     about : About, optional
@@ -356,7 +350,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> print(results.summary())  # doctest: +SKIP
     """
     seed = as_seed(rng) if seed is None else seed
-    choices = Choices(draws=draws, margin=margin, seed=seed, rules=find_rules(rules), bayes=bayes)
+    choices = Choices(draws=draws, margin=margin, seed=seed, rules=find_rules(rules))
     with (
         ResultsFolder(folder, background=True) as target,
         follow(progress or False, "report") as move,

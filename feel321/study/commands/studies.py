@@ -409,11 +409,6 @@ Example: feel321 analyze my-study
     is_flag=True,
     help="Also rank all metrics by how well they predict, corrected for how many were tried.",
 )
-@click.option(
-    "--bayes",
-    is_flag=True,
-    help='Also estimate the primary slopes with priors, as a sensitivity analysis; needs pip install "feel321[bayes]".',
-)
 @shared.json_option
 def analyze(  # noqa: PLR0913 - one per option
     folder: Path,
@@ -423,7 +418,6 @@ def analyze(  # noqa: PLR0913 - one per option
     out: Path | None,
     metrics: tuple[str, ...],
     rivals: bool,
-    bayes: bool,
     as_json: bool,
 ) -> None:
     """Relate the ratings to the match metrics and write the report.
@@ -451,7 +445,6 @@ def analyze(  # noqa: PLR0913 - one per option
             manifest=manifest,
             metrics=metrics or None,
             rivals=rivals,
-            bayes=bayes,
             out=out,
             progress=progress,
         )

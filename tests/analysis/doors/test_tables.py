@@ -86,8 +86,8 @@ CHOICES = {"embed_triplets", "fit_choices", "plan_choices", "predict_votes"}
 """What takes choices between two stimuli, tried in `tests/analysis/choices`."""
 
 PUBLISHED = {"correlate_published", "map_published"}
-ELSEWHERE = {"advise", "chart", "fit_bayesian", "read_table", "write_report", *PUBLISHED, *CHOICES}
-"""What is tried with ratings in `test_{tradeoff_doors,bayes,table,notebook,published}`."""
+ELSEWHERE = {"advise", "chart", "read_table", "write_report", *PUBLISHED, *CHOICES}
+"""What is tried with ratings in `test_{tradeoff_doors,table,notebook,published}`."""
 
 PAIRS = {"bradley_terry by rater", "bradley_terry", "discriminate"}
 """What takes pairs, here made of neighbouring rows."""
