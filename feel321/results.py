@@ -19,7 +19,6 @@ from feel321.analysis.power.design import Power, PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.published import Published
-from feel321.analysis.refined.refine import Refined
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.front import About
 from feel321.analysis.report.standing import Hypothesis, Standing
@@ -83,7 +82,6 @@ __all__ = [
     "Ranking",
     "RaterModel",
     "ReducerDifference",
-    "Refined",
     "RepeatedMeasures",
     "Results",
     "RotationStatistics",

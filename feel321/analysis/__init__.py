@@ -54,7 +54,6 @@ if _TYPE_CHECKING:
     from feel321.analysis.primary.model import fit_attributes, fit_primary
     from feel321.analysis.primary.multiverse import run_multiverse
     from feel321.analysis.published import correlate_published, map_published
-    from feel321.analysis.refined.refine import refine_metric
     from feel321.analysis.report.write import write_report
     from feel321.analysis.screening.consistency import rater_model
     from feel321.analysis.screening.rules import RULES
@@ -73,7 +72,7 @@ __all__ = [
     "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority", "p1401", "plan_choices", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model",
-    "read_table", "refine_metric", "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress",
+    "read_table", "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress",
     "tabulate_correlations", "write_report", "write_stimulus_page",
 ]  # fmt: skip
 
@@ -81,7 +80,7 @@ _RECORDS = (
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "ChoiceModel", "ChoicePower", "Dependent",
     "Difference", "Discrimination", "Ellipses", "Embedding", "Equivalence", "Estimate", "Further", "Intraclass",
     "MixedFit", "Multiverse", "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "Ranking",
-    "RaterModel", "Refined", "RepeatedMeasures", "Results", "Screening", "Space", "VotePrediction",
+    "RaterModel", "RepeatedMeasures", "Results", "Screening", "Space", "VotePrediction",
 )  # fmt: skip
 
 _OLD = {

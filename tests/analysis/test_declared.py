@@ -9,7 +9,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.refined.refine import refine_metric
 from feel321.analysis.report import association, primary
 from feel321.analysis.resampling import Choices
 from feel321.analysis.standard import p1401
@@ -194,17 +193,10 @@ def test_a_distance_and_its_match_are_told_alike(mirrored: object) -> None:
     assert "per +10 dB" in slope.method
 
 
-def test_mapping_and_refined_metric_know_the_direction(mirrored: object) -> None:
+def test_mapping_knows_the_direction(mirrored: object) -> None:
     table = read_table(mirrored.ratings, mirrored.manifest, metrics=["distance"], info=LOWER)
     falling = p1401(table, "distance", higher="worse")
     assert falling.plcc == pytest.approx(p1401(table, "distance").plcc)
     against = p1401(table, "distance", higher="better")
     assert np.isnan(against.plcc)
     assert np.ptp(against.mapped) == pytest.approx(0, abs=1e-9)
-    names = ["distance", "temporal_match"]
-    down = refine_metric(table, names, draws=2)
-    up = refine_metric(table, ["spectral_match", "temporal_match"], draws=2)
-    assert down.value == pytest.approx(up.value)
-    assert not down.recommended
-    plain = down.gains.set_index("metric")["plain"]
-    assert plain["distance"] > 0.5

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.report import association, primary, robustness, standard
+from feel321.analysis.report import association, primary, standard
 from feel321.analysis.report import write as report
 from feel321.analysis.report.write import describe_inputs
 from feel321.analysis.resampling import Choices
@@ -167,19 +167,6 @@ def test_what_holds_for_all_of_them_is_said_once(small: object) -> None:
     assert told == [
         "realism, as_is, further metrics: Two-way intervals draw the 2 sources of the 4 recordings."
     ]
-
-
-def test_they_and_the_level_may_enter_a_refined_metric(files: Callable[..., object]) -> None:
-    small = files(scales=("realism",), recordings=6, anchors=False)
-    add_to_manifest(
-        small, **{MEAN: draw_column(small), "rms_m_s2": draw_column(small, seed=6) + 0.1}
-    )
-    table = read_table(small.ratings, small.manifest)
-    candidates = robustness.compute_refined(table, Choices(draws=2)).tables["refined_candidates"][
-        "name"
-    ]
-    assert {f"spectral_match + {MEAN}", f"temporal_match + {robustness.LEVEL}"} <= set(candidates)
-    assert MEAN not in set(candidates)
 
 
 def test_a_stimulus_has_the_mean_over_its_judgements(small: object) -> None:

@@ -54,7 +54,6 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "contrast": analysis.contrast(fit, "reducerx - reducery"),
         "screening": analysis.screen_raters(rows, rng=1),
         "multiverse": analysis.run_multiverse(rows, mean, rules=["repeat_sd"]),
-        "refined": analysis.refine_metric(rows, METRICS, draws=10),
         "association": analysis.correlate(rows, "sm", draws=20),
         "difference": analysis.compare_metrics(rows, *METRICS, draws=20),
         "reducers": analysis.compare_reducers(rows, "x", "y", margin=5),
@@ -76,7 +75,7 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
 
 
 NAMES = [
-    "primary", "primaries", "fit", "contrast", "screening", "multiverse", "refined", "association", "difference",
+    "primary", "primaries", "fit", "contrast", "screening", "multiverse", "association", "difference",
     "reducers", "repeated", "dependent", "intraclass", "alpha", "p1401", "p1401_difference", "equivalence",
     "non_inferiority", "discrimination", "bradley_terry", "space", "alignment",
 ]  # fmt: skip

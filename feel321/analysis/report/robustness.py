@@ -1,13 +1,10 @@
-"""Sections: the primary slopes under other choices, and refined metrics."""
+"""Section: the primary slopes under other choices."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator, Mapping
-from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from feel321.analysis import words
 from feel321.analysis.figures.choices import draw_multiverse
@@ -16,8 +13,6 @@ from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.multiverse import Multiverse, UniverseEstimate, run_universes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import MOVED, RIGS, vary_primary
-from feel321.analysis.refined.candidates import EQUAL
-from feel321.analysis.refined.refine import Refined, refine_metric
 from feel321.analysis.report.parts import (
     ITEM,
     RatingsPart,
@@ -32,7 +27,6 @@ from feel321.analysis.report.section import (
     METRIC,
     NAME,
     RATINGS,
-    TEXT,
     Column,
     P,
     Picture,
@@ -46,7 +40,7 @@ from feel321.analysis.report.section import (
 )
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.table.items import recast_pairs
-from feel321.analysis.words import COUNT, TWO_WAY, Line
+from feel321.analysis.words import COUNT, Line
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -300,194 +294,3 @@ def _note_variants(varied: Mapping[str, DataFrame]) -> Iterator[str]:
         others = own[(own != "") & (own != own["primary"])]
         for reason, names in others.groupby(others, sort=False).groups.items():
             yield f"{lead}, {'; '.join(names)}: {reason}"
-
-
-# Refined metrics: whether a combination of metrics, or another shape of one, is worth having.
-
-DRAWS = 400
-"""Each draw repeats the whole search, and more of them change the interval's width by a few hundredths only."""
-
-AMPLITUDE, LEVEL = "rms_m_s2", "level in dB"
-"""The amplitude that a manifest may have, and the term made of it."""
-
-OUT_OF_FOLD = "of differences within recordings, out of fold"
-ERROR = f"root mean squared error {OUT_OF_FOLD}"
-SCORE_COLUMNS = (
-    RATINGS, Column("Chosen", "chosen", TEXT), Column("Recommended", "_recommended", NAME),
-    Column("r", "value", end="value", method=f"correlation with the refined metric {OUT_OF_FOLD}", interval=TWO_WAY),
-    Column("Noise ceiling", "ceiling", end="ceiling", method="noise ceiling within recordings"),
-    Column("r / ceiling", "share", end="share", method="correlation / ceiling"),
-    Column("rmse", "rmse", "rating", "rmse", ERROR, interval=TWO_WAY, ends="rmse_"),
-    *(
-        Column(head, key, COUNT, key)
-        for key, head in {
-            "n_items": "Stimuli", "n_participants": "Participants", "n_recordings": "Recordings", "n_folds": "Folds",
-            "draws": "Draws",
-        }.items()
-    ),
-)  # fmt: skip
-GAIN_COLUMNS = (
-    RATINGS, METRIC,
-    Column("r of the metric", "plain", end="plain", method="correlation of differences within recordings"),
-    Column("Gain", "value", end="gain", method=f"gain in correlation {OUT_OF_FOLD}", interval=TWO_WAY),
-    Column("rmse of the metric", "rmse", "rating", "rmse", ERROR),
-)  # fmt: skip
-CANDIDATE_COLUMNS = (
-    RATINGS, Column("Candidate", "name", TEXT), Column("Parameters", "parameters", COUNT, "parameters"),
-    Column("r", "value", end="value", method=f"correlation {OUT_OF_FOLD}"),
-    Column("rmse", "rmse", "rating", "rmse", ERROR),
-    Column("Chosen", "chosen", end="chosen", method="share of outer folds", n="_n_folds"),
-)  # fmt: skip
-WEIGHT_COLUMNS = (
-    RATINGS, Column("Term", "term", TEXT),
-    Column("Weight", "weight", "slope", "weight", "least squares, points per standard deviation"),
-    Column("Smallest", "lowest", "slope", "lowest", "smallest over outer folds"),
-    Column("Largest", "highest", "slope", "highest", "largest over outer folds"),
-    Column("Per unit", "per_unit", "slope", "per_unit", "least squares, points per unit"),
-)  # fmt: skip
-PLACE = "refined.{scale}.{level}"
-REFINED_TABLES = {
-    "": TableForm(
-        "How well a refined metric predicts recordings and participants that were not used to make it, for differences "
-        "within recordings: correlation, its share of the noise ceiling, error in points. 95 % two-way intervals.",
-        SCORE_COLUMNS, PLACE, n="_n",
-    ),
-    "gains": TableForm(
-        "Gain in correlation of the refined metric out of fold over each metric as it is, to which nothing is fitted; "
-        "and the error of that metric, mapped to points out of fold. 95 % two-way intervals, not adjusted.",
-        GAIN_COLUMNS, f"{PLACE}.over.{{metric}}", n="_n",
-    ),
-    "candidates": TableForm(
-        "Candidates, each as if it had been the only one: correlation and error out of fold, and the share of outer "
-        "folds in which it was chosen. The best of this table is optimistic; the table above is not.",
-        CANDIDATE_COLUMNS, f"{PLACE}.candidate.{{name}}", n="_n",
-    ),
-    "weights": TableForm(
-        "Weights of what is chosen on all ratings: points per standard deviation of each term within recordings, the "
-        "smallest and the largest over the outer folds, and points per unit of the term.",
-        WEIGHT_COLUMNS, f"{PLACE}.weight.{{term}}", n="_n",
-    ),
-}  # fmt: skip
-"""Attribute of a result, empty for itself -> its table."""
-
-
-def compute_refined(table: Table, choices: Choices) -> Section:
-    """Search a refined metric for every scale and level."""
-    found: list[tuple[RatingsPart, Refined]] = []
-    notes: list[str] = []
-    for part in split_parts(table):
-        lead = f"{part.lead}, refined metrics"
-        try:
-            found.append((part, _search(part, table, choices)))
-        except ValueError as error:
-            notes.append(f"{lead}: none is searched. {error}")
-            continue
-        notes += [f"{lead}: {note}" for note in found[-1][1].notes]
-    rows = {
-        name: [row for one in found for row in _list_rows(*one, name)] for name in REFINED_TABLES
-    }
-    return Section(
-        key="refined",
-        title="Would a refined metric predict better?",
-        answers=tuple(str(_describe_refined(*one)) for one in found),
-        verdict=tuple(_sum_up(found)),
-        grids=tuple(
-            form.build(rows[name]) for name, form in REFINED_TABLES.items()
-        ),
-        tables={f"refined_{name}": rows[name] for name in REFINED_TABLES if name},
-        notes=notes,
-        how=read_methods("refined", draws=DRAWS),
-    )  # fmt: skip
-
-
-def _search(part: RatingsPart, table: Table, choices: Choices) -> Refined:
-    rows, others = part.rows, list(table.further)
-    if AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all():
-        rows, others = rows.assign(**{LEVEL: 20 * np.log10(rows[AMPLITUDE])}), [LEVEL, *others]
-    rng, draws = choices.make_rng("refined", *part.place), min(choices.draws, DRAWS)
-    info = {name: table.info[name] for name in table.metrics if name in table.info}
-    return refine_metric(rows, table.metrics, others=others, draws=draws, rng=rng, info=info)
-
-
-def _list_rows(part: RatingsPart, result: Refined, name: str) -> list[Row]:
-    more = {**part.keys, "_n": result.n_items, "_n_folds": result.n_folds}
-    if name:
-        return [more | row for row in getattr(result, name).to_dict("records")]
-    keys = (
-        "chosen",
-        "low",
-        "high",
-        "rmse_low",
-        "rmse_high",
-        *(one.key for one in SCORE_COLUMNS[3:]),
-    )
-    recommended = "yes" if result.recommended else "no"
-    return [more | {key: getattr(result, key) for key in keys} | {"_recommended": recommended}]
-
-
-def _sum_up(found: list[tuple[RatingsPart, Refined]]) -> Iterator[Line]:
-    """Open the report with what is recommended; of all the rest, in one line, that it is not."""
-    for part, result in found:
-        if result.recommended:
-            yield _describe_refined(part, result)
-    rest = [_find_best(result) for _, result in found if not result.recommended]
-    if not rest:
-        return
-    others = "further " if len(rest) < len(found) else ""
-    claim = f"No {others}refined metric is recommended"
-    known = [gain for gain in rest if np.isfinite(gain["low"]) and gain["plain"] > 0]
-    if not known:
-        opposed = any(gain["plain"] < 0 for gain in rest)
-        yield Line(f"{claim}: {OPPOSED if opposed else 'gains have no interval here'}.")
-        return
-    gains = sorted(gain["value"] for gain in known)
-    reach = (
-        words.format_interval(gains[0], gains[-1])
-        if len(gains) > 1
-        else words.format_number(gains[0])
-    )
-    covering = all(gain["low"] <= 0 <= gain["high"] for gain in known)
-    each = "its interval covers" if len(known) == 1 else "each 95 % two-way interval covers"
-    shown = f"; {each} zero" if covering else ""
-    gained = f"gain{'s' if len(gains) > 1 else ''} in correlation over the best single metric {reach}, out of fold"
-    yield Line(f"{claim} ({gained}{shown}).")
-
-
-OPPOSED = "the strongest single metric correlates negatively, so a gain in correlation over it shows nothing"
-
-
-def _find_best(result: Refined) -> Row:
-    """Find the gain over the metric that correlates most by itself, in either direction."""
-    best: Row = result.gains.sort_values("plain", key=abs, ascending=False).to_dict("records")[0]
-    return best
-
-
-def _describe_refined(part: RatingsPart, result: Refined) -> Line:
-    gain, line = _find_best(result), Line("", words.capitalise(part.subject))
-    what = "it" if result.recommended else "the metric that the search chose"
-    best = f"the best single metric, {words.format_name(gain['metric'])}, at {words.format_number(gain['plain'])}"
-    interval = f"95 % two-way interval {words.format_interval(gain['low'], gain['high'])}"
-    scored = (
-        f"in cross-validation {what} correlates with rating differences within recordings at "
-        f"r = {words.format_number(result.value)}, and {best} (gain {words.format_number(gain['value'])}, {interval})"
-    )
-    if result.recommended:
-        text = f"{_name_choice(result)} predicts better than each metric alone: {scored}."
-        return replace(line, text=text)
-    none = "no refined metric is recommended: "
-    if np.isnan(gain["low"]):
-        return replace(line, text=f"{none}its gain has no interval here.")
-    if gain["plain"] < 0:
-        return replace(line, text=f"{none}{OPPOSED} ({best}).")
-    if gain["low"] > 0:
-        simple = "but one is not chosen on all ratings, or does not gain over every single metric"
-        return replace(line, text=f"{none}{scored}, {simple}.")
-    below = "is below" if gain["high"] < 0 else "covers"
-    return replace(line, text=f"{none}{scored}; the interval {below} zero.")
-
-
-def _name_choice(result: Refined) -> str:
-    if result.chosen == EQUAL:
-        return "the sum of the metrics, each in standard deviations, with equal weights,"
-    several = " + " in result.chosen
-    return f"{'the weighted sum of ' if several else ''}{words.format_name(result.chosen)}"

@@ -263,7 +263,6 @@ SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
     pairs.compute_told_apart,
     pairs.compute_space,
     maps.compute_maps,
-    robustness.compute_refined,
     association.compute_further,
     delivered.compute,
     raters.compute,

@@ -58,7 +58,6 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     "profile_reducers": analysis.profile_reducers,
     "rank_metrics": lambda table: analysis.rank_metrics(table, METRICS, draws=10, rng=make_rng()),
     "rater_model": analysis.rater_model,
-    "refine_metric": lambda table: analysis.refine_metric(table, METRICS, draws=2, rng=make_rng()),
     "run_multiverse": lambda table: (
         analysis.run_multiverse(
             table,
@@ -70,7 +69,7 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     "tabulate_correlations": lambda table: analysis.tabulate_correlations(table, METRICS, draws=10),
 }
 
-POOLED = ["compare_metrics", "compare_reducers", "correlate", "fit_primary", "refine_metric"]
+POOLED = ["compare_metrics", "compare_reducers", "correlate", "fit_primary"]
 """What is about one scale and one level."""
 
 INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {

@@ -1,1 +1,0 @@
-"""Refined metrics: candidates and their nested cross-validation, and the public function with its tables."""
