@@ -17,7 +17,6 @@ from feel321.analysis.contrasts.discrimination import Discrimination
 from feel321.analysis.mixed.model import Estimate, MixedFit
 from feel321.analysis.power.design import Power, PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
-from feel321.analysis.primary.multiverse import Multiverse
 from feel321.analysis.published import Published
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.front import About
@@ -65,7 +64,6 @@ __all__ = [
     "Hypothesis",
     "Intraclass",
     "MixedFit",
-    "Multiverse",
     "NonInferiority",
     "P1401Difference",
     "Page",

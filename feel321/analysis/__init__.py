@@ -52,7 +52,6 @@ if _TYPE_CHECKING:
     from feel321.analysis.power.find import find_power
     from feel321.analysis.power.plan import plan_power
     from feel321.analysis.primary.model import fit_attributes, fit_primary
-    from feel321.analysis.primary.multiverse import run_multiverse
     from feel321.analysis.published import correlate_published, map_published
     from feel321.analysis.report.write import write_report
     from feel321.analysis.screening.consistency import rater_model
@@ -72,14 +71,14 @@ __all__ = [
     "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority", "p1401", "plan_choices", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model",
-    "read_table", "repeated_measures_correlation", "run_multiverse", "screen_raters", "stress",
+    "read_table", "repeated_measures_correlation", "screen_raters", "stress",
     "tabulate_correlations", "write_report", "write_stimulus_page",
 ]  # fmt: skip
 
 _RECORDS = (
     "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "ChoiceModel", "ChoicePower", "Dependent",
     "Difference", "Discrimination", "Ellipses", "Embedding", "Equivalence", "Estimate", "Further", "Intraclass",
-    "MixedFit", "Multiverse", "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "Ranking",
+    "MixedFit", "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "Ranking",
     "RaterModel", "RepeatedMeasures", "Results", "Screening", "Space", "VotePrediction",
 )  # fmt: skip
 
@@ -107,7 +106,7 @@ _OLD = {
     "stress_reducers": "tradeoff.stress.run:stress_reducers|stress",
     "tabulate_slopes": "primary.model:tabulate_slopes|fit_attributes(table).to_frame()",
     "tukey_fences": "screening.rules:tukey_fences|Screening.items",
-    "vary_primary": "primary.sensitivity:vary_primary|run_multiverse",
+    "vary_primary": "primary.sensitivity:vary_primary",
     "write_advice": "tradeoff.advise.page:write_advice|advise(...).write",
     "write_chart": "tradeoff.chart.compute:write_chart|chart(...).write",
     "write_stress": "tradeoff.stress.run:write_stress|stress(...).write",

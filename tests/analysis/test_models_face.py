@@ -43,7 +43,6 @@ def both(rows: pd.DataFrame) -> pd.DataFrame:
 
 @pytest.fixture(scope="module")
 def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
-    mean = lambda part: part["rating"].mean()  # noqa: E731 - an estimator as a notebook has it
     fit = analysis.fit_mixed("rating ~ sm + reducer + (1 | participant)", rows)
     uneven = np.random.default_rng(3).uniform(1, 9, (3, 5, 5))
     maps = (uneven + uneven.transpose(0, 2, 1)) * (1 - np.eye(5))
@@ -53,7 +52,6 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "fit": fit,
         "contrast": analysis.contrast(fit, "reducerx - reducery"),
         "screening": analysis.screen_raters(rows, rng=1),
-        "multiverse": analysis.run_multiverse(rows, mean, rules=["repeat_sd"]),
         "association": analysis.correlate(rows, "sm", draws=20),
         "difference": analysis.compare_metrics(rows, *METRICS, draws=20),
         "reducers": analysis.compare_reducers(rows, "x", "y", margin=5),
@@ -75,7 +73,7 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
 
 
 NAMES = [
-    "primary", "primaries", "fit", "contrast", "screening", "multiverse", "association", "difference",
+    "primary", "primaries", "fit", "contrast", "screening", "association", "difference",
     "reducers", "repeated", "dependent", "intraclass", "alpha", "p1401", "p1401_difference", "equivalence",
     "non_inferiority", "discrimination", "bradley_terry", "space", "alignment",
 ]  # fmt: skip

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis import words
-from feel321.analysis.figures.choices import draw_raters
+from feel321.analysis.figures.raters import draw_raters
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, list_changes

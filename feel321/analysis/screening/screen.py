@@ -179,7 +179,7 @@ def screen_raters(
     The notes say what was assumed.
 
     All other rules are extensions with limits by convention: use them to find whom to ask about, state the rules before
-    the data are seen, and report results with and without (`run_multiverse`). A scale with 11 steps or fewer is
+    the data are seen, and report results with and without the flagged raters. A scale with 11 steps or fewer is
     recognised by its ratings, and no rule flags a rater for what rounding to its steps does. A flagged rater should be
     followed up, not automatically excluded.
 

@@ -58,13 +58,6 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     "profile_reducers": analysis.profile_reducers,
     "rank_metrics": lambda table: analysis.rank_metrics(table, METRICS, draws=10, rng=make_rng()),
     "rater_model": analysis.rater_model,
-    "run_multiverse": lambda table: (
-        analysis.run_multiverse(
-            table,
-            lambda rows: analysis.fit_primary(rows, METRICS).slopes["estimate"].iloc[0],
-            rules=["hidden_reference"],
-        ).table
-    ),
     "screen_raters": lambda table: analysis.screen_raters(table).table,
     "tabulate_correlations": lambda table: analysis.tabulate_correlations(table, METRICS, draws=10),
 }

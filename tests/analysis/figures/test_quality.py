@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from feel321.analysis.figures.choices import draw_raters
+from feel321.analysis.figures.raters import draw_raters
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import Screening, screen_raters
 

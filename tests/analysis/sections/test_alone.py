@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from feel321.analysis.report import raters, robustness
+from feel321.analysis.report import raters
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import read_table
 
@@ -33,16 +33,3 @@ def test_one_rater_left_of_several_gives_no_slope(table: Table) -> None:
     assert alone["tenth"].isna().all()
     assert alone["reason"].str.startswith("One rater of 3 is left").all()
     assert slopes.loc[slopes["panel"] == "everyone", "tenth"].notna().all()
-
-
-def test_a_universe_of_one_rater_is_none(table: Table) -> None:
-    choices = Choices(draws=10)
-    part = next(robustness.split_parts(table))
-    universes = robustness._run_universes(table, part, choices)
-    for _, found in universes.values():
-        lone = found.table[found.table["n_participants"] == 1]
-        assert len(lone) == 1
-        assert lone["n_combinations"].item() > 5
-        assert lone["value"].isna().all()
-        assert lone["note"].str.startswith("One rater of 3 is left").all()
-        assert len(found.curve) == len(found.table) - len(lone)

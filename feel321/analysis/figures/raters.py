@@ -1,4 +1,4 @@
-"""Specification curves, and the quality of raters."""
+"""What each screening rule found of each rater, against its limit."""
 
 from __future__ import annotations
 
@@ -8,90 +8,15 @@ import numpy as np
 
 from feel321.analysis.figures import style
 from feel321.analysis.figures.style import Look
-from feel321.analysis.words import MINUS, format_count, format_name, format_span
+from feel321.analysis.words import MINUS, format_count
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
     from pandas import DataFrame
 
     from feel321.analysis.screening.rules import Rule
     from feel321.analysis.screening.screen import Screening
-
-# Specification curve: one estimate under every choice of screening rules.
-
-CURVE_CM, ROW_CM, UNIVERSES_AXIS_CM = 4.0, 0.41, 1.3
-LABEL_CM = 4.2
-
-
-def draw_multiverse(
-    curve: DataFrame, *, rules: Sequence[str], counts: tuple[int, int], per: str = "+0.1"
-) -> Figure:
-    """Draw the estimate for every distinct set of raters, from the smallest up, and the rules that leave it.
-
-    curve, rules: of a `Multiverse`. counts: combinations of rules, and distinct sets without an estimate.
-    """
-    if not len(curve):
-        raise ValueError("result must have a universe with an estimate, got none; see its notes")
-    rules = list(rules)
-    heights = [CURVE_CM, ROW_CM * len(rules)]
-    with style.print_style():
-        figure = style.new_canvas(sum(heights) + UNIVERSES_AXIS_CM)
-        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=heights)
-        _draw_curve(upper, curve, alone=~curve[rules].any(axis=1).to_numpy(bool))
-        _draw_rules(lower, curve[rules].to_numpy(bool).T, names=rules)
-        upper.set_ylabel(f"Points per {per}")
-        lower.set_xlabel("Sets of raters, from the smallest estimate up")
-        style.add_title(figure, _describe_sets(counts, curve))
-    return figure
-
-
-def _draw_curve(axes: Axes, curve: DataFrame, *, alone: NDArray[np.bool_]) -> None:
-    place = np.arange(1, len(curve) + 1)
-    value, low, high = curve[["value", "low", "high"]].to_numpy(np.float64).T
-    for chosen, look, size in (
-        (~alone, Look(style.GREY, "o"), 3.5),
-        (alone, Look(style.BLACK, "D"), 5),
-    ):
-        at = place[chosen]
-        bars: dict[str, Any] = {"color": look.colour, "linewidth": 0.8, "alpha": 0.6}
-        axes.vlines(at, low[chosen], high[chosen], zorder=2, **bars)
-        style.plot_marks(axes, at, value[chosen], look=look, size=size)
-    for everybody in value[alone]:
-        axes.axhline(everybody, color=style.BLACK, linewidth=0.6, linestyle="--", zorder=1)
-    axes.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
-    axes.locator_params(axis="y", nbins=5)
-    axes.tick_params(axis="x", length=0, labelbottom=False)
-
-
-def _draw_rules(axes: Axes, applied: NDArray[np.bool_], *, names: list[str]) -> None:
-    for row, chosen in enumerate(applied):
-        sets = np.flatnonzero(chosen) + 1
-        strokes: dict[str, Any] = {"marker": "s", "markersize": 2.2, "markeredgewidth": 0}
-        axes.plot(sets, np.full(len(sets), -row), color=style.BLACK, linestyle="none", **strokes)
-    labels = [style.fit_text(format_name(name), LABEL_CM, lines=1) for name in names]
-    axes.set_yticks(-np.arange(len(names)), labels)
-    axes.set(ylim=(0.6 - len(names), 0.6), xlim=(0.2, applied.shape[1] + 0.8))
-    axes.tick_params(axis="y", length=0)
-    axes.locator_params(axis="x", integer=True)
-
-
-def _describe_sets(counts: tuple[int, int], curve: DataFrame) -> str:
-    combinations, lost = counts
-    without = f" {lost} without an estimate are left out." if lost else ""
-    bars = "Bars: 95 % intervals. " if curve["low"].notna().any() else "No intervals. "
-    sets = "set" if len(curve) == 1 else "sets"
-    return (
-        f"{len(curve)} distinct {sets} of raters from {combinations} combinations of screening rules; "
-        f"n = {format_span(curve['n_participants'])} participants. {bars}"
-        f"Diamond, dashed line: nobody excluded. Below: the fewest rules that leave a set.{without}"
-    )
-
-
-# Raters: what each screening rule found of each of them, against its limit.
 
 STRIP_CM, LINE_CM, GAP_CM, QUALITY_AXIS_CM = 0.45, 0.35, 0.28, 1.6
 """Height of a rule's points, of a line of text, between rules, and of the axis."""
