@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -448,6 +448,40 @@ def fit_reducers(rows: DataFrame, names: Sequence[str]) -> tuple[MixedFit, dict[
     cells = cells.assign(source=sources, which=cells["reducer"].map(codes))
     terms = {name: f"which{code}" for name, code in codes.items()}
     return fit_mixed(_write_formula(cells), cells), terms, len(cells)
+
+
+class JointTest(NamedTuple):
+    """An F test of all reducers at once."""
+
+    statistic: float
+    df_1: float
+    df_2: float
+    p: float
+
+
+def compare_terms(fit: MixedFit, terms: Sequence[str]) -> JointTest:
+    """Test whether the terms of a mixed model's factor, one per level, are all alike: F with Satterthwaite's df.
+
+    The contrasts are made independent by the eigenvectors of their covariance; F is the mean of their t², and the
+    denominator's df is matched to that mean's expectation, as lmerTest's ``contestMD`` does.
+
+    Source: Fai & Cornelius (1996), doi 10.1080/00949659608811740.
+    """
+    from scipy.linalg import helmert
+    from scipy.stats import f as fisher
+
+    places = [list(fit.fixed.index).index(name) for name in terms]
+    basis = helmert(len(terms))
+    covariance = basis @ fit.uncertainty.covariance[np.ix_(places, places)] @ basis.T
+    turned = np.linalg.eigh(covariance)[1].T @ basis
+    found = [contrast(fit, dict(zip(terms, weights.tolist(), strict=True))) for weights in turned]
+    f, df_1 = float(np.mean([one.t**2 for one in found])), float(len(found))
+    expected = sum(one.df / (one.df - 2) if one.df > 2 else np.inf for one in found)  # noqa: PLR2004 - F has a mean above
+    df_2 = (
+        2 * expected / (expected - df_1) if np.isfinite(expected) else min(one.df for one in found)
+    )
+    df_2 = found[0].df if len(found) == 1 else df_2
+    return JointTest(f, df_1, float(df_2), float(fisher.sf(f, df_1, df_2)))
 
 
 def _find_margin(

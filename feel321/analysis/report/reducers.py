@@ -14,6 +14,8 @@ from feel321.analysis import words
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.contrasts.compare import (
     Equivalence,
+    JointTest,
+    compare_terms,
     equivalence,
     find_interval90,
     fit_reducers,
@@ -21,7 +23,6 @@ from feel321.analysis.contrasts.compare import (
     participant_means,
     profile_reducers,
 )
-from feel321.analysis.contrasts.repeated import compare_repeated, compare_terms
 from feel321.analysis.figures.estimates import draw_equivalence, draw_profiles
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.mixed.model import contrast, fit_mixed
@@ -59,13 +60,12 @@ from feel321.analysis.report.section import (
 )
 from feel321.analysis.table.items import find_sources
 from feel321.analysis.table.metrics import order_reducers
-from feel321.analysis.table.schema import ANSWERED, INTERACTION, PAIR, ROLES
+from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
 from feel321.analysis.words import COUNT, Number
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.mixed.model import MixedFit
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.metrics import Step
     from feel321.analysis.table.reading import Table
@@ -304,53 +304,30 @@ class _Pair(NamedTuple):
     test: Equivalence | None
 
 
-CLASSIC = TableForm(
-    "Do reducers differ at all? The mixed model is the main test: it treats recordings, like people, as samples, keeps "
-    "participants with missing judgements, and does not assume sphericity. Beside it, repeated-measures "
-    "ANOVA (Greenhouse and Geisser's correction) and Friedman's test, for comparison with published studies: of these "
-    "recordings only, and of participants who rated every cell.",
+TOGETHER = TableForm(
+    "Do reducers differ at all? F test of all reducers at once in the mixed model, with Satterthwaite's degrees of "
+    "freedom.",
     (
-        RATINGS, Column("Test", "test", TEXT), Column("Effect", "effect", NAME),
-        Column("Statistic", "statistic", end="statistic", method="{test}: F, or Friedman's chi-squared"),
+        RATINGS, Column("F", "statistic", end="statistic", method="mixed model, F of all reducers"),
         Column("df", "df_1", "df", "df_1", "degrees of freedom of the effect"),
         Column("df of error", "df_2", "df", "df_2", "degrees of freedom of the error"),
-        Column("Epsilon", "epsilon", end="epsilon", method="Greenhouse and Geisser's epsilon"),
-        Column("p", "p", "p", "p", "{test}, p with epsilon where there is one"),
-        Column("Participants", "n_participants", COUNT, "n_participants"),
-        Column("Left out", "n_left_out", COUNT, "n_left_out"),
+        Column("p", "p", "p", "p", "F test"), Column("Participants", "n_participants", COUNT, "n_participants"),
     ),
-    path="classic.{scale}.{level}.{test}.{effect}", n="n_participants",
+    path="contrasts.{scale}.{level}", n="n_participants",
 )  # fmt: skip
-
-
-def _test_whole(
-    part: RatingsPart, fitted: tuple[MixedFit, Mapping[str, str]]
-) -> tuple[list[Row], list[str]]:
-    """Test whether reducers differ, by the mixed model and by the classic tests; notes say why these are missing."""
-    fit, terms = fitted
-    people = len(part.rows["participant"].unique())
-    found = [replace(compare_terms(fit, list(terms.values())), n_participants=people)]
-    labels = part.rows.get(INTERACTION)
-    crossed = labels is not None and len(labels.unique()) > 1 and (labels != "").all()
-    within, notes = (REDUCER, INTERACTION) if crossed else (REDUCER,), []
-    try:
-        found += compare_repeated(part.rows, within=within)
-    except ValueError as error:
-        notes.append(f"{part.lead}: no repeated-measures ANOVA and no Friedman's test. {error}")
-    return [part.keys | asdict(one) for one in found], notes
 
 
 def compute_contrasts(table: Table, choices: Choices) -> Section:
     """Compare every two reducers on every scale and level."""
     answers, notes, grids, rows = [], [], [], []
-    classic: list[Row] = []
+    together: list[Row] = []
     numbers: list[Number] = []
     pictures: list[Picture] = []
     # A person's reducers are so many effects.
     for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
         notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
         try:
-            pairs, fitted = _compare_reducers(part.rows, choices.margin)
+            pairs, joint = _compare_reducers(part.rows, choices.margin)
         except ValueError as error:
             notes.append(f"{part.lead}: reducers are not compared. {error}")
             continue
@@ -361,15 +338,15 @@ def compute_contrasts(table: Table, choices: Choices) -> Section:
         answers.append(_describe_contrasts(pairs, part))
         rows += own
         pictures += _picture_equivalence(pairs, part)
-        tested, why = _test_whole(part, fitted)
-        classic, notes = [*classic, *tested], [*notes, *why]
+        people = part.rows["participant"].nunique()
+        together.append(part.keys | joint._asdict() | {"n_participants": people})
     return Section(
         "contrasts",
         "Reducers against each other",
         answers=answers,
-        grids=[*grids, CLASSIC.build(classic)],
+        grids=[*grids, TOGETHER.build(together)],
         unseen=numbers,
-        tables={"contrasts": rows, "classic_tests": classic},
+        tables={"contrasts": rows, "reducers_together": together},
         pictures=pictures,
         notes=notes,
         how=read_methods("contrasts"),
@@ -382,9 +359,7 @@ def _list_numbers(part: RatingsPart, pairs: list[_Pair]) -> Iterator[Number]:
         yield words.count_number(name, count, n=len(pairs), keys="scale level")
 
 
-def _compare_reducers(
-    rows: DataFrame, margin: float | None
-) -> tuple[list[_Pair], tuple[MixedFit, Mapping[str, str]]]:
+def _compare_reducers(rows: DataFrame, margin: float | None) -> tuple[list[_Pair], JointTest]:
     names = order_reducers(rows[REDUCER])
     if len(names) == 1:
         raise ValueError(f"Only one was rated, '{names[0]}'.")
@@ -398,7 +373,7 @@ def _compare_reducers(
         _test(row | {"p_holm": holm, "n": n}, margin)
         for row, holm in zip(found, adjusted, strict=True)
     ]
-    return pairs, (fit, terms)
+    return pairs, compare_terms(fit, list(terms.values()))
 
 
 def _test(row: Row, margin: float | None) -> _Pair:
