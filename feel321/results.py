@@ -7,9 +7,7 @@ from feel321.analysis.agreement import Alpha, Intraclass
 from feel321.analysis.association.classic import Dependent, RepeatedMeasures
 from feel321.analysis.association.correlate import Association, Difference
 from feel321.analysis.association.rivals import Ranking
-from feel321.analysis.choices.embed import Embedding
 from feel321.analysis.choices.model import ChoiceModel
-from feel321.analysis.choices.power import ChoicePower
 from feel321.analysis.choices.predict import VotePrediction
 from feel321.analysis.contrasts.bradley_terry import BradleyTerry
 from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, ReducerDifference
@@ -52,12 +50,10 @@ __all__ = [
     "BradleyTerry",
     "Chart",
     "ChoiceModel",
-    "ChoicePower",
     "Dependent",
     "Difference",
     "Discrimination",
     "Ellipses",
-    "Embedding",
     "Equivalence",
     "Estimate",
     "Further",

@@ -24,9 +24,7 @@ if _TYPE_CHECKING:
     )
     from feel321.analysis.association.rivals import rank_metrics
     from feel321.analysis.browser import write_stimulus_page
-    from feel321.analysis.choices.embed import embed_triplets
     from feel321.analysis.choices.model import fit_choices
-    from feel321.analysis.choices.power import plan_choices
     from feel321.analysis.choices.predict import predict_votes
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
     from feel321.analysis.contrasts.compare import (
@@ -66,9 +64,9 @@ if _TYPE_CHECKING:
 __all__ = [
     "RULES", "PowerDesign", "Table", "Truth", "advise", "align_spaces", "bradley_terry", "chart",
     "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate",
-    "correlate_published", "discriminate", "embed_triplets", "equivalence", "export_r", "find_power",
+    "correlate_published", "discriminate", "equivalence", "export_r", "find_power",
     "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",
-    "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority", "p1401", "plan_choices", "plan_power",
+    "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority", "p1401", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model",
     "read_table", "repeated_measures_correlation", "screen_raters", "stress",
@@ -76,8 +74,8 @@ __all__ = [
 ]  # fmt: skip
 
 _RECORDS = (
-    "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "ChoiceModel", "ChoicePower", "Dependent",
-    "Difference", "Discrimination", "Ellipses", "Embedding", "Equivalence", "Estimate", "Further", "Intraclass",
+    "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "ChoiceModel", "Dependent",
+    "Difference", "Discrimination", "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass",
     "MixedFit", "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "Ranking",
     "RaterModel", "RepeatedMeasures", "Results", "Screening", "Space", "VotePrediction",
 )  # fmt: skip

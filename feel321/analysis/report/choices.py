@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis import words
-from feel321.analysis.choices.embed import FEWEST_REFERENCES, TRIPLET, embed_triplets
 from feel321.analysis.choices.model import fit_votes
 from feel321.analysis.choices.predict import CHANCE, VotePrediction, predict
 from feel321.analysis.choices.votes import gather_votes
@@ -87,15 +86,6 @@ ABILITIES = page.TableForm(
     ),
     path="choices_ability.{scale}.{level}.{reducer}", n="n_votes",
 )  # fmt: skip
-PLACES = page.TableForm(
-    "Map of the stimuli from triplets ({}): choices follow squared distances; only distances have a meaning.",
-    (
-        WHICH, page.Column("Reducer", "stimulus", page.NAME),
-        page.Column("Axis 1", "axis_1", end="axis_1", method="stochastic triplet embedding"),
-        page.Column("Axis 2", "axis_2", end="axis_2", method="stochastic triplet embedding"),
-    ),
-    path="choices_map.{scale}.{level}.{stimulus}", n="n_votes",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +125,7 @@ def compute_choices(table: Table, choices: Choices) -> page.Section:
     tables: dict[str, list[Row]] = {}
     for arm in arms:
         notes += list(_describe_catches(arm, unseen))
-        for step in (_predict, _weigh, _scale, _map):
+        for step in (_predict, _weigh, _scale):
             try:
                 found = step(arm, choices)
             except ValueError as error:
@@ -338,7 +328,7 @@ def _format_percent(share: float) -> str:
     return f"{words.format_number(100 * share, kind=words.COUNT)} %"
 
 
-# What the choices say of metrics together, of reducers, and of the space between stimuli.
+# What the choices say of metrics together, and of reducers.
 
 
 def _weigh(arm: _Arm, choices: Choices) -> page.Section:  # noqa: ARG001 - every step has this form
@@ -403,28 +393,3 @@ def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> Br
             raise
     shrunken = bradley_terry(pairs, prior=0.5, order_effect=True)
     return replace(shrunken, fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
-
-
-def _map(arm: _Arm, choices: Choices) -> page.Section:
-    """Map the reducers from triplets whose reference changes; with one reference there is no map."""
-    rows, stimuli = arm.table.rows, arm.table.stimuli
-    if stimuli is None or rows["reference_reducer"].nunique() < FEWEST_REFERENCES:
-        return page.Section(KEY, TITLE)
-    both = [rows[name].map(stimuli["reducer"]) for name in (STIMULUS, OTHER)]
-    is_first = rows["rating"] == HIGHEST
-    columns = (
-        rows["reference_reducer"],
-        both[0].where(is_first, both[1]),
-        both[1].where(is_first, both[0]),
-    )
-    triplets = rows[[]].assign(**dict(zip(TRIPLET, columns, strict=True)))
-    distinct = triplets[triplets.nunique(axis=1) == len(TRIPLET)]
-    found = embed_triplets(distinct, rng=choices.make_rng(KEY, arm.scale, arm.level, "map"))
-    listed = [
-        {**arm.keys, "n_votes": found.n_triplets, **row}
-        for row in found.to_frame().to_dict("records")
-    ]
-    return page.Section(
-        KEY, TITLE, grids=(PLACES.build(listed, caption=PLACES.caption.format(arm.subject)),),
-        tables={"choices_map": listed}, notes=found.notes,
-    )  # fmt: skip

@@ -108,7 +108,7 @@ def test_a_reducer_that_always_wins_has_a_shrunken_ability_and_no_interval(plant
     assert any("abilities are shrunken" in note for note in section.notes)
 
 
-def test_several_references_give_a_map_and_abilities_of_the_recording_alone(plant: Plant) -> None:
+def test_several_references_give_abilities_of_the_recording_alone(plant: Plant) -> None:
     """Reducers lie on a line; what is nearer to the reference is chosen, with noise."""
     planted = plant(participants=12, recordings=2)
     names = ["original", "sax321", "mag321", "soc321", "dft321"]
@@ -122,8 +122,6 @@ def test_several_references_give_a_map_and_abilities_of_the_recording_alone(plan
     columns = ["participant", "stimulus_id", "other_id", "reference_id", "rating"]
     votes = pd.DataFrame(rows, columns=columns).assign(scale="triplet", trial=range(len(rows)))
     section = compute_choices(planted._replace(votes=votes).read(), QUICK)
-    places = section.tables["choices_map"].set_index("stimulus")["axis_1"].reindex(names)
-    assert abs(np.corrcoef(places, range(5))[0, 1]) > 0.98
     assert set(section.tables["choices_abilities"]["n_votes"]) == {12 * 2 * 3}
     abilities = section.tables["choices_abilities"].set_index("reducer")["estimate"]
     assert abilities.reindex(names[1:]).is_monotonic_decreasing

@@ -74,7 +74,7 @@ INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
 OTHERS = {"bradley_terry by rater", "find_sources"}
 """Further forms, and functions that are not on the face."""
 
-CHOICES = {"embed_triplets", "fit_choices", "plan_choices", "predict_votes"}
+CHOICES = {"fit_choices", "predict_votes"}
 """What takes choices between two stimuli, tried in `tests/analysis/choices`."""
 
 PUBLISHED = {"correlate_published", "map_published"}
