@@ -147,7 +147,7 @@ def list_bundled() -> tuple[str, ...]:
     Examples
     --------
     >>> list_bundled()
-    ('airotouch', 'codec', 'generated', 'landin2010', 'lee2022', 'park2019')
+    ('airotouch', 'generated', 'landin2010', 'lee2022', 'park2019')
     """
     files = (entry.name for entry in BUNDLED.iterdir() if entry.name.endswith(".toml"))
     return tuple(sorted(name.removesuffix(".toml") for name in files))

@@ -58,7 +58,9 @@ def shorten(path: Path) -> None:
         text = re.sub(r"^reducers = \[\n.*?\]", f"reducers = {FEW}", text, flags=re.M | re.S)
     text = re.sub(r"^duration_s = .*\n", "", text, flags=re.MULTILINE)
     text = re.sub(r"^(scene = .*)$", r"\1\nduration_s = 0.5", text, flags=re.MULTILINE)
-    path.write_text(f"{text}\n[analysis]\ndraws = 100\n", encoding="utf-8")
+    head = "[analysis]\n"
+    text = text if head in text else f"{text}\n{head}"
+    path.write_text(text.replace(head, f"{head}draws = 100\n"), encoding="utf-8")
 
 
 def run_block(text: str, folder: Path, *, small: bool) -> None:

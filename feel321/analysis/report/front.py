@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 TITLE = "Do the metrics predict the ratings?"
 QUESTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "predict": (TITLE, ("rate", "primary", "rivals", "metrics", "further")),
+    "predict": (TITLE, ("primary", "rivals", "metrics", "further")),
     "differ": ("How do the reducers differ?", ("reducers", "contrasts", "choices", "levels")),
     "apart": (
         "Can people tell them apart?", ("discrimination", "told_apart", "space", "maps"),

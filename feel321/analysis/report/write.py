@@ -26,7 +26,6 @@ from feel321.analysis.report import (
     maps,
     pairs,
     primary,
-    rate,
     raters,
     reducers,
     rivals,
@@ -251,7 +250,6 @@ def _digest(content: bytes) -> str:
 
 
 SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
-    rate.compute,
     primary.compute,
     rivals.compute,
     association.compute_association,

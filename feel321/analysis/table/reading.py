@@ -52,7 +52,7 @@ ECHOED = ("recording", "reducer", "level")
 """Columns that both files may hold and must then agree on."""
 
 OPTIONAL = (
-    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.BIT_RATE, schema.ERROR, schema.SOURCE,
+    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
     *schema.LABELS,
 )  # fmt: skip
 """Columns that judgements keep where there are any."""

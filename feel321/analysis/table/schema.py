@@ -58,8 +58,7 @@ NAMING = ("recording", "reducer", "level")
 
 IDENTITY = ("stimulus_id", "recording", "reducer")
 AMPLITUDE, GAIN, SENSATION = "rms_m_s2", "gain", "sensation_level_db"
-BIT_RATE = "bit_rate_kbps"
-FACTS = (AMPLITUDE, GAIN, SENSATION, BIT_RATE)
+FACTS = (AMPLITUDE, GAIN, SENSATION)
 """Columns of a manifest that describe a stimulus and match it with nothing."""
 
 ERROR, SOURCE = "level_error_db", "delivered_by"
@@ -125,7 +124,6 @@ MANIFEST: Mapping[str, ColumnInfo] = {
     AMPLITUDE: ColumnInfo("root mean square as played", "m/s^2", kind="amplitude"),
     GAIN: ColumnInfo("m/s^2 played per m/s^2 recorded", kind="known"),
     SENSATION: ColumnInfo("over the detection threshold, as played", "dB", kind="known"),
-    BIT_RATE: ColumnInfo("of a codec", "kbit/s", kind="rate"),
     **{
         name: ColumnInfo("not used", used=False)
         for name in (
@@ -190,7 +188,6 @@ KINDS: Mapping[str, Kind] = {
         "be a count (0, 1, 2, ...) or empty", "", lambda values: (values >= 0) & (values % 1 == 0), 0
     ),
     "amplitude": Kind("be 0 or more, in m/s², or empty", "", lambda values: ~(values < 0)),
-    "rate": Kind("be above 0, in kbit/s, or empty", "", lambda values: ~(values <= 0)),
     "metric": Kind(
         f"be no more than {LARGEST:g} in size", "",
         lambda values: ~(values.abs() > LARGEST),

@@ -68,21 +68,8 @@ def list_methods(recipe: Recipe) -> dict[str, dict[str, dict[str, Any]]]:
         method = _find_method(recipe, "metric", name)
         source = method.to_json() if method else {"method": "feel321", "sha256": __version__}
         metrics[name] = {**describe_metric(find_metric(recipe, name), name), **source}
-    if rates := find_bit_rates(recipe):
-        info = {"label": "bit rate", "higher": "better", "low": 0.0, "high": None, "unit": "kbit/s"}
-        sha256 = hashlib.sha256(json.dumps(rates, sort_keys=True).encode()).hexdigest()
-        metrics[BIT_RATE] = {**info, "method": "feel321", "sha256": sha256}
     found = {"reducers": reducers, "metrics": metrics}
     return {kind: entries for kind, entries in found.items() if entries}
-
-
-def find_bit_rates(recipe: Recipe) -> dict[str, float]:
-    """Find the bit rates that reducers of the lab's own declare, in kbit/s."""
-    return {
-        one.name: float(rate)
-        for one in recipe.methods
-        if one.kind == "reducer" and (rate := dict(one.facts).get(BIT_RATE)) is not None
-    }
 
 
 def describe_metric(metric: Metric, name: str) -> dict[str, Any]:
@@ -93,9 +80,6 @@ def describe_metric(metric: Metric, name: str) -> dict[str, Any]:
         for key, value in asdict(info).items()
     }
 
-
-BIT_RATE = "bit_rate_kbps"
-"""Column of the manifest where a reducer declares its bit rate; empty where another has none."""
 
 ROUNDING = 1e-9
 """A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
@@ -266,17 +250,11 @@ def _render(
     if not wanted:
         return
     try:
-        scale, rates = (
-            _make_scale(condition(recording, recipe.conditioning), recipe),
-            find_bit_rates(recipe),
-        )
+        scale = _make_scale(condition(recording, recipe.conditioning), recipe)
         for draft in wanted:
             announce(f"{recording.name}, {draft.reducer}")
             samples, played = _play(draft.reducer, scale, recipe)
-            note = _measure(samples, played, scale=scale, recipe=recipe)
-            if rates:
-                note.metrics[BIT_RATE] = rates.get(draft.reducer)
-            yield draft, played, note
+            yield draft, played, _measure(samples, played, scale=scale, recipe=recipe)
     except ValueError as error:
         raise ValueError(f"recording {recording.name!r}: {error}") from None
 

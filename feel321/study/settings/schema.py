@@ -440,7 +440,6 @@ class ReducerTable(MethodTable):
     """`[reducers.NAME]`: a lab's own reducer."""
 
     file: kinds.Words | None = None
-    bit_rate_kbps: kinds.Positive | None = None
     operations: str | float | None = None
     state: str | float | None = None
     latency: str | float | None = None

@@ -5,15 +5,10 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from operator import itemgetter
-from runpy import run_path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
-from scipy.fft import dct
 
-from feel321.stimuli.synthesis import make_scene
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study, list_bundled, read_bundled
 from feel321.study.settings.read import read_settings
@@ -32,9 +27,8 @@ JUDGEMENTS = {
     "lee2022": 8 * (6 * 5 // 2 + 1),
     "airotouch": 8 * (5 + 1),
     "generated": 6 * (8 + 1),
-    "codec": 6 * (5 + 1 + 2),
 }
-DESIGNS = ("airotouch", "codec", "generated")
+DESIGNS = ("airotouch", "generated")
 """Of our own, after no paper."""
 
 
@@ -101,20 +95,3 @@ def test_an_unknown_study_is_refused_with_the_list_before_anything_is_made(tmp_p
         create_study(tmp_path / "s", bundled="park")
     assert not (tmp_path / "s").exists()
     assert main(["new", str(tmp_path / "s"), "--study", "park"]) == 2
-
-
-def test_the_codec_keeps_its_bit_rate_and_is_better_for_more(tmp_path: Path) -> None:
-    study = create_study(tmp_path / "s", bundled="codec")
-    code, count_bits = itemgetter("code", "count_bits")(
-        run_path(study.path / "methods" / "codec.py")
-    )
-    scene = make_scene("texture_drag", duration_s=0.64)  # ten blocks
-    signal, errors = scene.acceleration[0], []
-    for kbps in (0.5, 2.0, 8.0, 32.0):
-        decoded = code(signal, scene.rate_hz, kbps)
-        coefficients = dct(decoded.reshape(10, -1), norm="ortho")[:, :128]
-        steps = np.round(coefficients / np.abs(coefficients).max(), 9)
-        assert 0.8 < count_bits(steps) / (1000 * kbps * 0.64) <= 1 or kbps > 8
-        errors.append(np.linalg.norm(decoded - signal))
-    assert errors == sorted(errors, reverse=True)
-    assert errors[-1] < 0.1 * errors[0]
