@@ -15,7 +15,6 @@ from feel321.analysis.contrasts.discrimination import Discrimination
 from feel321.analysis.mixed.model import Estimate, MixedFit
 from feel321.analysis.power.design import Power, PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
-from feel321.analysis.published import Published
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.front import About
 from feel321.analysis.report.standing import Hypothesis, Standing
@@ -72,7 +71,6 @@ __all__ = [
     "Primaries",
     "Primary",
     "Problems",
-    "Published",
     "Ranking",
     "RaterModel",
     "ReducerDifference",

@@ -50,7 +50,6 @@ if _TYPE_CHECKING:
     from feel321.analysis.power.find import find_power
     from feel321.analysis.power.plan import plan_power
     from feel321.analysis.primary.model import fit_attributes, fit_primary
-    from feel321.analysis.published import correlate_published, map_published
     from feel321.analysis.report.write import write_report
     from feel321.analysis.screening.consistency import rater_model
     from feel321.analysis.screening.rules import RULES
@@ -64,9 +63,9 @@ if _TYPE_CHECKING:
 __all__ = [
     "RULES", "PowerDesign", "Table", "Truth", "advise", "align_spaces", "bradley_terry", "chart",
     "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate",
-    "correlate_published", "discriminate", "equivalence", "export_r", "find_power",
+    "discriminate", "equivalence", "export_r", "find_power",
     "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",
-    "krippendorff_alpha", "map_published", "noise_ceiling", "non_inferiority", "p1401", "plan_power",
+    "krippendorff_alpha", "noise_ceiling", "non_inferiority", "p1401", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model",
     "read_table", "repeated_measures_correlation", "screen_raters", "stress",

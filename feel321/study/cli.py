@@ -27,7 +27,7 @@ VERBS = {
     "exports": ("export",),
     "lab": ("run",),
     "rig": ("calibrate", "doctor"),
-    "methods": ("advise", "chart", "published", "stress"),
+    "methods": ("advise", "chart", "stress"),
     "planning": ("power",),
     "signals": ("match", "reduce"),
     "stations": ("collect",),

@@ -247,8 +247,8 @@ def read_header(path: Path) -> list[str]:
         return next(csv.reader(file), [])
 
 
-def read_column(sheet: DataFrame, name: str, what: str, *, kind: str, empty: bool = True) -> None:
-    """Read a column of text, if there is one, as the kind that it is declared as; `empty` cells may be refused."""
+def read_column(sheet: DataFrame, name: str, what: str, *, kind: str) -> None:
+    """Read a column of text, if there is one, as the kind that it is declared as."""
     if name not in sheet or not kind:
         return
     if kind == "name":
@@ -259,7 +259,7 @@ def read_column(sheet: DataFrame, name: str, what: str, *, kind: str, empty: boo
         refuse_lines(bad, what, must="be true, false, 1, 0, yes, no or empty")
         sheet[name] = words.isin(YES)
     else:
-        sheet[name] = _read_numbers(sheet[name], what, KINDS[kind], empty=empty)
+        sheet[name] = _read_numbers(sheet[name], what, KINDS[kind])
 
 
 def refuse_lines(bad: Series, what: str, *, must: str, do: str = "") -> None:
@@ -303,11 +303,11 @@ def _check_names(names: Series, what: str) -> None:
     refuse_lines(broken, what, must=must, do="remove them")
 
 
-def _read_numbers(cells: Series, what: str, kind: Kind, *, empty: bool) -> Series:
+def _read_numbers(cells: Series, what: str, kind: Kind) -> Series:
     import numpy as np
     import pandas as pd
 
-    filled = cells if kind.empty is None or not empty else cells[cells != ""]
+    filled = cells if kind.empty is None else cells[cells != ""]
     numbers = pd.to_numeric(filled, errors="coerce").astype(np.float64)
     do = "correct it or leave the row out"
     refuse_lines(filled[~np.isfinite(numbers)], what, must="be a finite number", do=do)

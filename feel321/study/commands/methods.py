@@ -1,4 +1,4 @@
-"""Verbs about reducers: chart, stress, advise, published."""
+"""Verbs about reducers: chart, stress, advise."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
     from feel321.analysis.tradeoff.advise.scene import Rated
-    from feel321.records import Result
     from feel321.stimuli.guard import OwnReducer
     from feel321.stimuli.recording import Recording
 
@@ -283,62 +282,3 @@ def _read_ratings(study: StudyFolder) -> Ratings | None:
         return None
     margin = read_settings(study.settings).analysis.margin if study.settings.is_file() else None
     return judge_ratings(table, margin=margin)
-
-
-@click.command(
-    epilog="""\b
-Example: feel321 published park-means.csv --manifest my-study/stimuli/manifest.csv
-         feel321 published lee-dissimilarities.csv
-"""
-)
-@click.argument("table", metavar="FILE", type=shared.FILE)
-@click.option("--manifest", type=shared.FILE, help="For means: the manifest of the rated stimuli.")
-@click.option(
-    "--metric",
-    "metrics",
-    multiple=True,
-    metavar="NAME",
-    help="For means: a numeric column of the manifest; repeatable.  [default: the two matches]",
-)
-@click.option("--level", help="Of means: the stimuli's level, where the manifest has several.")
-@click.option(
-    "--dimensions",
-    type=click.IntRange(1, 100),
-    default=2,
-    show_default=True,
-    help="For dissimilarities: number of map dimensions.",
-)
-@shared.json_option
-def published(
-    *,
-    table: Path,
-    manifest: Path | None,
-    metrics: tuple[str, ...],
-    level: str | None,
-    dimensions: int,
-    as_json: bool,
-) -> None:
-    """Analyse a table from a paper: means, or dissimilarities.
-
-    Means (columns reducer, mean, and where the paper has them recording, sd and n) are correlated with the metrics of a
-    manifest. A square matrix of dissimilarities, with names in the first line and the first column, becomes a map. What
-    needs every rater's ratings, such as the noise ceiling, is not estimated.
-    """
-    from feel321.analysis import published as papers
-
-    found: Result
-    if papers.is_matrix(table):
-        if manifest or metrics or level:
-            text = (
-                "a matrix needs no manifest, metric or level; means need columns reducer and mean"
-            )
-            raise click.UsageError(f"{table.name}: {text}")
-        found = papers.map_published(table, dimensions=dimensions)
-        notes = [f"stress {found.stress:.3g}"]
-    elif manifest is None:
-        raise click.UsageError("--manifest is missing: means are correlated with its metrics")
-    else:
-        found = papers.correlate_published(table, manifest, metrics=metrics or None, level=level)
-        notes = [found.comparisons.to_string(index=False), *found.notes]
-    lines = [found.to_frame().to_string(index=False), *notes]
-    shared.echo(shared.dump_json(found.to_dict()) if as_json else "\n".join(lines))

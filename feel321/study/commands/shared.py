@@ -66,7 +66,7 @@ class BoundedNumber(click.FloatRange):
 
 LOUDNESS = "feel321.loudness"
 
-READING = {"audit", "check", "monitor", "published", "replay", "status", "stress", "texts"}
+READING = {"audit", "check", "monitor", "replay", "status", "stress", "texts"}
 """Verbs that write nothing into a study, so that they leave it as it is."""
 
 FILE = _GivenPath(path_type=Path)

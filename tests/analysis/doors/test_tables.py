@@ -77,9 +77,8 @@ OTHERS = {"bradley_terry by rater", "find_sources"}
 CHOICES = {"fit_choices", "predict_votes"}
 """What takes choices between two stimuli, tried in `tests/analysis/choices`."""
 
-PUBLISHED = {"correlate_published", "map_published"}
-ELSEWHERE = {"advise", "chart", "read_table", "write_report", *PUBLISHED, *CHOICES}
-"""What is tried with ratings in `test_{tradeoff_doors,table,notebook,published}`."""
+ELSEWHERE = {"advise", "chart", "read_table", "write_report", *CHOICES}
+"""What is tried with ratings in `test_{tradeoff_doors,table,notebook}`."""
 
 PAIRS = {"bradley_terry by rater", "bradley_terry", "discriminate"}
 """What takes pairs, here made of neighbouring rows."""
