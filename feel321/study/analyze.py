@@ -24,7 +24,7 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.manifest import find_methods, read_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
-from feel321.study.auditing.sealing import sealing_analysis
+from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.freeze import make_standing
 from feel321.study.ledger.progress import Progress as Participant
@@ -92,8 +92,8 @@ def _read_settings(study: StudyFolder, *inputs: Path | None) -> Settings | None:
 
 @contextmanager
 def _closing(study: StudyFolder, out: Path | None) -> Iterator[None]:
-    sealing = sealing_analysis(study) if out is None else nullcontext()
-    with closing_results(study, out or study.report), sealing:
+    declared = declaring(study, "analyze") if out is None else nullcontext()
+    with closing_results(study, out or study.report), declared:
         yield
 
 

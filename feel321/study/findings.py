@@ -40,16 +40,15 @@ class Problems(Result):
 class Audit(Result):
     """What `Study.audit` found.
 
-    findings: every gap, duplicate and edit; seal: digest of plans, journals and stimuli, to be kept elsewhere;
-    remarks: what is as it was written and worth knowing, such as participants on another rig; sentence: what the study
-    was compared with, and what came after; anchored_utc: time of the last anchor, empty if there is none.
+    findings: every gap, duplicate and edit; remarks: what is as it was written and worth knowing, such as participants
+    on another rig; sentence: what the study was compared with, and what came after; checkpoint: id of the newest one
+    in the study's folder, empty if there is none.
     """
 
     findings: tuple[str, ...]
-    seal: str
     remarks: tuple[str, ...] = ()
     sentence: str = ""
-    anchored_utc: str = ""
+    checkpoint: str = ""
 
     def to_frame(self) -> DataFrame:
         """Return one row per finding, with the columns `kind` and `text`."""
@@ -57,20 +56,19 @@ class Audit(Result):
 
     def __repr__(self) -> str:
         """Count the findings."""
-        return f"Audit({len(self.findings)} findings, seal={self.seal[:12]!r})"
+        return f"Audit({len(self.findings)} findings, checkpoint={self.checkpoint[:12]!r})"
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Seal(Result):
     """What `Study.seal` recorded.
 
-    utc, checkpoints: when, and how many lines the chain has; code: its end, to print or write down; places: where the
-    anchor was put; problems: where it could not be.
+    utc, checkpoint: when, and its id, to write into the lab book; places: the remotes that have it; problems: why
+    others have not.
     """
 
     utc: str
-    checkpoints: int
-    code: str
+    checkpoint: str
     places: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
 
@@ -79,8 +77,8 @@ class Seal(Result):
         return _list_findings(self, "places", "problems")
 
     def __repr__(self) -> str:
-        """Show the code."""
-        return f"Seal({self.utc}, code={self.code!r})"
+        """Show the checkpoint's id."""
+        return f"Seal({self.utc}, checkpoint={self.checkpoint[:12]!r})"
 
 
 def _list_findings(found: Result, *kinds: str) -> DataFrame:

@@ -28,7 +28,7 @@ from feel321.study.actuator.rig import (
     read_rig,
     take_device,
 )
-from feel321.study.auditing.sealing import sealing_session
+from feel321.study.checkpoints import note_checkpoint
 from feel321.study.exploration.motion import POINTER, Pointer, Strokes, open_tracker
 from feel321.study.exploration.track import MOTION, Exploration
 from feel321.study.folder import DELIVERED
@@ -287,11 +287,10 @@ def run_participant(
     if notice:
         warn(notice)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
-    ledger = partial(recall, room.ledger, plan.participant)
-    for entry in ledger():
+    for entry in recall(room.ledger, plan.participant):
         if entry.state == "finished":  # No window is opened for it.
             return Outcome(entry.done, entry.total)
-    with sealing_session(study, plan.participant, recall=ledger, now=now, warn=warn):
+    try:
         outcome, repaired = lead_session(
             replace(room, pace=read_pace(study, stimuli), warn=warn),
             plan,
@@ -300,6 +299,9 @@ def run_participant(
             on_step=on_step,
             accept_rig=visit.accept_rig,
         )
+    finally:
+        if problem := note_checkpoint(study, "session", who=plan.participant, now=now):
+            warn(problem)
     if repaired:
         warn(repaired)
     return outcome

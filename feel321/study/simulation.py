@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.auditing.sealing import seal_study
+from feel321.study.checkpoints import note_checkpoint
 from feel321.study.ledger.progress import write_roster
 from feel321.study.matches import write_matches
 from feel321.study.persons.answers import write_answers
@@ -225,7 +225,7 @@ def simulate_study(
     write_matches(study, stimuli)
     write_answers(study)
     rows = write_ratings(study, stimuli)
-    notices += seal_study(study, by="simulate", now=now).problems
+    notices += [note_checkpoint(study, "simulate", now=now)]
     if warn is not None:
         for notice in filter(None, (find_unfelt(settings, stimuli), ledger_notice, *notices)):
             warn(notice)

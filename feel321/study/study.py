@@ -220,50 +220,49 @@ class Contents:
 class Auditable(Contents):
     """A study whose records can be verified."""
 
-    def audit(self, *, code: str = "", anchors: Sequence[PathLike] = ()) -> Audit:
-        """Verify plans, journals, stimuli, ledger and tables, and compare them with checkpoints and anchors.
+    def audit(self, *, expect: str = "", remotes: Sequence[str] = ()) -> Audit:
+        """Verify plans, journals, stimuli, ledger and tables, and compare all files with the checkpoints.
 
         Parameters
         ----------
-        code : str
-            A code that `seal` printed.
-        anchors : sequence of str or path
-            Folders with anchors, besides those that were chosen for this rig.
+        expect : str
+            The id of a checkpoint that must be there, or how it begins.
+        remotes : sequence of str
+            Git remotes with checkpoints, folders or URLs, besides those that the study is pushed to.
 
         Returns
         -------
         Audit
-            Every change, and the seal.
+            Every change, and what the study was compared with.
         """
-        from feel321.study.auditing.seal import make_seal
         from feel321.study.auditing.study import examine
         from feel321.study.findings import Audit
         from feel321.study.freeze import describe_frozen, find_faults
 
-        extra = [as_path(one, "anchors") for one in anchors]
         with follow(self.progress, "audit") as step:
-            found = examine(self.folder, code=code, extra=extra, progress=step)
+            found = examine(self.folder, expect=expect, remotes=remotes, progress=step)
         findings = (*found.findings, *find_faults(self.folder))
         remarks = (*found.remarks, *filter(None, [describe_frozen(self.folder)]))
-        seal = make_seal(self.folder)
-        return Audit(findings, seal, remarks, found.sentence, found.anchored_utc)
+        return Audit(findings, remarks, found.sentence, found.checkpoint)
 
-    def seal(self, reason: str = "") -> Seal:
-        """Record what the study holds as a checkpoint, and put its end into the places that were chosen for this rig.
+    def seal(self, reason: str = "", *, to: str = "") -> Seal:
+        """Record the digests of all files as a checkpoint, and push it to the remotes.
 
         Parameters
         ----------
         reason : str
             Why settings, texts or methods were changed since the last checkpoint.
+        to : str
+            A further git remote, a folder or a URL; it is kept if it takes this checkpoint.
 
         Returns
         -------
         Seal
-            The code to print or to write down, and where the anchor was put.
+            The id of the checkpoint, and the remotes that have it.
         """
-        from feel321.study.auditing.sealing import seal_study
+        from feel321.study.checkpoints import take_checkpoint
 
-        return seal_study(self.folder, reason=reason, now=self.now)
+        return take_checkpoint(self.folder, "seal", reason=reason, remote=to, now=self.now)
 
 
 @dataclass(frozen=True, slots=True, repr=False)

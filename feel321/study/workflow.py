@@ -38,6 +38,7 @@ from feel321.study import strength
 from feel321.study.actuator.certificate import Certificate, judge_certificates, list_certificates
 from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
+from feel321.study.checkpoints import declaring
 from feel321.study.findings import Problems
 from feel321.study.folder import StudyFolder, is_in_use
 from feel321.study.methods import list_methods
@@ -72,17 +73,18 @@ def build_study(
     sources = list_unread(settings, study.path)
     recipe = make_recipe(settings, study.path)
     _protect_used_set(study, recipe, sources)
-    with follow(progress or False, "build") as move:
-        facts, stimuli = build_set(sources, study.stimuli, recipe, workers=workers, move=move)
-    if page:
-        from feel321.analysis.browser import write_stimulus_page
+    with declaring(study, "build"):
+        with follow(progress or False, "build") as move:
+            facts, stimuli = build_set(sources, study.stimuli, recipe, workers=workers, move=move)
+        if page:
+            from feel321.analysis.browser import write_stimulus_page
 
-        announce("page of the set")
-        write_stimulus_page(study.stimuli)
-    elif (study.stimuli / "index.html").exists():
-        from feel321.analysis.browser import remove_stimulus_page
+            announce("page of the set")
+            write_stimulus_page(study.stimuli)
+        elif (study.stimuli / "index.html").exists():
+            from feel321.analysis.browser import remove_stimulus_page
 
-        remove_stimulus_page(study.stimuli)
+            remove_stimulus_page(study.stimuli)
     return facts, stimuli
 
 

@@ -18,8 +18,8 @@ LEFT_OUT = {
     ),  # these three: into a stage that `move_files` makes durable
     ("analysis/report/folder.py", "write_text"),
     ("analysis/figures/style.py", "write_text"),
-    ("study/export/writing.py", "rename"),  # a whole folder in the place of another one
-    ("study/auditing/anchors.py", "rename"),  # a clone that can be made anew
+    ("study/export/dataset.py", "rename"),  # a whole folder in the place of another one
+    ("study/checkpoints.py", "rename"),  # a whole folder, where none is
     ("study/study.py", "replace"),  # of values in a data frame
 }
 

@@ -102,14 +102,6 @@ def foreground() -> Iterator[None]:
         yield
 
 
-@pytest.fixture(autouse=True, scope="session")
-def nowhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep no anchors: the configuration of whoever runs the tests is theirs."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FEEL321_CONFIG", str(tmp_path_factory.mktemp("config") / "feel321"))
-        yield
-
-
 @pytest.fixture(scope="session")
 def stimuli() -> StimulusSet:
     """Two recordings of four reducers and a reference each, without files."""

@@ -13,9 +13,9 @@ import pytest
 from feel321.files import hold_lock
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import lab
-from feel321.study.auditing.seal import make_seal
 from feel321.study.auditing.steps import audit_steps
 from feel321.study.auditing.study import audit_study
+from feel321.study.checkpoints import take_marks
 from feel321.study.cli import main
 from feel321.study.lab import Visit, run_participant
 from feel321.study.ledger.progress import write_roster
@@ -78,7 +78,7 @@ def test_notes_change_neither_trials_nor_ratings_and_audit_finds_nothing(
 ) -> None:
     """Between two openings, after the end, and after a release that is due to nobody."""
     assert run(**leave()).stopped == "not today"
-    before, seal = read_status(study), make_seal(study)
+    before, marks = read_status(study), take_marks(study)
     assert note(study, hours=1) == ""
     (entry,) = read_status(study).participants
     assert (entry.done, entry.left, entry.last_activity) == (
@@ -87,7 +87,7 @@ def test_notes_change_neither_trials_nor_ratings_and_audit_finds_nothing(
         before.participants[0].last_activity,
     )
     assert read_status(study).balance == before.balance
-    assert make_seal(study) != seal
+    assert take_marks(study) != marks
     assert run(2).done == 2
     stimuli = read_stimuli(study.stimuli)
     tables = [write_ratings, lambda study, _: write_roster(study)]

@@ -59,7 +59,7 @@ def test_every_step_takes_the_labs_own_methods_and_a_change_of_them_is_named(
         assert main([verb, str(folder)]) == 1
         assert "reducers.my321.sha256: built with" in "".join(capsys.readouterr())
     (finding,) = study.audit().findings
-    assert finding.startswith(f"{folder / 'methods' / 'my321.py'}, line ")
+    assert finding.startswith(f"{folder / 'methods' / 'my321.py'}: was changed")
     study.seal(reason="tried something")
     assert study.audit().findings == ()
     assert {path: path.read_bytes() for path in folder.glob("sessions/*/*.jsonl")} == journals

@@ -73,12 +73,9 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
 @pytest.fixture
 def copy(whole: StudyFolder, tmp_path: Path) -> StudyFolder:
     shutil.copytree(whole.path, tmp_path / "copy")
-    for name in (
-        "checkpoints.jsonl",
-        "ratings.csv",
-        "participants.csv",
-    ):  # of what is cut afterwards
+    for name in ("ratings.csv", "participants.csv"):  # of what is cut afterwards
         (tmp_path / "copy" / name).unlink()
+    shutil.rmtree(tmp_path / "copy" / ".evidence")
     return StudyFolder(tmp_path / "copy")
 
 
@@ -177,7 +174,7 @@ def test_resuming_from_any_record_gives_the_same_table(
         # A crash keeps what the ledger saw; here it shall have seen nothing.
         copy.ledger.unlink()
         copy.ledger_log.unlink(missing_ok=True)
-        (copy.path / "checkpoints.jsonl").unlink(missing_ok=True)
+        shutil.rmtree(copy.path / ".evidence", ignore_errors=True)
         journal.write_bytes(b"".join(lines[:kept]) + lines[kept][:9])
         assert (
             read_status(copy).participants[1].warnings[0]

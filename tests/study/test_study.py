@@ -65,7 +65,7 @@ def test_steps_find_what_the_verbs_find(pilot: Study, capsys: pytest.CaptureFixt
     assert found.problems == ()
     assert set(found.to_frame()["kind"]) <= {"warning", "remark", "note"}
     assert main(["audit", folder]) == 0
-    assert f"seal: {audit.seal};" in capsys.readouterr().out
+    assert audit.sentence in capsys.readouterr().out
     assert audit.findings == ()
     status = pilot.status()
     assert repr(status) == "Status(2 finished)"

@@ -1,241 +1,242 @@
-"""What is kept of a study, beside its journals and elsewhere, against the folder as it is now."""
+"""What the checkpoints of a study, here and at its remotes, say of its files as they are now."""
 
-from collections.abc import Container, Sequence
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from socket import gethostname
+from typing import TYPE_CHECKING
 
-from feel321.study.auditing import anchors
-from feel321.study.auditing.checkpoints import CHECKPOINT, find_chain, list_branches, name_chain
-from feel321.study.auditing.codes import read_code
-from feel321.study.auditing.history import Following, describe_counts
-from feel321.study.auditing.keys import name_key
-from feel321.study.folder import StudyFolder
-from feel321.study.session.journal import Chain, digest, read_chain, read_journal
+from feel321.study.checkpoints import (
+    EVIDENCE,
+    Checkpoint,
+    Mark,
+    fetch_branches,
+    is_journal,
+    name_branch,
+    read_own,
+    take_marks,
+)
+from feel321.study.session.journal import digest
+from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
+
+if TYPE_CHECKING:
+    from feel321.study.folder import StudyFolder
+
+NOTED = {"rig.toml", "frozen.json"}
+"""May change at any time: each session's header holds the rig, and frozen.json its own history."""
+
+DERIVED = {"ratings.csv", "participants.csv", "matches.csv"}
+"""Compared with the journals, row by row (`tables`)."""
+
+OCCASIONS = {"report": {"analyze", "withdraw"}, "stimuli": {"build"}}
+"""Folder -> occasions on which what is in it may change."""
+
+REMEDIES = {
+    "sessions": "restore it from a copy",
+    "report": "not by an analysis; write it anew: feel321 analyze",
+    "stimuli": "not by feel321 build; restore it from a copy",
+}
+REMEDY = "if that was intended, give the reason: feel321 seal --reason TEXT"
 
 
 @dataclass(slots=True)
 class Evidence:
-    """What the checkpoints and anchors say: findings, remarks, the last anchor, the chains of all, a sentence."""
+    """What was found and is worth knowing; the newest checkpoint; a sentence on how far the evidence reaches."""
 
+    study: StudyFolder
     findings: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
-    anchor: anchors.Witness | None = None
-    chains: frozenset[str] = frozenset()
-    checkpoints: int = 0
-    since: str = ""
+    checkpoint: str = ""
     sentence: str = ""
 
 
-def weigh(study: StudyFolder, *, code: str = "", extra: Sequence[Path] = ()) -> Evidence:
-    """Compare the folder with its checkpoints, and these with every anchor of it that can be found."""
-    own = Evidence()
+def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) -> Evidence:
+    """Compare a study with its checkpoints, here and at its remotes; expect: the id of one that must be here."""
+    own = Evidence(study)
     if study.is_rehearsal:
         return own
-    kept = anchors.read_kept(tuple(extra))
-    path, chain, damage = find_chain(study), None, ""
-    try:
-        chain = read_journal(path) if path.is_file() else None
-    except ValueError as error:
-        damage = str(error)
-    _sort_problems(kept, chain, own)
-    is_same = _compare_anchors(study, chain, kept=kept, own=own)
-    is_same &= not _find_foreign(study, kept, {str(one) for one in extra}, own=own)
-    if code:
-        is_same &= _compare_code(chain, code, path=path, own=own)
-    copy = None if is_same and chain else _find_copy(kept, own.anchor)
-    _follow(study, copy or chain, own)
-    if damage:
-        place = own.anchor.place if copy and own.anchor else ""
-        own.findings.append(f"{damage}; {place} holds one" if place else damage)
-    _describe(own, kept, is_known=chain is not None, is_damaged=bool(damage))
+    history, pushed, problem = read_own(study)
+    own.findings += filter(None, [problem])
+    binding, held = [history], []
+    for url in dict.fromkeys([*pushed, *remotes]):
+        try:
+            branches = fetch_branches(url, history)
+        except OSError as error:
+            own.remarks.append(f"{url}: could not be looked at ({error})")
+            continue
+        for branch in sorted(pushed.get(url, set()) - set(branches)):
+            text = f"{url}: had the checkpoints of {branch} and has none now; ask whoever keeps it"
+            own.findings.append(text)
+        binding.append(_compare_remote(url, branches, history, own=own))
+        there = {one.id for theirs in branches.values() for one in theirs}
+        held += [f"{url} has those until {one.utc}" for one in history if one.id in there][-1:]
+    if not any(one.id.startswith(expect) for one in history) and expect:
+        text = f"has no checkpoint {expect}; its history was made anew, or turned back"
+        own.findings.append(f"{study.path / EVIDENCE}: {text}")
+    today = take_marks(study)
+    for one in filter(None, binding):
+        _Comparison(study, one, today, own).run()
+    own.checkpoint = history[-1].id if history else ""
+    own.sentence = _describe(history, held, today) if history else "without evidence: no checkpoint"
     return own
 
 
-def _sort_problems(kept: anchors.Kept, chain: Chain | None, own: Evidence) -> None:
-    """Sort what was wrong with anchors: what is away, or somebody else's, is a remark."""
-    names = list_branches(chain.records) if chain else {}
-    for one in kept.problems:
-        is_remark = "could not be looked at" in one and not any(name in one for name in names)
-        (own.remarks if is_remark else own.findings).append(one)
-
-
-def _follow(study: StudyFolder, chain: Chain | None, own: Evidence) -> None:
-    """Follow the history, from the copy of the chain where the study's own is not the one that was anchored."""
-    if chain is None or not name_chain(chain.records):
-        return
-    own.checkpoints = sum(one.event == CHECKPOINT for one in chain.records)
-    lines = own.anchor.lines if own.anchor else len(chain.records)
-    history = Following(study, lines)
-    try:
-        history.follow(chain.records)
-    except (AttributeError, LookupError, TypeError, ValueError) as error:
-        own.findings.append(
-            f"{find_chain(study)}: holds what feel321 does not write ({error!r}); restore it from a copy"
-        )
-        return
-    own.findings += history.findings
-    own.remarks += history.remarks
-    own.since = describe_counts(history.counts)
-
-
-def _compare_anchors(
-    study: StudyFolder, chain: Chain | None, *, kept: anchors.Kept, own: Evidence
-) -> bool:
-    """Check that every anchor of this study is on its chain; the newest is remembered."""
-    path = find_chain(study)
-    lines = anchors.read_lines(path).split(b"\n")[:-1] if path.is_file() else []
-    branches = list_branches(chain.records) if chain else {}
-    ours = [
-        one for one in kept.witnesses if one.chain in branches or (not chain and _names(one, lines))
-    ]
-    others = [
-        one
-        for one in kept.witnesses
-        if one not in ours and _is_here(one, study, is_gone=chain is None)
-    ]
-    own.chains = frozenset(one.chain for one in (*ours, *others))
-    away = [one for one in ours if _is_away(one, study, branches)]
-    for one in away[:1]:
-        own.remarks.append(
-            f"{path}: went on in another folder, too, {one.host}:{one.folder}, anchored at {one.utc}"
-        )
-    ours = [one for one in ours if one not in away]
-    wrong = [one for one in ours if not _is_on(one, lines)]
-    for one in wrong[:1]:
-        what = (
-            f"line {one.lines} is not"
-            if len(lines) >= one.lines
-            else f"ends with line {len(lines)}; line {one.lines} is"
-        )
-        own.findings.append(
-            f"{path}: {what} the one anchored in {one.place} at {one.utc}; restore it from a copy"
-        )
-    for one in others[:1]:
-        became = "is another chain than the one" if path.is_file() else "is gone, it was"
-        own.findings.append(
-            f"{path}: {became} anchored of this folder in {one.place} at {one.utc}; restore it from a copy, or, if "
-            "this is a different study, rename its folder"
-        )
-    own.anchor = max([*others, *wrong] or ours, key=lambda one: (one.utc, one.lines), default=None)
-    _note_keys(ours, own)
-    return not (wrong or others)
-
-
-def _find_foreign(
-    study: StudyFolder, kept: anchors.Kept, given: Container[str], *, own: Evidence
-) -> bool:
-    """Find out whether there are anchors, but none of this chain; of those that were given, one must be."""
-    those = [one for one in kept.witnesses if one.place in given]
-    foreign = those or list(kept.witnesses)
-    if not foreign or any(one.chain in own.chains for one in foreign):
-        return False
-    count, newest = len({one.chain for one in foreign}), max(foreign, key=lambda one: one.utc)
-    text = (
-        f"{find_chain(study)}: no anchor of this chain is in {newest.place}, which has those of {count} other "
-        f"chain{'s' * (count != 1)} (the newest of {newest.host}:{newest.folder}, {newest.utc})"
-    )
-    if not those:
-        own.remarks.append(f"{text}; if there was one, the study was moved and made anew")
-        return False
-    own.findings.append(f"{text}; the study was made anew, or the anchors are of another one")
-    same = [one for one in those if count == 1 or Path(one.folder).name == study.path.name]
-    if len({one.chain for one in same}) == 1:
-        own.anchor = max(same, key=lambda one: (one.utc, one.lines))
-    return True
-
-
-def _is_away(one: anchors.Witness, study: StudyFolder, branches: dict[str, int]) -> bool:
-    """Check whether an anchor is of a copy of this study that went on elsewhere."""
-    is_last = one.chain == next(reversed(branches), one.chain)
-    is_here = one.folder == str(study.path.absolute())
-    return not (is_last or is_here) and one.lines > branches.get(one.chain, one.lines)
-
-
-def _names(one: anchors.Witness, lines: Sequence[bytes]) -> bool:
-    """Check whether a chain that cannot be read is the one of an anchor."""
-    return any(one.chain.encode() in line for line in lines[:2])
-
-
-def _is_on(one: anchors.Witness, lines: Sequence[bytes]) -> bool:
-    return 0 < one.lines <= len(lines) and digest(lines[one.lines - 1]) == one.sha256
-
-
-def _is_here(one: anchors.Witness, study: StudyFolder, *, is_gone: bool) -> bool:
-    """Check whether an anchor is of another chain in this folder; one that was moved is known by its last name."""
-    here = study.path.absolute()
-    if one.folder == str(here):
-        return True
-    is_begun = study.participants or study.ledger_log.exists() or study.ledger.exists()
-    is_begun = is_begun or (study.path / "participants.csv").exists()
-    return bool(is_gone and is_begun and Path(one.folder).name == here.name)
-
-
-def _note_keys(ours: Sequence[anchors.Witness], own: Evidence) -> None:
-    """Note who signed; what this rig put there since it has a key must be signed with that."""
-    public, since = anchors.read_public()
-    here = [one for one in ours if since and one.host == gethostname() and one.utc >= since]
-    for one in [one for one in here if one.key != public][:1]:
-        own.findings.append(
-            f"{one.place}: the anchor of {one.utc} is {_describe_key(one)}; this rig signs with {name_key(public)} "
-            f"since {since}, so the anchor was changed, or put there by somebody else"
-        )
-    signed = {name_key(one.key): f"{one.host}" for one in ours if one.key}
-    if len(signed) > 1:
-        named = ", ".join(f"{key} ({host})" for key, host in signed.items())
-        own.remarks.append(
-            f"anchors were signed with several keys: {named}; check that all belong to your rigs"
-        )
-
-
-def _describe_key(one: anchors.Witness) -> str:
-    return f"signed by {name_key(one.key)} ({one.host})" if one.key else "not signed"
-
-
-def _compare_code(chain: Chain | None, code: str, *, path: Path, own: Evidence) -> bool:
-    lines, prefix = read_code(code)
-    content = anchors.read_lines(path).split(b"\n")[:-1] if chain else []
-    if 0 < lines <= len(content) and digest(content[lines - 1]).startswith(prefix):
-        if own.anchor is None and chain:
-            utc = chain.records[lines - 1].utc
-            own.anchor = anchors.Witness("", lines, "", utc, "", "", place="the printed code")
-        return True
-    own.findings.append(
-        f"{path}: line {lines} is not the one of the code {code}; the checkpoints were written anew"
-    )
-    return False
-
-
-def _find_copy(kept: anchors.Kept, anchor: anchors.Witness | None) -> Chain | None:
-    """Find the copy of the chain that an anchor is of, up to there."""
-    for name, path in kept.copies:
-        if anchor is None or name != anchor.chain or not path.is_file():
+def _compare_remote(
+    url: str, branches: Mapping[str, list[Checkpoint]], history: list[Checkpoint], *, own: Evidence
+) -> list[Checkpoint]:
+    """Compare the history here with a remote's; returns one of there that must hold of this folder, too."""
+    home, mine, known = own.study.path / EVIDENCE, name_branch(own.study), {o.id for o in history}
+    binding = []
+    for branch, theirs in branches.items():
+        missing = sum(one.id not in known for one in theirs)
+        said = f"{branch} at {url}, the newest of {theirs[-1].utc}"
+        if not history:
+            own.remarks.append(f"{home}: has none; compared with the checkpoints of {said}")
+        elif missing == len(theirs):
+            text = f"shares none of the checkpoints of {said}; it was made anew, or this is another study"
+            own.findings.append(f"{home}: {text}")
+        elif missing and branch == mine:
+            text = f"lacks {missing} checkpoints of {said}; an old copy was restored, or it was made anew"
+            own.findings.append(f"{home}: {text}")
+        elif missing:
+            own.remarks.append(f"{home}: another copy of this study went on as {said}")
             continue
-        lines = anchors.read_lines(path).split(b"\n")[: anchor.lines]
-        if not _is_on(anchor, lines):
-            continue
-        try:
-            return read_chain(b"".join(line + b"\n" for line in lines), str(path))
-        except ValueError:
-            continue
-    return None
+        if missing:
+            binding.append((branch == mine, theirs[-1].utc, theirs))
+    return max(binding, default=(False, "", []))[-1]
 
 
-def _describe(own: Evidence, kept: anchors.Kept, *, is_known: bool, is_damaged: bool) -> None:
-    """Say in one sentence how far the evidence reaches."""
-    looked = (
-        ", ".join(kept.places) or "no place outside the folder was chosen: feel321 seal --to DIR"
+def _describe(history: Sequence[Checkpoint], held: list[str], today: Mapping[str, Mark]) -> str:
+    """Say how far the evidence reaches, and how much came after it."""
+    last = history[-1]
+    now = {name: mark for name, mark in today.items() if is_journal(name)}
+    begun = sum(name not in last.marks for name in now)
+    changed = sum(last.marks.get(name, mark) != mark for name, mark in now.items())
+    reach = "; ".join(held) or "no remote has them, so all can be made anew: feel321 seal --to"
+    return (
+        f"compared with {len(history)} checkpoint{'s' * (len(history) > 1)}, the last {last.id[:12]} of {last.utc} on "
+        f"{len(last.marks)} files; {reach}; since then {begun} journals were begun, {changed} continued or changed"
     )
-    after = f"{own.since or 'nothing was recorded'} after it"
-    if own.anchor is not None:
-        verb = "compared with" if own.findings else "nothing was changed since"
-        one = own.anchor
-        of = f" (checkpoint of {one.checkpoint_utc}, {_describe_key(one)})" if one.chain else ""
-        own.sentence = f"{verb} the anchor of {one.utc} in {one.place}{of}; {after}"
-    elif is_known:
-        count = f"{own.checkpoints} checkpoint{'s' * (own.checkpoints != 1)} in the folder itself"
-        since = f", {own.since} after the last" if own.since else ""
-        own.sentence = f"compared with {count}{since}; anchors: none ({looked})"
-    else:
-        state = "the checkpoints cannot be read" if is_damaged else "no checkpoints were kept"
-        own.sentence = f"{state}; anchors: none ({looked})"
+
+
+@dataclass(slots=True)
+class _Comparison:
+    """A history against the files of today.
+
+    base: of each file, the last checkpoint that may have changed it, and what it was then; strayed: files that were
+    something else since; seen: all that a journal ever was; begun: what began and did not end.
+    """
+
+    study: StudyFolder
+    history: Sequence[Checkpoint]
+    today: Mapping[str, Mark]
+    own: Evidence
+    base: dict[str, tuple[Checkpoint, Mark]] = field(default_factory=dict)
+    strayed: set[str] = field(default_factory=set)
+    seen: dict[str, dict[Mark, Checkpoint]] = field(default_factory=lambda: defaultdict(dict))
+    begun: dict[tuple[str, str], Checkpoint] = field(default_factory=dict)
+
+    def run(self) -> None:
+        """Follow the history, and judge what became of each file."""
+        for one in self.history:
+            self._follow(one)
+            self._note(one)
+        lost: dict[str, list[str]] = defaultdict(list)
+        for name, (_, mark) in sorted(self.base.items()):
+            now = self.today.get(name)
+            is_open = any(_may_change(one, name, now) for one in self.begun.values())
+            if name.startswith("sessions/") and now is None and not is_open:
+                lost[name.split("/")[1]].append(name)
+            elif now is not None and is_journal(name):
+                self.own.findings += self._judge_journal(name)
+            elif now != mark or name in self.strayed:
+                self._judge(name, now, mark, is_open=is_open)
+        for who, names in lost.items():
+            self._judge_lost(who, names)
+
+    def _follow(self, one: Checkpoint) -> None:
+        for name in self.base.keys() | one.marks.keys():
+            mark = one.marks.get(name)
+            is_free = not one.begins and _may_change(one, name, mark)
+            if mark is not None and is_journal(name):
+                self.seen[name].setdefault(mark, one)
+            if mark is None and is_free:
+                del self.base[name]
+            elif mark is not None and (is_free or name not in self.base):
+                self.base[name] = one, mark
+                self.strayed.discard(name)
+            elif mark != self.base[name][1] and not name.startswith("sessions/"):
+                self.strayed.add(name)
+
+    def _note(self, one: Checkpoint) -> None:
+        """Note what began and did not end, and what was declared."""
+        ended = one.who.partition(" ")[::2] if one.by == "failed" else (one.by, one.who)
+        self.begun.pop(ended, None)
+        if one.begins:
+            self.begun[one.by, one.who] = one
+        elif one.by == "withdraw":
+            text = f"withdrew at the checkpoint of {one.utc}"
+            self.own.remarks.append(f"{self.study.sessions / one.who}: {text}")
+        if one.reason:
+            text = f"the checkpoint of {one.utc} declares: {one.reason}"
+            self.own.remarks.append(f"{self.study.path / EVIDENCE}: {text}")
+
+    def _judge(self, name: str, now: Mark | None, mark: Mark, *, is_open: bool) -> None:
+        """Judge a file that is not what it was, or was not all the time."""
+        area, path = name.partition("/")[0], self.study.path / name
+        since = f"since the checkpoint of {self.base[name][0].utc}"
+        if name in DERIVED or (now is None and area == "report"):
+            return
+        became = "is gone" if now is None else "was changed"
+        if is_open or name in NOTED:
+            self.own.remarks.append(f"{path}: {became} {since}" + " by what did not end" * is_open)
+        elif now not in {None, mark} and _has_other_ends(path.read_bytes(), mark):
+            self.own.remarks.append(f"{path}: has other line endings {since}, and no other change")
+        else:
+            remedy = REMEDIES.get(area, REMEDY)
+            self.own.findings.append(f"{path}: {became} {since}; {remedy}")
+
+    def _judge_journal(self, name: str) -> Iterator[str]:
+        """Demand that a journal begins with all that it ever was."""
+        path, good = self.study.path / name, 0
+        content = path.read_bytes()
+        for mark, one in sorted(self.seen[name].items(), key=lambda item: item[0].size):
+            when = f"at the checkpoint of {one.utc}; restore it from a copy"
+            if len(content) < mark.size:
+                yield f"{path}: was cut, {len(content)} bytes are left of {mark.size} {when}"
+                return
+            if digest(content[: mark.size]) != mark.sha256:
+                first, last = (content[:size].count(b"\n") for size in (good, mark.size))
+                yield f"{path}, lines {first + 1} to {last}: are not those {when}"
+                return
+            good = mark.size
+
+    def _judge_lost(self, who: str, names: Sequence[str]) -> None:
+        folder, files = self.study.sessions / who, [name.rpartition("/")[2] for name in names]
+        if files == [PLAN_FILE] and not folder.exists():
+            return  # the number was given back before anything was recorded
+        utc = max(self.base[name][0].utc for name in names)
+        remedy = "restore it from a copy"
+        if (folder / TOMBSTONE_FILE).is_file():
+            remedy = f"no checkpoint declares the tombstone there; {REMEDY}"
+        text = f"lost {', '.join(files)} since the checkpoint of {utc}; {remedy}"
+        self.own.findings.append(f"{folder}: {text}")
+
+
+def _has_other_ends(content: bytes, mark: Mark) -> bool:
+    plain = content.replace(b"\r\n", b"\n")
+    return mark.sha256 in {digest(plain), digest(plain.replace(b"\n", b"\r\n"))}
+
+
+def _may_change(one: Checkpoint, name: str, mark: Mark | None) -> bool:
+    """Check whether a file may have become this on the occasion of a checkpoint: a withdrawal only removes files."""
+    area, _, rest = name.partition("/")
+    if area == "sessions":
+        who = rest.partition("/")[0]
+        stone = f"sessions/{who}/{TOMBSTONE_FILE}"
+        is_declared = one.reason and stone in one.marks
+        return bool(is_declared or (one.by, one.who) == ("withdraw", who)) and (
+            mark is None or name == stone
+        )
+    return one.by in OCCASIONS[area] if area in OCCASIONS else name in NOTED or bool(one.reason)

@@ -1,9 +1,8 @@
-"""Audit: verify every journal, plan, seal and ledger entry of a study.
+"""Audit: verify every journal, plan and ledger entry of a study, and compare its files with its checkpoints.
 
 Every finding names the file, and the line where there is one. The digest that plans and journals keep of the
 stimulus set covers `manifest.csv`, and by it every WAV. Of `manifest.json` the rows are compared with that; its
-recipe, units and versions stand under no digest but the seal (`make_seal`), and `check` compares the recipe with the
-settings.
+recipe, units and versions are covered by checkpoints only, and `check` compares the recipe with the settings.
 """
 
 import json
@@ -28,29 +27,28 @@ from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_plan
 
 @dataclass(frozen=True, slots=True)
 class Examined:
-    """What an audit found; sentence: how far its evidence reaches, anchored_utc: of the last anchor."""
+    """What an audit found; checkpoint: the newest, sentence: how far the evidence reaches."""
 
     findings: tuple[str, ...]
     remarks: tuple[str, ...]
     sentence: str
-    anchored_utc: str
+    checkpoint: str
 
 
 def examine(
     study: StudyFolder,
     *,
-    code: str = "",
-    extra: Sequence[Path] = (),
+    expect: str = "",
+    remotes: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Examined:
-    """Verify a study by itself, and by its checkpoints and anchors; code: a printed one, extra: places of anchors."""
+    """Verify a study by itself, and by its checkpoints; expect: one that must be there, remotes: further ones."""
     findings = _audit_alone(study, progress)
     wrong, older = audit_tables(study)
-    evidence = weigh(study, code=code, extra=extra)
+    evidence = weigh(study, expect=expect, remotes=remotes)
     remarks = [*evidence.remarks, *older, *list_remarks(study), *list_stale(study)]
-    utc = evidence.anchor.utc if evidence.anchor else ""
     every = dict.fromkeys([*findings, *wrong, *evidence.findings])
-    return Examined(tuple(every), tuple(remarks), evidence.sentence, utc)
+    return Examined(tuple(every), tuple(remarks), evidence.sentence, evidence.checkpoint)
 
 
 def audit_study(

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
@@ -25,61 +23,51 @@ PER_FILE = 10
 @click.command(
     epilog="""\b
 Example: feel321 audit my-study
-         feel321 audit my-study --code 000C-7QZK-R2M4-9V8T-XH3D-5
-         feel321 audit my-study --anchors /media/usb/anchors
+         feel321 audit my-study --remote /media/usb/evidence.git
+         feel321 audit my-study --expect 5f0c2a7e91d4
 """
 )
 @shared.study_argument
-@click.option("--code", default="", help="A code that feel321 seal printed.")
 @click.option(
-    "--anchors", "places", metavar="DIR", type=shared.FILE, multiple=True,
-    help="A folder with anchors, in addition to those chosen for this rig; repeatable.",
+    "--remote", "remotes", metavar="REMOTE", multiple=True,
+    help="A git remote with checkpoints, in addition to the study's own; repeatable.",
 )  # fmt: skip
 @click.option(
     "--expect",
-    metavar="DIGEST",
-    help="The seal that an earlier audit printed; fail if it has changed.",
+    metavar="ID",
+    default="",
+    help="Fail if there is no such checkpoint of feel321 seal.",
 )
 @shared.rehearsals_option
 @shared.json_option
 @click.pass_context
-def audit(  # noqa: PLR0913 - one per option
+def audit(
     context: click.Context,
     *,
     study: Study,
-    code: str,
-    places: Sequence[Path],
-    expect: str | None,
+    remotes: Sequence[str],
+    expect: str,
     rehearsals: bool,
     as_json: bool,
 ) -> None:
     """Verify plans, journals and stimuli; list every change.
 
-    Compares the journals with plans, ledger, tables and report, and all of it with the checkpoints of the study and
-    with the anchors that feel321 seal put elsewhere.
+    Compares the journals with plans, ledger, tables and report, and the files with the checkpoints in .evidence and at
+    its remotes. What no checkpoint covers is not judged: recordings, personal answers, other results.
     """
     study = replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))
-    found = study.audit(code=code, anchors=places)
-    path, findings = study.folder.path, list(found.findings)
-    if expect not in {None, found.seal}:
-        text = (
-            f"the seal must be {expect}, got {found.seal}; something was recorded or changed since"
-        )
-        findings.append(f"{path}: {text}")
-    found = replace(found, findings=tuple(findings))
+    found = study.audit(expect=expect, remotes=remotes)
     if as_json:
         shared.print_json(asdict(found))
     else:
         shared.echo("\n".join(_describe(found, study)))
-        shared.echo(f"seal: {found.seal}; keep it elsewhere")
-    context.exit(1 if findings else 0)
+    context.exit(1 if found.findings else 0)
 
 
 def _describe(found: Audit, study: Study) -> list[str]:
     """Describe an audit for people: the findings by file, then what they were compared with."""
     n, path = len(study.folder.journals), study.folder.path
-    state = "all as they were written" if found.anchored_utc else "no contradiction in them"
-    good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, {state}"
+    good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, no contradiction in them"
     lines = _group(found.findings) or [good]
     return [*lines, *([found.sentence] if found.sentence else []), *found.remarks]
 
@@ -100,7 +88,7 @@ def _group(findings: Sequence[str]) -> list[str]:
 @click.command(
     epilog="""\b
 Example: feel321 seal my-study
-         feel321 seal my-study --to /mnt/elsewhere/anchors
+         feel321 seal my-study --to /mnt/elsewhere/my-study.git
          feel321 seal my-study --reason "analysis.draws raised, as preregistered"
 """
 )
@@ -111,60 +99,26 @@ Example: feel321 seal my-study
     help="Why settings, texts or methods were changed since the last checkpoint.",
 )
 @click.option(
-    "--to", "folder", metavar="DIR", type=shared.FILE,
-    help="Keep anchors in this folder too, from now on; it must not be in the study.",
+    "--to", metavar="REMOTE", default="",
+    help="Push to this git remote from now on: a folder outside the study, or a URL.",
 )  # fmt: skip
-@click.option(
-    "--git",
-    "remote",
-    metavar="REMOTE",
-    default="",
-    help="Push anchors to this git remote, from now on.",
-)
-@shared.flag("--make-key", "Make a key for this rig, and sign anchors with it from now on.")
-@shared.flag("--passphrase", "Protect the new key with a passphrase, which you are asked for.")
 @shared.json_option
-def seal(  # noqa: PLR0913 - one per option
-    *,
-    study: Study,
-    reason: str,
-    folder: Path | None,
-    remote: str,
-    make_key: bool,
-    passphrase: bool,
-    as_json: bool,
-) -> None:
-    """Take a checkpoint of the study, and anchor it elsewhere.
+def seal(*, study: Study, reason: str, to: str, as_json: bool) -> None:
+    """Take a checkpoint of the study, and push it to its remotes.
 
-    A checkpoint of all journals, plans, settings and tables is appended to checkpoints.jsonl, as after each session.
-    Its code (print it or write it down) and the copies kept elsewhere reveal every later change (feel321 audit).
-    Places and the key belong to this rig, not to the study; they are kept in anchors.toml of the user's
-    configuration, and a new one only if it took this anchor. A passphrase may also stand in FEEL321_KEY_PASSPHRASE.
+    A checkpoint is a commit in the git repository .evidence of the study: the SHA-256 and size of plans, journals,
+    settings, texts, methods, stimuli, tables and report, never their contents. run, simulate, build, analyze and
+    withdraw take one too. A remote that others cannot write to reveals every later change (feel321 audit); it may be a
+    folder that is not there yet, and is kept if it takes this checkpoint.
     """
-    from feel321.study.auditing import keys, sealing
-
-    secret = os.environ.get(keys.PASSPHRASE, "")
-    if passphrase and not make_key:
-        raise click.UsageError("--passphrase needs --make-key")
-    if passphrase and not secret:
-        secret = click.prompt("Passphrase", hide_input=True, confirmation_prompt=True, err=True)
-    if make_key:
-        path, fingerprint = sealing.choose_key(passphrase=secret if passphrase else "")
-        shared.echo(f"{path}: key {fingerprint}; keep a copy of it elsewhere", err=True)
-    found = sealing.seal_into(
-        study.folder, folder=folder, remote=remote, reason=reason, passphrase=secret, now=study.now
-    )
+    found = study.seal(reason, to=to)
     for problem in found.problems:
         shared.warn(problem)
     if as_json:
         shared.print_json(asdict(found))
         return
-    places = [f"anchor: {place}" for place in found.places] or [
-        "anchor: none outside the folder; see --to, --git"
-    ]
-    shared.echo("\n".join([
-        f"{study.folder.path}: checkpoint {found.checkpoints} of {found.utc}", *places, f"code: {found.code}"
-    ]))  # fmt: skip
+    places = [f"pushed to {place}" for place in found.places] or ["pushed nowhere; see --to"]
+    shared.echo("\n".join([f"{study.folder.path}: checkpoint {found.checkpoint}", *places]))
 
 
 @click.command(

@@ -341,7 +341,6 @@ def withdraw(
     is not reused. --keep-data, for somebody who will not return: what was recorded stays, the next participant gets the
     slot.
     """
-    from feel321.study.auditing.sealing import seal_withdrawal
     from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 
     folder = study.folder
@@ -358,8 +357,6 @@ def withdraw(
     removed = withdraw_participant(
         folder, participant, now=study.now, reason=reason, warn=shared.warn
     )
-    if problem := seal_withdrawal(folder, participant, now=study.now):
-        shared.warn(problem)
     shared.echo(
         f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
         "Copies that feel321 did not make must be removed by hand"

@@ -16,7 +16,7 @@ from feel321.files import digest_file, make_folder, sync_folder, temporary_folde
 from feel321.records import to_json_value
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import list_info, list_labels
-from feel321.study.auditing.seal import make_seal
+from feel321.study.checkpoints import find_newest
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.export.narrative import METHODS_FILE, make_methods
 from feel321.study.export.people import gather_people, number_names
@@ -289,7 +289,9 @@ def _write_words(
         "GeneratedBy": [
             {"Name": "feel321", "Version": __version__, "Description": "feel321 export"}
         ],
-        "SourceDatasets": [{"Version": f"study sealed {make_seal(study)}"}],
+        "SourceDatasets": [{"Version": f"checkpoint {newest}"}]
+        if (newest := find_newest(study))
+        else [],
     }
     _write_json(folder / "dataset_description.json", about)
     _write(folder / ".bidsignore", f"/{METHODS_FILE}\n")

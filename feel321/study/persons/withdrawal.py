@@ -30,6 +30,7 @@ from feel321.files import (
 )
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import server
+from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder
 from feel321.study.ledger import database, progress, slots
 from feel321.study.ledger.database import Entry, read_ledger
@@ -77,7 +78,7 @@ def withdraw_participant(
     if folder.is_symlink():  # what it leads to is left, but looked at
         found = found or _make_tombstone(folder, entry, reason=reason, now=now)
         _announce(_drop_link(folder), say)
-    with hold_folder(folder):
+    with hold_folder(folder), declaring(study, "withdraw", who=participant, warn=say):
         # Or the tombstone of a withdrawal that was interrupted.
         tombstone = found or _make_tombstone(folder, entry, reason=reason, now=now)
         progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVING))

@@ -1,7 +1,7 @@
-"""Ways to falsify a finished study, each a function on its folder; `docs/audit.md` says which are seen, and how.
+"""Ways to falsify a finished study, each a function on its folder; `seen.csv` says which are seen, and how.
 
 `knows` says how well informed a cheat is: it edits files; mends the digests of what it edits; makes the ledger and the
-tables anew, so that they agree. On top of that, `begin_anew` writes the checkpoints anew.
+tables anew, so that they agree. On top of that, `begin_anew` makes the evidence anew.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.auditing.checkpoints import note_analysis
+from feel321.study.checkpoints import take_checkpoint
 from feel321.study.ledger.progress import Tombstone, write_roster, write_tombstone
 from feel321.study.ledger.slots import rebuild_ledger
 from feel321.study.matches import write_matches
@@ -172,11 +172,10 @@ def replace_text(path: Path, old: str, new: str) -> None:
 
 
 def begin_anew(study: StudyFolder) -> None:
-    """Write the checkpoints anew, as if the study had always been what it is now."""
-    from feel321.study.auditing.checkpoints import find_chain, take_checkpoint
-
-    find_chain(study).unlink(missing_ok=True)
-    take_checkpoint(study, by="seal", now=now)
+    """Make the evidence anew, as if the study had always been what it is now, and push it."""
+    shutil.rmtree(study.path / ".evidence", ignore_errors=True)
+    remote = study.path.parent / "remote.git"
+    take_checkpoint(study, "seal", remote=str(remote) if remote.is_dir() else "", now=now)
 
 
 # Ratings in the journal.
@@ -420,11 +419,11 @@ def _(study: StudyFolder) -> None:
     (study.path / "participants.csv").unlink()
 
 
-@cheat("sessions/, the roster and the checkpoints are removed", is_data=False)
+@cheat("sessions/, the roster and the evidence are removed", is_data=False)
 def _(study: StudyFolder) -> None:
     shutil.rmtree(study.sessions)
-    for name in ("participants.csv", "checkpoints.jsonl"):
-        (study.path / name).unlink(missing_ok=True)
+    (study.path / "participants.csv").unlink()
+    shutil.rmtree(study.path / ".evidence", ignore_errors=True)
 
 
 @cheat("two participants exchange their folders")
@@ -599,7 +598,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("a bad rater is withdrawn, by the verb", LEDGER)
+@cheat("a bad rater is withdrawn, by the verb", LEDGER, is_data=False)
 def _(study: StudyFolder) -> None:
     withdraw_participant(study, "sim002", now=now)
 
@@ -734,7 +733,7 @@ def _(study: StudyFolder) -> None:
 
 @cheat("a number in results.json is edited after an analysis that was killed", is_data=False)
 def _(study: StudyFolder) -> None:
-    note_analysis(study, now=now)
+    take_checkpoint(study, "before analyze", now=now)
     CHEATS["a number in results.json is edited"].act(study)
 
 

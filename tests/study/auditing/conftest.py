@@ -37,20 +37,8 @@ def cheats() -> Any:
 
 
 @pytest.fixture(scope="session")
-def table() -> Any:
-    return load("table")
-
-
-@pytest.fixture(scope="session")
-def bench(tmp_path_factory: pytest.TempPathFactory, table: Any, scripted: type) -> Any:
-    """Finished studies to be falsified, with anchors outside."""
-    made, home = load("finished"), tmp_path_factory.mktemp("bench")
-    with table.configure(home / "before"):
-        simulated, real = (
-            made.make_simulated(home / "simulated"),
-            made.make_real(home / "real", scripted),
-        )
-    return table.Bench(simulated, real, home / "bench")
+def studies() -> Any:
+    return load("finished")
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,7 @@ seed = 321
 scene = "bumps"
 duration_s = 0.3
 [stimuli]
-reducers = ["sax321", "dft321"]
+reducers = ["sax321", "mag321", "dft321"]
 reference = "none"
 anchors = false
 [session]

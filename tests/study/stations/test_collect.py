@@ -320,8 +320,9 @@ def test_a_tombstone_wins_wherever_it_is(stations: Any) -> None:
     fresh = replace(main, path=main.path.with_name("fresh"))
     shutil.copytree(two.path, fresh.path)
     shutil.rmtree(fresh.sessions)
-    for name in ("checkpoints.jsonl", "ratings.csv", "participants.csv"):
+    for name in ("ratings.csv", "participants.csv"):
         (fresh.path / name).unlink(missing_ok=True)
+    shutil.rmtree(fresh.path / ".evidence")
     collect(fresh, one, main)
     assert read_files(fresh)["sim001/withdrawn.json"] in {
         read_files(one)["sim001/withdrawn.json"], read_files(main)["sim001/withdrawn.json"],
