@@ -88,7 +88,7 @@ def save_report(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as made:
         demo = Path(made) / "demo"
         subprocess.run(
-            [Path(sys.executable).with_name("feel321"), "demo", "--dir", demo], check=True
+            [Path(sys.executable).with_name("feel321"), "demo", "--out", demo], check=True
         )
         save_pages((demo / "report" / "index.html").read_text(encoding="utf-8"), folder, Path(made))
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
 TEMPLATES = Path(__file__).parents[2] / "feel321" / "study" / "settings"
-FILES = {"study.toml": (Settings, "template.toml"), "rig.toml": (Rig, "rig_template.toml")}
+FILES = {"study.toml": (Settings, "all_settings.toml"), "rig.toml": (Rig, "all_rig_settings.toml")}
 WORDS = tomllib.loads((Path(__file__).parent / "settings.toml").read_text(encoding="utf-8"))
 """Meanings that no comment of the templates gives, by file and place."""
 

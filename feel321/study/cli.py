@@ -22,31 +22,23 @@ from feel321.study.commands.shared import add_loudness, cap, echo, warn
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
-VERBS = {
-    "evidence": ("audit", "freeze", "seal"),
-    "exports": ("export",),
-    "lab": ("run",),
-    "rig": ("calibrate", "doctor"),
-    "methods": ("advise", "chart", "stress"),
-    "planning": ("power",),
-    "signals": ("match", "reduce"),
-    "stations": ("collect",),
-    "studies": (
-        "analyze",
-        "build",
-        "check",
-        "demo",
-        "ledger",
-        "new",
-        "note",
-        "simulate",
-        "status",
-        "texts",
-        "withdraw",
-    ),
-    "watch": ("monitor", "rehearse", "replay"),
-}
-"""Module of `feel321.study.commands` -> its verbs."""
+GROUPS = {
+    "Design": {
+        "new": "studies", "check": "studies", "build": "studies", "power": "planning", "freeze": "evidence",
+        "tradeoff": "tradeoff",
+    },
+    "Lab": {
+        "calibrate": "rig", "doctor": "rig", "run": "lab", "simulate": "studies", "status": "studies",
+        "note": "studies", "collect": "stations", "withdraw": "studies",
+    },
+    "Results": {"analyze": "studies", "audit": "evidence", "seal": "evidence", "export": "exports"},
+    "Signals": {"reduce": "signals", "match": "signals"},
+    "Example": {"demo": "studies"},
+}  # fmt: skip
+"""Group of the help -> its verbs, and the module of `feel321.study.commands` that holds each."""
+
+FORMER = {"advise": "tradeoff", "chart": "tradeoff", "stress": "tradeoff"}
+"""Verbs whose work another one does now."""
 
 LONGEST = 1000
 """Letters of a line of an error."""
@@ -88,14 +80,23 @@ class _Verbs(click.Group):
     """The verbs; what click says about Ctrl-C takes two lines, and it cannot know what continues."""
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the verbs with their whole summaries: click cuts those that do not fit into a line."""
-        rows = [
-            (name, (verb.help or "").partition("\n\n")[0].replace("\n", " "))
-            for name in self.list_commands(ctx)
-            if (verb := self.get_command(ctx, name)) and not verb.hidden
-        ]
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
+        """List the verbs by group, with their whole summaries: click cuts those that do not fit into a line."""
+        for group, verbs in GROUPS.items():
+            rows = [
+                (name, (verb.help or "").partition("\n\n")[0].replace("\n", " "))
+                for name in verbs
+                if (verb := self.get_command(ctx, name))
+            ]
+            with formatter.section(group):
+                formatter.write_dl(rows)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find a verb; name the one that took over the work of a former one."""
+        if args[0] in FORMER:
+            ctx.fail(f"{args[0]} is part of {FORMER[args[0]]} now")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:
         try:
@@ -111,8 +112,8 @@ class _Verbs(click.Group):
     epilog="Begin with: feel321 demo",
     commands=[
         add_loudness(getattr(import_module(f"feel321.study.commands.{module}"), verb))
-        for module, verbs in VERBS.items()
-        for verb in verbs
+        for verbs in GROUPS.values()
+        for verb, module in verbs.items()
     ],
     no_args_is_help=False,
     context_settings={"help_option_names": ["-h", "--help"]},

@@ -156,8 +156,8 @@ def list_bundled() -> tuple[str, ...]:
 def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     """Begin a study: its folder, a commented `study.toml` that works as it is, and a `rig.toml`.
 
-    bundled: which ready study it is to be; one with every setting at its default if left out. Methods of its own that
-    it names are written beside it.
+    bundled: which ready study it is to be; if left out, one of bundled scenes, with the settings that labs change
+    first. Methods of its own that it names are written beside it.
     """
     text = read_template() if bundled is None else read_bundled(bundled)
     study = StudyFolder(path)
@@ -217,6 +217,12 @@ def require_study(path: Path) -> StudyFolder:
 def read_template() -> str:
     """Read the `study.toml` that a new study begins with."""
     return (TEMPLATES / "template.toml").read_text(encoding="utf-8")
+
+
+def read_all_settings() -> dict[str, str]:
+    """Read the lists of every setting, with its default and meaning, by the file that holds them."""
+    names = {"study.toml": "all_settings.toml", "rig.toml": "all_rig_settings.toml"}
+    return {file: (TEMPLATES / name).read_text(encoding="utf-8") for file, name in names.items()}
 
 
 def read_bundled(name: str) -> str:

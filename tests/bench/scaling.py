@@ -23,9 +23,7 @@ TICK_S = 0.05
 FEEL321 = [str(Path(sys.executable).with_name("feel321"))]
 VERBS = {
     "build": ["build", "study", "--no-page"],
-    "advise": ["advise", "study", "--output", "out"],
-    "chart": ["chart", "study", "--output", "out"],
-    "stress": ["stress", "study", "--output", "out"],
+    "tradeoff": ["tradeoff", "study", "--out", "out"],
 }
 
 

@@ -185,15 +185,15 @@ def test_a_translation_says_what_it_lacks(study: StudyFolder) -> None:
 def test_the_texts_are_written_to_be_edited(
     study: StudyFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["texts", str(study.path), "--language", "de"]) == 0
+    assert main(["new", str(study.path), "--texts", "de"]) == 0
     path = study.path / "texts.toml"
     line = f'{path}: edit it, then in study.toml under [session]: language = "texts.toml"\n'
     assert capsys.readouterr().out == line
     assert read_texts(path) == read_texts("de")
-    assert main(["texts", str(study.path)]) == 1
+    assert main(["new", str(study.path), "--texts", "en"]) == 1
     assert "already exists and is not overwritten" in capsys.readouterr().err
-    assert main(["texts", str(study.path), "--language", "fr"]) == 1
-    assert capsys.readouterr().err == "feel321: language must be one of de, en; got 'fr'\n"
+    assert main(["new", str(study.path), "--texts", "fr"]) == 1
+    assert capsys.readouterr().err == "feel321: --texts must be one of de, en; got 'fr'\n"
 
 
 @pytest.mark.parametrize(("rate_hz", "count"), [(2000.0, 0), (1800.0, 1), (100.0, 2)])

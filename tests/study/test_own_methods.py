@@ -23,7 +23,7 @@ SMALL = {
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     path = tmp_path / "study"
-    assert main(["new", str(path), "--with", "methods"]) == 0
+    assert main(["new", str(path), "--methods"]) == 0
     text = (path / "study.toml").read_text()
     for scene in ("texture_drag", "constrained_drag", "isotropic_rumble", "circular_motion"):
         text = text.replace(f'[[recordings]]\nscene = "{scene}"\n', "")

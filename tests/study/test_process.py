@@ -200,7 +200,7 @@ def test_demo_runs_the_whole_chain_and_goes_on_where_it_was(
     imports, _ = spend(
         sys.executable, "-c", "import statsmodels.api, matplotlib.pyplot", cwd=tmp_path
     )
-    cost, first = spend(FEEL321, "demo", "--dir", "demo", cwd=tmp_path)
+    cost, first = spend(FEEL321, "demo", "--out", "demo", cwd=tmp_path)
     # A minute of the processor's time on a calm machine, where these imports take two seconds of it.
     assert cost / imports < 30
     report = tmp_path / first.stdout.splitlines()[-1]
@@ -213,7 +213,7 @@ def test_demo_runs_the_whole_chain_and_goes_on_where_it_was(
     monkeypatch.setattr(
         "feel321.analysis.report.write.SECTIONS", (association.compute_association,)
     )
-    assert main(["demo", "--dir", "demo"]) == 0
+    assert main(["demo", "--out", "demo"]) == 0
     again = capsys.readouterr()
     assert (again.err, again.out) == (first.stderr, first.stdout)
     assert (tmp_path / "demo" / "ratings.csv").read_bytes() == ratings

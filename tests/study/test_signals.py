@@ -31,7 +31,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     "build": ("build", "STUDY", "--workers", "2"),
     "simulate": ("simulate", "STUDY", "--participants", "500"),
     "analyze": ("analyze", "STUDY"),
-    "chart": ("chart", "STUDY", "--workers", "2"),
+    "tradeoff": ("tradeoff", "STUDY", "--workers", "2"),
     "stress": ("stress", "--scenes", "--out", "STUDY/stress", "--workers", "2"),
     "power": ("power", "STUDY", "--workers", "2"),
     "export": ("export", "STUDY", "STUDY/r", "--r"),

@@ -12,7 +12,7 @@ from feel321 import study as face
 from feel321.study import Study
 from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
-from feel321.study.folder import read_template
+from feel321.study.folder import read_all_settings
 from feel321.study.settings.edit import change_settings
 
 if TYPE_CHECKING:
@@ -118,14 +118,14 @@ def test_settings_are_changed_in_their_place(tmp_path: Path) -> None:
 
 
 def test_every_setting_of_the_template_can_be_changed_and_nothing_else_changes() -> None:
-    text = read_template()
+    text = read_all_settings()["study.toml"]
     for name, value in (
         ("stimuli.reducers", ["dft321"]),  # several lines
         ("stimuli.gain", 1.0),  # a comment of several lines
         ("analysis.margin", 5.0),  # so far a comment
         ("tasks.similarity.timing", "strict"),  # so far no table
         ("session.breaks.every_min", "off"),
-        ("study.name", 'a "# b'),
+        ("study.name", 'a "# b'),  # so far a comment, too
     ):
         before, after = text.split("\n"), change_settings(text, {name: value}).split("\n")
         assert sum(line not in after for line in before) <= 3

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321 import doors
-from feel321.study.cli import VERBS, main
+from feel321.study.cli import GROUPS, main
 
 if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder
 
 FEEL321 = Path(sys.executable).with_name("feel321")
-EVERY = sorted(verb for verbs in VERBS.values() for verb in verbs)
+EVERY = sorted(verb for verbs in GROUPS.values() for verb in verbs)
 
 
 def watch(*arguments: object) -> str:

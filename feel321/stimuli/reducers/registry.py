@@ -6,7 +6,7 @@ modified.
 
 A streamed reducer gives, sample by sample, what its offline form gives for the whole signal, `latency_samples` later.
 It allocates a little per call and never looks ahead. The work of a window is done in the block that completes half a
-window, it is not spread: `feel321 chart` measures what that block costs.
+window, it is not spread: `feel321 tradeoff` measures what that block costs.
 
 A *gap* is a run of samples that did not arrive: samples of which an axis is not a finite number, or that `skip`
 declares. Time goes on during a gap, so as many samples are given as are missing.

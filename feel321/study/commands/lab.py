@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 @shared.flag("--windowed", "A window instead of the whole screen.")
 @click.option(
     "--screen",
-    type=click.IntRange(0, 99),
+    type=shared.WholeNumber(0, 99),
     default=0,
     show_default=True,
     metavar="N",

@@ -103,16 +103,16 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
     help="Target power.",
 )  # fmt: skip
 @click.option(
-    "--studies", type=click.IntRange(0, MOST_STUDIES), default=1000, show_default=True,
+    "--studies", type=shared.WholeNumber(0, MOST_STUDIES), default=1000, show_default=True,
     help="Simulated studies of each checked design; 0: closed form only.",
 )  # fmt: skip
 @click.option(
-    "--full", "whole", type=click.IntRange(0, MOST_STUDIES), default=0, metavar="N",
+    "--full", "whole", type=shared.WholeNumber(0, MOST_STUDIES), default=0, metavar="N",
     help="Also simulate N complete studies, from sessions to the report's analysis; seconds each.",
 )  # fmt: skip
 @shared.workers_option
 @shared.seed_option(" of all simulations")
-@click.option("--out", type=shared.FILE, help="Folder of the results.  [default: STUDY/power]")
+@shared.out_option("STUDY/power")
 @shared.json_option
 def power(
     study: Study, *, as_json: bool, out: Path | None, workers: Workers, **given: object

@@ -46,8 +46,23 @@ MOST = 1e9
 MOST_WORKERS = 1024
 
 
+def _describe_range(low: float | None, high: float | None) -> str:
+    """Say which numbers are allowed, as people write it.
+
+    Examples
+    --------
+    >>> _describe_range(1, 3), _describe_range(0, MOST), _describe_range(-MOST, MOST)
+    ('1 to 3', '0 or more', '')
+    """
+    if low is None or low <= -MOST:
+        return ""
+    return f"{low:g} or more" if high is None or high >= MOST else f"{low:g} to {high:g}"
+
+
 class BoundedNumber(click.FloatRange):
     """A number in a range; NaN, which is in none, is refused too."""
+
+    name = "number"
 
     def convert(
         self,
@@ -56,17 +71,27 @@ class BoundedNumber(click.FloatRange):
         ctx: click.Context | None,
     ) -> float:
         """Read a number."""
-        number: float = super().convert(value, param, ctx)
-        if number != number:  # noqa: PLR0124 - NaN alone differs from itself
-            self.fail(
-                f"{value!r} is not a number in the range {self._describe_range()}", param, ctx
-            )
-        return number
+        number: float = click.FLOAT.convert(value, param, ctx)
+        if not abs(number) <= MOST:
+            self.fail(f"{value!r} is not a number of at most {MOST:g}", param, ctx)
+        return float(super().convert(number, param, ctx))
+
+    def _describe_range(self) -> str:
+        return _describe_range(self.min, self.max)
+
+
+class WholeNumber(click.IntRange):
+    """A whole number in a range."""
+
+    name = "number"
+
+    def _describe_range(self) -> str:
+        return _describe_range(self.min, self.max)
 
 
 LOUDNESS = "feel321.loudness"
 
-READING = {"audit", "check", "monitor", "replay", "status", "stress", "texts"}
+READING = {"audit", "check", "monitor", "replay", "status"}
 """Verbs that write nothing into a study, so that they leave it as it is."""
 
 FILE = _GivenPath(path_type=Path)
@@ -101,6 +126,13 @@ metric_option = click.option(
     metavar="NAME",
     help="A numeric column of the manifest as a metric of the primary analysis; repeatable.  [default: as declared]",
 )
+
+
+def out_option(default: str) -> Callable[[Verb], Verb]:
+    """Give a verb the folder of its results."""
+    return click.option("--out", type=FILE, help=f"Folder of the results.  [default: {default}]")
+
+
 rehearsals_option = flag(
     "--rehearsals", "Take the rehearsals (run --rehearse) instead of the sessions."
 )
@@ -112,7 +144,7 @@ def workers_option(verb: Verb) -> Verb:
     @click.option(
         "--workers",
         "processes",
-        type=click.IntRange(1, MOST_WORKERS),
+        type=WholeNumber(1, MOST_WORKERS),
         default=1,
         show_default=True,
         help="Number of processes; each takes a second or two to start, too long for a few short recordings.",
@@ -144,7 +176,7 @@ def workers_option(verb: Verb) -> Verb:
 def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]:
     """Give a verb a random seed."""
     text = f"Random seed{of}.  [default: {default}]"
-    return click.option("--seed", type=click.IntRange(0, 2**63 - 1), help=text)
+    return click.option("--seed", type=WholeNumber(0, 2**63 - 1), help=text)
 
 
 def add_loudness(verb: click.Command) -> click.Command:

@@ -69,7 +69,8 @@ def _check_wav(_context: click.Context, _parameter: click.Parameter, path: Path)
 )
 @click.option(
     "-o",
-    "--output",
+    "--out",
+    "output",
     type=shared.FILE,
     callback=_check_wav,
     required=True,
@@ -200,9 +201,7 @@ def _check_output(*targets: Path, force: bool) -> None:
     taken = [target for target in targets if target.exists()]
     for target in taken:
         if any(target.samefile(path) for path in own):
-            raise click.UsageError(
-                f"--output: {target} belongs to the recording; name another file"
-            )
+            raise click.UsageError(f"--out: {target} belongs to the recording; name another file")
     if taken and not force:
         names = ", ".join(map(str, taken))
         raise FileExistsError(f"{names}: already exists; name another file or add --force")

@@ -12,7 +12,13 @@ import click
 
 from feel321 import intake
 from feel321.study.commands import shared
-from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
+from feel321.study.folder import (
+    StudyFolder,
+    create_study,
+    list_bundled,
+    read_template,
+    require_study,
+)
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
@@ -21,30 +27,64 @@ if TYPE_CHECKING:
 DEMO_PARTICIPANTS = 16
 
 
-@click.command(epilog="Example: feel321 new my-study --study park2019")
-@click.argument("folder", metavar="DIR", type=shared.FILE)
-@click.option(
-    "--study",
-    "bundled",
-    type=click.Choice(list_bundled()),
-    help="A ready study: a published one, or a design.",
+@click.command(
+    epilog="""\b
+Example: feel321 new my-study
+         feel321 new my-study --study park2019
+         feel321 new my-study --texts de
+         feel321 new --all-settings
+"""
 )
+@click.argument("folder", metavar="[DIR]", type=shared.FILE, required=False)
+@click.option("--study", "bundled", type=click.Choice(list_bundled()), help="A ready study.")
+@shared.flag("--methods", "Also examples of methods of your own, in methods/.")
 @click.option(
-    "--with",
-    "extra",
-    type=click.Choice(["methods"]),
-    help="Also a working example of a reducer, a metric, a format, a protocol and a command of your own, in methods/.",
+    "--texts",
+    metavar="LANGUAGE",
+    help="Only write the participants' texts, en or de, to texts.toml.",
 )
-def new(folder: Path, *, bundled: str | None, extra: str | None) -> None:
+@shared.flag("--all-settings", "Only print every setting, with its default and meaning.")
+@click.pass_context
+def new(
+    context: click.Context,
+    *,
+    folder: Path | None,
+    bundled: str | None,
+    methods: bool,
+    texts: str | None,
+    all_settings: bool,
+) -> None:
     """Begin a study: a commented study.toml, ready to use."""
-    from feel321.study.folder import add_methods
+    from feel321.study.folder import add_methods, read_all_settings
 
-    if bundled and extra:
-        raise click.UsageError("--with adds to a study of your own; leave out --study")
+    if all_settings:
+        shared.echo(
+            "\n".join(f"# --- {file} ---\n{text}" for file, text in read_all_settings().items())
+        )
+        return
+    if folder is None:
+        raise click.MissingParameter(ctx=context, param_hint="'DIR'", param_type="argument")
+    if texts is not None:
+        _write_texts(require_study(folder), texts)
+        return
+    if bundled and methods:
+        raise click.UsageError("--methods adds to a study of your own; leave out --study")
     study = Study.create(folder, like=bundled).folder
-    if extra:
+    if methods:
         add_methods(study)
     shared.echo(f"{study.settings}: edit it, then: feel321 check {quote(str(folder))}")
+
+
+def _write_texts(study: StudyFolder, language: str) -> None:
+    """Write the participants' texts of a language, each as a comment, for a study that changes some of them."""
+    from feel321.doors import check_name
+    from feel321.files import create_text
+    from feel321.protocols.texts import COPY_FILE, list_languages, write_copy
+
+    check_name(language, list_languages(), "--texts")
+    path = study.path / COPY_FILE
+    create_text(path, write_copy(language))
+    shared.echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
 
 
 @click.command(
@@ -151,9 +191,9 @@ def build(*, study: Study, workers: Workers, no_page: bool, as_json: bool) -> No
         shared.echo("\n".join(lines))
 
 
-@click.command(epilog="Example: feel321 demo --dir demo-study")
+@click.command(epilog="Example: feel321 demo --out demo-study")
 @click.option(
-    "--dir",
+    "--out",
     "folder",
     type=shared.FILE,
     default=Path("demo-study"),
@@ -198,17 +238,17 @@ def _open_demo(folder: Path) -> StudyFolder:
         return create_study(folder)
     if not study.settings.is_file():
         raise FileExistsError(
-            f"{folder}: holds files that demo did not write; name another folder with --dir"
+            f"{folder}: holds files that demo did not write; name another folder with --out"
         )
     if intake.read_small(study.settings) != read_template():
         raise FileExistsError(
             f"{study.settings}: edited, or written by another version of feel321, so this is not the study that demo "
-            "runs; name another folder with --dir, or delete this one"
+            "runs; name another folder with --out, or delete this one"
         )
     if people := [entry.name for entry in study.participants if not NUMBERED.fullmatch(entry.name)]:
         raise FileExistsError(
             f"{folder}: holds a session of {people[0]}, who is no simulated participant; "
-            "name another folder with --dir"
+            "name another folder with --out"
         )
     return study
 
@@ -220,7 +260,7 @@ def _open_demo(folder: Path) -> StudyFolder:
 @shared.study_argument
 @click.option(
     "--participants",
-    type=click.IntRange(1, 10_000),
+    type=shared.WholeNumber(1, 10_000),
     default=16,
     show_default=True,
     help="Number of simulated participants.",
@@ -284,30 +324,6 @@ def note(*, study: Study, text: str, participant: str, rehearsals: bool) -> None
     if notice := take_note(folder, participant, text, now=study.now):
         shared.warn(notice)
     shared.echo(f"{participant}: noted")
-
-
-@click.command(epilog="Example: feel321 texts my-study --language de")
-@shared.study_argument
-@click.option(
-    "--language", help="A language of the catalogue, such as en or de.  [default: the study's]"
-)
-def texts(*, study: Study, language: str | None) -> None:
-    """Write the participants' texts to texts.toml, to be edited.
-
-    Every text in it is a comment. A study's own file needs to hold only the texts that it changes; the others are those
-    of the language that it names. A text that does not exist is refused with the nearest that does.
-    """
-    from feel321.doors import check_name
-    from feel321.files import create_text
-    from feel321.protocols.texts import COPY_FILE, MODEL, list_languages, write_copy
-
-    if language is None:
-        own = study.settings.session.language
-        language = own if own in list_languages() else MODEL
-    check_name(language, list_languages(), "language")
-    path = study.folder.path / COPY_FILE
-    create_text(path, write_copy(language))
-    shared.echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
 
 
 def _choose(study: Study, *, rehearsals: bool) -> Study:
@@ -397,9 +413,7 @@ Example: feel321 analyze my-study
 @shared.folder_argument
 @shared.ratings_option
 @shared.manifest_option
-@click.option(
-    "--out", type=shared.FILE, help="Folder of the report.  [default: report/ in the study]"
-)
+@shared.out_option("STUDY/report")
 @shared.metric_option
 @click.option(
     "--rivals",

@@ -28,7 +28,7 @@ Example: feel321 monitor my-study
 )
 @click.argument("folders", metavar="[STUDY]...", nargs=-1, type=shared.FILE)
 @click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, help="Port.  [default: a free one]"
+    "--port", type=shared.WholeNumber(0, 65535), default=0, help="Port.  [default: a free one]"
 )
 @click.option(
     "--host", default="127.0.0.1", show_default=True, help="Loopback address to listen on."
@@ -59,7 +59,9 @@ Example: feel321 replay my-study --participant p07 --speed 8
 )
 @shared.study_argument
 @shared.participant_option
-@click.option("--session", type=click.IntRange(1, 10_000), help="Number.  [default: the newest]")
+@click.option(
+    "--session", type=shared.WholeNumber(1, 10_000), help="Number.  [default: the newest]"
+)
 @click.option(
     "--speed",
     type=shared.BoundedNumber(0.1, 1000),
@@ -129,7 +131,7 @@ Example: feel321 rehearse my-study --out rehearsal.html
 @shared.flag("--by-hand", "Answer yourself, at an address of this machine.")
 @click.option(
     "--trials",
-    type=click.IntRange(1, 10_000),
+    type=shared.WholeNumber(1, 10_000),
     default=2,
     show_default=True,
     help="Trials of each task in training, in practice and in the main phase.",

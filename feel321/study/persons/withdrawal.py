@@ -50,7 +50,7 @@ from feel321.study.session.plan import TOMBSTONE_FILE
 
 OUTPUTS_FILE = "outputs.jsonl"
 
-RESULTS = ("report", "chart", "advice", "power")
+RESULTS = ("report", "tradeoff/chart", "tradeoff/advice", "power")
 """Folders of results in a study that ratings may be in, unless another name was given."""
 
 
@@ -281,7 +281,7 @@ def _clear_results(study: StudyFolder) -> Iterator[str]:
             yield from _drop_link(folder)
             continue
         remove_results(folder)
-        verb = {"report": "analyze", "advice": "advise"}.get(folder.name, folder.name)
+        verb = {"report": "analyze", "power": "power"}.get(folder.name, "tradeoff")
         yield f"{folder}: was removed because it held the participant's data; make it again: feel321 {verb}"
         if folder.exists():
             yield f"{folder}: holds other files; remove those with the participant's data"

@@ -51,9 +51,12 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
     """
     settings = parse_toml(path, Settings)
     session, home = settings.session, folder or path.parent
-    settings = settings.model_copy(
-        update={"recordings": tuple(_list_entries(settings, path, home))}
-    )
+    name = settings.study.name or home.resolve().name
+    update = {
+        "study": settings.study.model_copy(update={"name": name}),
+        "recordings": tuple(_list_entries(settings, path, home)),
+    }
+    settings = settings.model_copy(update=update)
     try:
         check_names([entry.title for entry in settings.recordings])
         names = admission.admit_protocols(session.protocols, home)

@@ -272,7 +272,7 @@ Between = Annotated[
 class StudyTable(kinds.TomlTable):
     """`[study]`: name and seed."""
 
-    name: kinds.Words = server.UNNAMED
+    name: kinds.Words = ""  # the folder's, once the file is read
     seed: kinds.Seed = 321
 
 

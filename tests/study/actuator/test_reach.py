@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 RATE = 2000
 LIMITS = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=60.0)
-TEMPLATE = (files("feel321.study") / "settings" / "rig_template.toml").read_text(encoding="utf-8")
+TEMPLATE = (files("feel321.study") / "settings" / "all_rig_settings.toml").read_text(
+    encoding="utf-8"
+)
 OLD = "".join(
     line for line in TEMPLATE.splitlines(keepends=True) if not line.startswith("direction")
 )

@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 LIMITS = "[limits]\npeak_m_s2 = 90.0\nrms_m_s2 = 30\nduration_s = 10.0\n"
-TEMPLATE = (files("feel321.study") / "settings" / "rig_template.toml").read_text(encoding="utf-8")
+TEMPLATE = (files("feel321.study") / "settings" / "all_rig_settings.toml").read_text(
+    encoding="utf-8"
+)
 
 
 def read(tmp_path: Path, text: str) -> Rig:

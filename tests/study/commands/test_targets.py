@@ -12,20 +12,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-@pytest.fixture(params=["chart", "stress", "advise", "analyze"])
-def verb(
-    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> list[str]:
-    """A verb with its arguments but for its target; it may read nothing and compute nothing."""
-    monkeypatch.setattr("feel321.study.analyze.gather_recordings", lambda *_, **__: 1 / 0)
+@pytest.fixture
+def verb(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+    """Analyze, with its arguments but for its target; it may read nothing and compute nothing."""
     monkeypatch.setattr("feel321.analysis.report.write.read_table", lambda *_, **__: 1 / 0)
     monkeypatch.chdir(tmp_path)
-    name = str(request.param)
-    if name == "analyze":
-        for table in ("r.csv", "m.csv"):
-            (tmp_path / table).write_text("")
-        return [name, "--ratings", "r.csv", "--manifest", "m.csv", "--out"]
-    return [name, "--scenes", "--output"]
+    for table in ("r.csv", "m.csv"):
+        (tmp_path / table).write_text("")
+    return ["analyze", "--ratings", "r.csv", "--manifest", "m.csv", "--out"]
 
 
 @pytest.mark.parametrize("taken", ["index.html", "results.json"])

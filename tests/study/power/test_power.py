@@ -80,7 +80,7 @@ def test_verb_writes_page_tables_and_json_that_agree(
         (["--pilot", "study"], "no ratings yet"),
         (["--screening", "slow"], "screening must be one of"),
         (["--power", "1.5"], "0.05"),
-        (["--power", "0.05"], "0.05<x"),
+        (["--power", "0.05"], "0.05 to"),
         (["--studies", "-1"], "0"),
         (["--seed", "-1"], "0"),
     ],

@@ -16,7 +16,8 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.wav import write_wav
-from feel321.study.folder import create_study, read_template, require_study
+from feel321.study.actuator.rig import read_rig
+from feel321.study.folder import create_study, read_all_settings, read_template, require_study
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.session.plan import Design, Stale
 from feel321.study.settings.fields import TomlTable, list_tables
@@ -45,9 +46,32 @@ def read(tmp_path: Path) -> Callable[[str], Settings]:
 def test_the_template_states_every_default_and_names_every_scene(
     read: Callable[[str], Settings],
 ) -> None:
-    template = read(read_template())
     scenes = [{"scene": name} for name in SCENES]
-    assert template == Settings.model_validate({"recordings": scenes})
+    for text in (read_template(), read_all_settings()["study.toml"]):
+        template = read(text)
+        name = {"name": template.study.name}
+        assert template == Settings.model_validate({"study": name, "recordings": scenes})
+
+
+def test_a_study_is_called_as_its_folder_until_it_has_a_name(tmp_path: Path) -> None:
+    study = create_study(tmp_path / "oak")
+    assert read_settings(study.settings).study.name == "oak"
+    study.settings.write_text('[study]\nname = "pine"\n' + SHORTEST, encoding="utf-8")
+    assert read_settings(study.settings).study.name == "pine"
+
+
+def test_new_files_are_short(tmp_path: Path) -> None:
+    study = create_study(tmp_path / "oak")
+    assert len(study.settings.read_text(encoding="utf-8").splitlines()) <= 45
+    assert len(study.rig.read_text(encoding="utf-8").splitlines()) <= 25
+    assert read_rig(study.rig) == read_rig(
+        write(tmp_path / "rig.toml", read_all_settings()["rig.toml"])
+    )
+
+
+def write(path: Path, text: str) -> Path:
+    path.write_text(text, encoding="utf-8")
+    return path
 
 
 def test_the_template_names_every_key_in_its_table(
@@ -56,7 +80,7 @@ def test_the_template_names_every_key_in_its_table(
     (tmp_path / "corpus").mkdir()
     (tmp_path / "corpus" / "a.wav").touch()
     # Keys without a default stand there as comments.
-    text = re.sub(r"^# (\w+ = |\[)", r"\1", read_template(), flags=re.MULTILINE)
+    text = re.sub(r"^# (\w+ = |\[)", r"\1", read_all_settings()["study.toml"], flags=re.MULTILINE)
     assert set(list_keys(Settings)) <= set(list_written(tomllib.loads(text)))
     read(text)
 

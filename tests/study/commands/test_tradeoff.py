@@ -1,0 +1,206 @@
+"""The verb: what it writes and prints, on a small study; how it refuses."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from feel321.analysis.tradeoff.chart import compute, cost
+from feel321.analysis.tradeoff.stress import run
+from feel321.analysis.tradeoff.stress.measures import measure_scene
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.analyze import find_ratings
+from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
+from feel321.study.settings.edit import edit_settings
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    Capture = pytest.CaptureFixture[str]
+
+STUDY = """
+[study]
+seed = 5
+[[recordings]]
+scene = "bumps"
+duration_s = 0.3
+[stimuli]
+reducers = ["soc321", "dft321"]
+"""
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    (folder / "study.toml").write_text(STUDY)
+    tiny = compute.Effort(
+        "quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=5000, rounds=3
+    )
+    monkeypatch.setattr(compute, "QUICK", tiny)
+    for name, short in (
+        ("REFERENCE_N", 5000),
+        ("RATE_DURATION_S", 0.1),
+        ("CALLS", 5),
+        ("FRAMES", 1),
+    ):
+        monkeypatch.setattr(cost, name, short)
+    # Whole figures are saved in tests/analysis/chart.
+    monkeypatch.setattr("feel321.analysis.report.folder.save_figure", save_nothing)
+    return folder
+
+
+def save_nothing(_figure: object, stem: Path) -> None:
+    for suffix, text in ((".svg", '<svg xmlns="http://www.w3.org/2000/svg"></svg>'), (".png", "")):
+        stem.with_name(f"{stem.name}{suffix}").write_text(text, encoding="utf-8")
+
+
+def write_ratings(study: Path) -> None:
+    """Ratings from elsewhere, for the study's own stimuli."""
+    folder = StudyFolder(study)
+    lines = ["participant,stimulus_id,scale,rating,trial"]
+    tests = [row.stimulus_id for row in read_stimuli(folder.stimuli).stimuli if row.role == "test"]
+    lines += [
+        f"P0{person},{one},realism,{40 + 10 * k + person},{k}"
+        for person in (1, 2)
+        for k, one in enumerate(tests)
+    ]
+    folder.ratings.write_text("\n".join(lines) + "\n")
+
+
+def test_one_line_per_recording_and_where_the_pages_are(study: Path, capsys: Capture) -> None:
+    assert main(["tradeoff", str(study)]) == 0
+    advice, common, *pages = capsys.readouterr().out.splitlines()
+    assert advice.startswith("bumps: ")
+    assert common.endswith("suffices for the one scene.")
+    assert pages == [str(study / "tradeoff" / name / "index.html") for name in ("advice", "chart")]
+    chart, told = (read(study / "tradeoff" / name) for name in ("chart", "advice"))
+    assert (chart["seed"], chart["rated"], told["seed"]) == (5, [], 5)
+    assert [scene["name"] for scene in chart["scenes"]] == ["bumps"]
+
+
+def read(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "results.json").read_text(encoding="utf-8"))
+
+
+def test_ratings_recordings_seed_and_folder_are_taken_as_told(
+    study: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    edit_settings(study / "study.toml", {"analysis.margin": 5.0})
+    assert main(["build", str(study)]) == 0
+    write_ratings(study)
+    other = tmp_path / "other.npz"
+    samples = np.random.default_rng(0).standard_normal((3, 500))
+    np.savez(other, acceleration=samples, rate_hz=2500.0, unit="m/s^2")
+    capsys.readouterr()
+    target = tmp_path / "elsewhere"
+    options = ["--online", "--out", str(target), "--seed", "9", "--json"]
+    assert main(["tradeoff", str(study), str(other), *options]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content == {name: read(target / name) for name in ("advice", "chart")}
+    chart, advice = content["chart"], content["advice"]
+    assert (chart["seed"], [scene["name"] for scene in chart["scenes"]]) == (9, ["bumps", "other"])
+    rated = {row["reducer"]: row["mean"] for row in chart["rated"]}
+    assert rated == {"soc321": 41.5, "dft321": 51.5}
+    budget = {"latency_ms": 45.0, "block_ms": 64 / 48, "device_ms": 5.0}
+    tried = {"mounting": "any", "mountings": 72, "segment_s": 2.0}
+    assert advice["context"] == pytest.approx({"online": True, "axes": 1, **budget, **tried})
+    assert advice["scenes"][1]["basis"] == "metrics"
+
+
+def test_recordings_alone_need_no_study(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    samples = np.random.default_rng(0).standard_normal((3, 500))
+    np.savez(tmp_path / "other.npz", acceleration=samples, rate_hz=2500.0, unit="m/s^2")
+    monkeypatch.chdir(study)  # whose recordings were not asked for
+    assert main(["tradeoff", "../other.npz", "--out", "made"]) == 0
+    assert capsys.readouterr().out.startswith("other: ")
+    assert [one["name"] for one in read(study / "made" / "chart")["scenes"]] == ["other"]
+
+
+def test_thorough_also_looks_for_failures(
+    study: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    """Two takes of every scene of the battery instead of forty."""
+
+    def measure(*given: Any, **named: Any) -> Any:
+        return measure_scene(*given, **{**named, "takes": 2})
+
+    monkeypatch.setattr(run, "measure_scene", measure)
+    monkeypatch.setattr(compute, "FULL", compute.QUICK)
+    assert main(["tradeoff", str(study), "--thorough", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["stress"]
+    assert {cell["reducer"] for cell in found["cells"]} == set(REDUCERS)
+    assert [one["name"] for one in found["recordings"]] == ["bumps"]
+    assert found["inputs"]["seed"] == 5
+
+
+def test_ratings_are_found_once_there_are_any(study: Path) -> None:
+    assert find_ratings(StudyFolder(study)) is None
+    assert main(["build", str(study)]) == 0
+    assert find_ratings(StudyFolder(study)) is None
+    write_ratings(study)
+    table = find_ratings(StudyFolder(study))
+    assert table is not None
+    assert sorted(table.rows["rating"]) == [41, 42, 51, 52]
+
+
+def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path) -> None:
+    assert main(["build", str(study)]) == 0
+    assert main(["simulate", str(study), "--participants", "1", "--seed", "0"]) == 0
+    folder = StudyFolder(study)
+    folder.ratings.unlink()
+    table = find_ratings(folder)
+    assert table is not None
+    assert bool(table.rows["simulated"].all())
+    assert folder.ratings.is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (["{folder}/nowhere"], 1, "nowhere: no such study or recording; check the name"),
+        ([], 1, "no study.toml in"),
+        (["{folder}", "{folder}/nothing.csv"], 1, "nothing.csv: no such study or recording"),
+        (["--scenes", "--seed", "-1"], 2, "-1 is not in the range 0 or more"),
+        (["--scenes", "--axes", "4"], 2, "'--axes': 4 is not in the range 1 to 3"),
+        (["--scenes", "--latency-ms", "5"], 2, "left out offline, where nobody waits, got 5; add"),
+        (["--scenes", "--online", "--latency-ms", "nan"], 2, "'nan' is not a number of at most"),
+        (["--scenes", "--tolerance", "22"], 2, "--tolerance must be above 0 and below 1, got 22"),
+    ],
+)
+def test_bad_use_is_one_line(
+    arguments: list[str], code: int, message: str, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    given = [argument.format(folder=tmp_path) for argument in arguments]
+    assert main(["tradeoff", *given]) == code
+    out, err = capsys.readouterr()
+    assert (out, len(err.splitlines())) == ("", 1)
+    assert message in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("former", ["advise", "chart", "stress"])
+def test_former_verbs_name_their_successor(former: str, capsys: Capture) -> None:
+    assert main([former, "study"]) == 2
+    assert capsys.readouterr().err.startswith(f"feel321: {former} is part of tradeoff now")
+
+
+@pytest.mark.parametrize("name", ["advice", "chart", "stress"])
+def test_a_page_that_is_not_ours_is_refused_before_anything_is_computed(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr("feel321.study.analyze.gather_recordings", lambda *_, **__: 1 / 0)
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "index.html").write_text("mine")
+    assert main(["tradeoff", "--scenes", "--out", str(tmp_path)]) == 1
+    assert "exists and is not of a former report" in capsys.readouterr().err
+    assert (tmp_path / name / "index.html").read_text() == "mine"
