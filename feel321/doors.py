@@ -6,7 +6,6 @@ import difflib
 import importlib
 import json
 import os
-import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -279,31 +278,20 @@ def name_of(method: object) -> str:
     return getattr(method, "__name__", repr(method))
 
 
-def forward_old_names(
-    face: str, places: Mapping[str, str], *, lazy: Mapping[str, str] | None = None
-) -> Callable[[str], Any]:
-    """Make a face's `__getattr__`, which still finds names that have left `__all__`, with a warning.
+def import_lazily(face: str, places: Mapping[str, str]) -> Callable[[str], Any]:
+    """Make a face's `__getattr__`, which imports a name when it is asked for; places: "module:name" of each name."""
 
-    places: "module:name" or "module:name|what to use instead" of each old name. lazy: "module:name" of names of the
-    face that are imported when they are asked for, because that takes long.
-    """
-    known = {**places, **(lazy or {})}
-
-    def find(name: str) -> Any:  # noqa: ANN401 - whatever the name stood for
-        if name not in known:
+    def find(name: str) -> Any:  # noqa: ANN401 - whatever the name stands for
+        if name not in places:
             raise AttributeError(f"module {face!r} has no attribute {name!r}")
-        place, _, instead = known[name].partition("|")
-        module, _, attribute = place.partition(":")
-        if name in places:
-            advice = f"; use {instead}" if instead else ""
-            warnings.warn(f"{face}.{name} is deprecated{advice}", DeprecationWarning, stacklevel=2)
+        module, _, attribute = places[name].partition(":")
         return getattr(importlib.import_module(module), attribute)
 
     return find
 
 
 def list_imports(path: str) -> dict[str, str]:
-    """List what a face imports for type checkers only, for `forward_old_names` to import when it is asked for.
+    """List what a face imports for type checkers only, for `import_lazily` to import when it is asked for.
 
     So each name of a face stands in one import, which a type checker reads as it is; the values are "module:name".
     """

@@ -30,7 +30,6 @@ from feel321.analysis.tradeoff.chart.compute import Chart
 from feel321.analysis.tradeoff.stress.page import Stress
 from feel321.protocols.trial import Page, Part
 from feel321.stimuli.recording import Signal
-from feel321.stimuli.rotation import RotationStatistics
 from feel321.study.findings import Audit, Problems, Seal
 from feel321.study.power.page import StudyPower
 from feel321.study.session.events import SessionEvent
@@ -76,7 +75,6 @@ __all__ = [
     "ReducerDifference",
     "RepeatedMeasures",
     "Results",
-    "RotationStatistics",
     "Screening",
     "Seal",
     "SessionEvent",

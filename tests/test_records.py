@@ -15,7 +15,7 @@ from feel321.doors import (
     as_seed,
     describe,
     follow,
-    forward_old_names,
+    import_lazily,
 )
 from feel321.records import REPR_WIDTH, Result
 
@@ -93,13 +93,10 @@ def test_a_generator_goes_through_and_a_seed_is_repeated() -> None:
     assert as_rng(3).random() == as_rng(np.int64(3)).random() == np.random.default_rng(3).random()
 
 
-def test_old_names_are_found_with_a_warning_and_unknown_ones_are_not() -> None:
-    find = forward_old_names("feel321.stimuli", {"as_door": "feel321.doors:as_path|as_path"})
+def test_names_are_imported_when_they_are_asked_for_and_unknown_ones_are_not() -> None:
+    find = import_lazily("feel321.stimuli", {"as_path": "feel321.doors:as_path"})
 
-    with pytest.warns(
-        DeprecationWarning, match=r"feel321\.stimuli\.as_door is deprecated; use as_path"
-    ):
-        assert find("as_door") is as_path
+    assert find("as_path") is as_path
     with pytest.raises(AttributeError, match=r"feel321\.stimuli. has no attribute .other."):
         find("other")
 

@@ -8,7 +8,7 @@ type by a TypeError) that says what must be, what was got and what to do; what i
 
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from feel321.doors import forward_old_names as _forward_old_names
+from feel321.doors import import_lazily as _import_lazily
 from feel321.doors import list_imports as _list_imports
 
 if _TYPE_CHECKING:
@@ -72,49 +72,7 @@ __all__ = [
     "tabulate_correlations", "write_report", "write_stimulus_page",
 ]  # fmt: skip
 
-_RECORDS = (
-    "Alignment", "Alpha", "Association", "BradleyTerry", "Chart", "ChoiceModel", "Dependent",
-    "Difference", "Discrimination", "Ellipses", "Equivalence", "Estimate", "Further", "Intraclass",
-    "MixedFit", "NonInferiority", "P1401", "P1401Difference", "Primaries", "Primary", "Ranking",
-    "RaterModel", "RepeatedMeasures", "Results", "Screening", "Space", "VotePrediction",
-)  # fmt: skip
-
-_OLD = {
-    "Choices": "resampling:Choices",
-    "Context": "tradeoff.advise.scene:Context|the arguments of advise",
-    "Number": "words:Number",
-    "Precision": "primary.precision:SlopePrecision",
-    "Rated": "tradeoff.advise.scene:Rated|the arguments of advise",
-    "Section": "report.section:Section",
-    "Tolerance": "tradeoff.advise.scene:Tolerance|advise(weber=...)",
-    "abx_d_prime": "contrasts.discrimination:abx_d_prime|discriminate",
-    "advise_recordings": "tradeoff.advise.page:advise_recordings|advise",
-    "bootstrap_alpha": "agreement:bootstrap_alpha|krippendorff_alpha with draws",
-    "bootstrap_space": "space:bootstrap_space|fit_space with draws",
-    "bradley_terry_by_rater": "contrasts.bradley_terry:bradley_terry_by_rater|bradley_terry with by_rater",
-    "compute_chart": "tradeoff.chart.compute:compute_chart|chart",
-    "compute_sections": "report.write:compute_sections|write_report",
-    "discriminate_pairs": "contrasts.discrimination:discriminate_pairs|discriminate",
-    "find_sources": "table.items:find_sources",
-    "judge_ratings": "tradeoff.advise.scene:judge_ratings|advise(ratings=...)",
-    "multimodality": "screening.rules:multimodality|Screening.items",
-    "regress_attributes": "space:regress_attributes",
-    "stress_by_dimension": "space:stress_by_dimension",
-    "stress_reducers": "tradeoff.stress.run:stress_reducers|stress",
-    "tabulate_slopes": "primary.model:tabulate_slopes|fit_attributes(table).to_frame()",
-    "tukey_fences": "screening.rules:tukey_fences|Screening.items",
-    "vary_primary": "primary.sensitivity:vary_primary",
-    "write_advice": "tradeoff.advise.page:write_advice|advise(...).write",
-    "write_chart": "tradeoff.chart.compute:write_chart|chart(...).write",
-    "write_stress": "tradeoff.stress.run:write_stress|stress(...).write",
-}
-
-__getattr__ = _forward_old_names(
-    __name__,
-    {name: f"feel321.analysis.{place}" for name, place in _OLD.items()}
-    | {name: f"feel321.results:{name}|feel321.results.{name}" for name in _RECORDS},
-    lazy=_list_imports(__file__),
-)
+__getattr__ = _import_lazily(__name__, _list_imports(__file__))
 
 
 def __dir__() -> list[str]:

@@ -3,7 +3,6 @@
 Knows nothing of signals, screens or files: a trial names a stimulus by its id.
 """
 
-from feel321.doors import forward_old_names as _forward_old_names
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.balance import Balance, measure_balance
 from feel321.protocols.options import refine_task
@@ -36,21 +35,3 @@ __all__ = [
 
 def __dir__() -> list[str]:
     return __all__
-
-
-_OLD = {
-    "balance": "williams_square|make_order",
-    "order": "make_rehearsal",
-    "tasks": "Protocol is_as_expected",
-    "texts": "PageText list_languages read_pages read_refusals",
-    "trial": "Comparison Judgement Page Part RATING_RANGE",
-}
-
-__getattr__ = _forward_old_names(
-    __name__,
-    {
-        name.partition("|")[0]: f"{__name__}.{module}:{name}"
-        for module, names in _OLD.items()
-        for name in names.split()
-    },
-)

@@ -3,7 +3,6 @@
 Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `reduce` -> `match` -> `build_stimuli`.
 """
 
-from feel321.doors import forward_old_names as _forward_old_names
 from feel321.names import METRIC_INFO
 from feel321.stimuli.batch import match_many, reduce_many
 from feel321.stimuli.condition import Conditioning, condition
@@ -77,20 +76,6 @@ __all__ = [
     "temporal_match_windowed",
     "write_wav",
 ]
-
-_ROTATION = "feel321.stimuli.rotation"
-__getattr__ = _forward_old_names(
-    __name__,
-    {
-        "RotationStatistics": f"{_ROTATION}:RotationStatistics|the data frame of rotation_statistics",
-        "UNITS": "feel321.stimuli.recording:UNITS|unit=... of Recording and read_recording",
-        "__version__": "feel321:__version__|feel321.__version__",
-        "fade": "feel321.stimuli.condition:fade",
-        "resample": "feel321.stimuli.condition:resample",
-        "spectral_match_energy_weighted": f"{_ROTATION}:spectral_match_energy_weighted|INVARIANTS",
-        "temporal_match_invariant": f"{_ROTATION}:temporal_match_invariant|INVARIANTS",
-    },
-)
 
 
 def __dir__() -> list[str]:

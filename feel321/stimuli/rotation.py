@@ -23,8 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -168,28 +167,14 @@ INVARIANTS: Registry[Metric] = Registry(
 """Name of one of the paper's metrics -> its bounded, rotation-invariant counterpart."""
 
 
-@dataclass(frozen=True, slots=True)
-class RotationStatistics:
-    """Means and standard deviations (ddof 1) of the metrics over random sensor orientations."""
-
-    spectral_mean: float
-    spectral_sd: float
-    temporal_mean: float
-    temporal_sd: float
-    rotations: int
-    bounded_mean: float
-    bounded_sd: float
-
-
 def rotation_statistics(
     recording: Signal,
-    reducers: str | float | Iterable[str | Reducer] = "all",
+    reducers: str | Iterable[str | Reducer] = "all",
     *,
     rotations: int = LEAST_ROTATIONS,
     rng: Rng = 0,
-    reducer: str | None = None,
     rate_hz: float | None = None,
-) -> DataFrame | RotationStatistics:
+) -> DataFrame:
     """Compute the metrics over random orientations of the sensor.
 
     Parameters
@@ -197,14 +182,11 @@ def rotation_statistics(
     recording : Recording, or array_like of shape (3, n_samples)
         Acceleration, any unit; plain samples need `rate_hz`.
     reducers : "all", or a list of str or callables
-        Names of `REDUCERS`, dotted names ("mylab.haptics:my321"), or functions f(acceleration, rate_hz). A number is
-        taken as `rate_hz`, which stood here before.
+        Names of `REDUCERS`, dotted names ("mylab.haptics:my321"), or functions f(acceleration, rate_hz).
     rotations : int
         Number of orientations, uniform over all rotations; at least 200.
     rng : int or numpy.random.Generator
         Seed or source of the orientations; all reducers meet the same ones.
-    reducer : str, optional
-        One reducer; then a RotationStatistics record is returned, as earlier versions did.
     rate_hz : float, optional
         Sampling rate of plain samples in Hz.
 
@@ -225,23 +207,17 @@ def rotation_statistics(
         raise ValueError(
             f"rotations must be a whole number of {LEAST_ROTATIONS} or more, got {rotations}"
         )
-    wanted, rate_hz = (
-        ("all", reducers) if isinstance(reducers, int | float) else (reducers, rate_hz)
-    )
     given, rate = as_signal(recording, rate_hz)
-    chosen = REDUCERS.choose(wanted if reducer is None else [reducer])
+    chosen = REDUCERS.choose(reducers)
     turns = random_rotations(rotations, as_rng(rng))
     found = match_rotations(given, rate, reducers=list(chosen.values()), turns=turns)
-    means, sds = found.mean(axis=2), found.std(axis=2, ddof=1)
-    rows = [
-        RotationStatistics(mean[0], sd[0], mean[1], sd[1], rotations, mean[2], sd[2])
-        for mean, sd in zip(means.tolist(), sds.tolist(), strict=True)
-    ]
-    if reducer is not None:
-        return rows[0]
     import pandas as pd
 
-    return pd.DataFrame(rows, pd.Index(chosen, name="reducer"))
+    statistics: dict[str, Any] = {}
+    for name, values in zip(("spectral", "temporal", "bounded"), found.swapaxes(0, 1), strict=True):
+        statistics[f"{name}_mean"] = values.mean(axis=1)
+        statistics[f"{name}_sd"] = values.std(axis=1, ddof=1)
+    return pd.DataFrame(statistics | {"rotations": rotations}, pd.Index(chosen, name="reducer"))
 
 
 def match_rotations(

@@ -35,12 +35,7 @@ _TOOL_MODES = (
 
 
 def make_scene(
-    name: str,
-    *,
-    rng: Rng = 0,
-    rate_hz: float = 10000.0,
-    duration_s: float = 4.0,
-    seed: int | None = None,
+    name: str, *, rng: Rng = 0, rate_hz: float = 10000.0, duration_s: float = 4.0
 ) -> Recording:
     """Make a synthetic recording.
 
@@ -54,8 +49,6 @@ def make_scene(
         Sampling rate in Hz, at least 4000 so that the tool's modes are represented.
     duration_s : float
         Duration in s, at least 0.1.
-    seed : int, optional
-        Former name of `rng`.
 
     Returns
     -------
@@ -80,8 +73,8 @@ def make_scene(
             f"got {rate_hz} Hz and {duration_s} s"
         )
     if not isinstance(rng, np.random.Generator):
-        as_rng(rng if seed is None else seed)
-        rng = np.random.default_rng([rng if seed is None else seed, *name.encode()])
+        as_rng(rng)
+        rng = np.random.default_rng([rng, *name.encode()])
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     return Recording(_join_scenes(parts, time_s, rng), rate_hz, "-".join(parts))
 

@@ -100,10 +100,10 @@ def _closing(study: StudyFolder, out: Path | None) -> Iterator[None]:
 def _list_declared(settings: Settings | None, further: Further) -> dict[str, Any]:
     """List what a study declares for its report, beside its choices."""
     if settings is None:
-        return {"sources": {}, "info": {}, "paper": None, "seed": 0}
+        return {"sources": {}, "info": {}, "paper": None, "rng": 0}
     return {
         "sources": list_origins(settings), "info": list_info(settings),
-        "paper": make_paper(settings, further.mountings), "seed": settings.study.seed,
+        "paper": make_paper(settings, further.mountings), "rng": settings.study.seed,
     }  # fmt: skip
 
 

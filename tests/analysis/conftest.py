@@ -172,7 +172,7 @@ def report(study: Files, make_once: Callable[[str, Callable[[Path], object]], Pa
         make_once(
             "report",
             lambda folder: write_report(
-                study.ratings, study.manifest, folder / "report", draws=50, seed=3
+                study.ratings, study.manifest, folder / "report", draws=50, rng=3
             ),
         )
         / "report"

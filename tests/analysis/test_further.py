@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MEAN, SD = "spectral_match_rotation_mean", "temporal_match_rotation_sd"
-# The second is a former name.
-DELIVERED, INVARIANT = ("temporal_match_delivered", "spectral_match_energy_weighted")
+DELIVERED, INVARIANT = ("temporal_match_delivered", "temporal_match_invariant")
 
 
 def draw_column(study: object, seed: int = 4) -> pd.Series:
@@ -325,7 +324,7 @@ def test_the_report_holds_them(small: object, monkeypatch: pytest.MonkeyPatch) -
         small.manifest,
         folder,
         draws=20,
-        seed=1,
+        rng=1,
         further=Further(pd.DataFrame({MEAN: values})),
     )
     assert any(number.name == f"further.realism.as_is.{MEAN}.pearson" for number in results.numbers)

@@ -203,9 +203,3 @@ def test_papers_and_r_get_the_model_that_was_fitted(rows: pd.DataFrame, tmp_path
     frame = pd.read_csv(tmp_path / "new" / "model.csv")
     again = analysis.fit_mixed(primary.formula, frame, penalty=["reducer"])
     np.testing.assert_allclose(again.fixed["estimate"], primary.fit.fixed["estimate"], rtol=1e-6)
-
-
-@pytest.mark.parametrize("name", ["Precision", "tabulate_slopes", "vary_primary", "tukey_fences"])
-def test_old_names_are_found_with_a_warning(name: str) -> None:
-    with pytest.warns(DeprecationWarning, match=name):
-        getattr(analysis, name)

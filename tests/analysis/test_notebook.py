@@ -230,18 +230,6 @@ def test_silence_has_a_spectrogram_at_its_floor() -> None:
     assert (ax.collections[0].get_array() == -80).all()
 
 
-@pytest.mark.parametrize("name", analysis._OLD)
-def test_old_names_are_found_with_a_warning(name: str) -> None:
-    with pytest.warns(DeprecationWarning, match=name):
-        assert getattr(analysis, name)
-
-
-def test_records_are_found_in_results_and_with_a_warning_here() -> None:
-    for name in analysis._RECORDS:
-        with pytest.warns(DeprecationWarning, match="feel321.results"):
-            assert getattr(analysis, name) is getattr(results, name)
-
-
 def test_names_of_other_packages_are_repeated_rightly() -> None:
     assert schema.PLANNED == PLANNED
     assert schema.SURFACE == SURFACE

@@ -294,7 +294,7 @@ def test_comparisons_alone_are_a_page_without_a_claim(
     ratings.assign(reference_id=ratings["recording"] + "_original_as_is").to_csv(
         study.ratings, index=False
     )
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     assert results.verdict[0].startswith(
         "These ratings do not show whether the metrics predict what people feel"
     )
@@ -327,7 +327,7 @@ def test_dissimilarities_from_the_original_answer_the_question(
         reference_id=ratings["recording"] + "_original_as_is", rating=100 - ratings["rating"]
     )
     ratings.to_csv(study.ratings, index=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     assert results.verdict[0].startswith(
         "Similarity to original: Spectral match predicts similarity to original ratings"
     )
@@ -353,7 +353,7 @@ def test_pairs_of_reducers_alone_are_a_page_too(
         ("p", "dissimilarity", "mag321", "dft321", 40),
         ("q", "dissimilarity", "dft321", "mag321", 50),
     ])
-    results = write_report(*paths, tmp_path / "report", draws=5, seed=0)
+    results = write_report(*paths, tmp_path / "report", draws=5, rng=0)
     assert results.figures == {}
     assert any(
         "holds the 0 that compare with the reference, and leaves out 2." in note
@@ -372,7 +372,7 @@ def test_groups_that_felt_different_levels_are_counted_apart(
     is_odd = ratings["participant"].isin(["p01", "p03"])
     own = (ratings["level"] == "equal_intensity") == is_odd
     ratings[own & ((ratings["scale"] == "mushra") == is_odd)].to_csv(study.ratings, index=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     found = {number.name: number.value for number in results.numbers}
     people = {
         name: value

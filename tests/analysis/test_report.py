@@ -152,7 +152,7 @@ def test_the_same_seed_gives_the_same_bytes_whoever_draws(
     report: Path, study: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("feel321.analysis.report.folder.BACKGROUND", True)
-    write_report(study.ratings, study.manifest, tmp_path / "again", draws=50, seed=3)
+    write_report(study.ratings, study.manifest, tmp_path / "again", draws=50, rng=3)
     paths = [path.relative_to(report) for path in sorted(report.rglob("*")) if path.is_file()]
     assert {path.as_posix() for path in paths} == set(load(report)["files"])
     for path in paths:
@@ -173,7 +173,7 @@ def test_every_figure_has_a_file_of_its_own(
     files: Callable[..., object], tmp_path: Path, scales: tuple[str, ...]
 ) -> None:
     study = files(scales=scales, recordings=3, anchors=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     drawn = {path.stem.casefold() for path in (tmp_path / "report" / "figures").glob("*.svg")}
     assert len(drawn) == len(results.figures) == len(set(results.figures.values())) == 7
     unknown = [note for note in results.notes if "font has no" in note]
@@ -183,7 +183,7 @@ def test_every_figure_has_a_file_of_its_own(
 
 @pytest.mark.usefixtures("short")
 def test_another_seed_moves_intervals_only(report: Path, study: object, tmp_path: Path) -> None:
-    write_report(study.ratings, study.manifest, tmp_path / "other", draws=50, seed=4)
+    write_report(study.ratings, study.manifest, tmp_path / "other", draws=50, rng=4)
     first = {entry["name"]: entry for entry in load(report)["numbers"]}
     second = {entry["name"]: entry for entry in load(tmp_path / "other")["numbers"]}
     assert {name: first[name]["value"] for name in second} == {
@@ -233,7 +233,7 @@ def test_far_outliers_are_told_in_the_caption(files: Callable[..., object], tmp_
     manifest = pd.read_csv(study.manifest)
     manifest.loc[[3, 11], "spectral_match"] = [-1.5, -40.0]
     manifest.to_csv(study.manifest, index=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     told = "left edge: 2 with spectral match below −1; r uses their true values"
     assert told in results.figures["scatter"]
     found = {number.name: number.value for number in results.numbers}
@@ -247,7 +247,7 @@ def test_simulated_ratings_carry_a_banner(
     files: Callable[..., object], tmp_path: Path, simulated: bool
 ) -> None:
     study = files(simulated=simulated, scales=("realism",))
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     text = (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
     assert results.simulated == simulated
     assert ("Simulated ratings" in text) == simulated
@@ -264,7 +264,7 @@ def test_dots_in_names_make_no_two_numbers_one(
     manifest["level"] = manifest["recording"].map(level)
     manifest.to_csv(study.manifest, index=False)
     ratings.drop(columns=["reducer", "level"]).to_csv(study.ratings, index=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     names = [number.name for number in results.numbers]
     assert len(names) == len(set(names))
     assert {
@@ -281,13 +281,13 @@ def test_two_numbers_of_one_name_are_refused(
         "feel321.analysis.report.section._fill", lambda path, _: path.partition(".")[0]
     )
     with pytest.raises(ValueError, match=r"results: got \d+ names twice, first association"):
-        write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, seed=0)
+        write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, rng=0)
 
 
 @pytest.mark.usefixtures("short")
 def test_levels_are_kept_apart(files: Callable[..., object], tmp_path: Path) -> None:
     study = files(levels=("as_is", "equal_intensity"), scales=("realism",), anchors=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     assert sum("level equal intensity" in line for line in results.answers["metrics"]) == 1
     kinds = [path.stem.split("_")[0] for path in (tmp_path / "report" / "figures").glob("*.svg")]
     assert {kind: kinds.count(kind) for kind in kinds} == {"scatter": 2, "mapping": 4, "profile": 1}
@@ -302,7 +302,7 @@ def test_captions_speak_of_what_is_there(
     assert "over the 6 participants who rated it" in scatter
     assert "Below the dotted line: the hidden reference and anchors." in raincloud
     study = files(participants=1, scales=("realism",), anchors=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=5, rng=0)
     for caption in results.figures.values():
         assert "no intervals" in caption
         assert "t intervals" not in caption
@@ -341,7 +341,7 @@ def test_left_out_judgements_are_counted(report: Path) -> None:
 
 def test_a_reduced_analysis_is_a_report_too(files: Callable[..., object], tmp_path: Path) -> None:
     study = files(participants=1, recordings=1, scales=("realism",), anchors=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     assert any("One participant only" in note for note in results.notes)
     lows = [number.low for number in results.numbers if number.name.startswith("association")]
     assert all(math.isnan(low) for low in lows)
@@ -354,14 +354,14 @@ def test_a_reduced_analysis_is_a_report_too(files: Callable[..., object], tmp_pa
 @pytest.mark.usefixtures("short")
 def test_nothing_left_out_is_said_too(files: Callable[..., object], tmp_path: Path) -> None:
     study = files(anchors=False, scales=("realism",))
-    write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     assert "<p>Nothing.</p>" in (tmp_path / "report" / "index.html").read_text(encoding="utf-8")
 
 
 def test_constant_ratings_are_a_report_too(files: Callable[..., object], tmp_path: Path) -> None:
     study = files(scales=("realism",))
     pd.read_csv(study.ratings).assign(rating=50).to_csv(study.ratings, index=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     assert results.verdict[0].endswith("cannot be estimated: all ratings are the same.")
     assert {claim.verdict for claim in results.verdicts} == {"not_estimable"}
 
@@ -372,14 +372,14 @@ def test_ratings_of_anchors_alone_are_refused(files: Callable[..., object], tmp_
     ratings = pd.read_csv(study.ratings)
     ratings[ratings["reducer"] == "anchor_low"].to_csv(study.ratings, index=False)
     with pytest.raises(ValueError, match="must be of one stimulus or more with role 'test'"):
-        write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+        write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     assert not (tmp_path / "report").exists()
 
 
 @pytest.mark.usefixtures("short")
 def test_names_cannot_break_the_page(files: Callable[..., object], tmp_path: Path) -> None:
     study = files(scales=("<script>alert(1)</script>--><b>",), anchors=False)
-    write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, seed=0)
+    write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
     assert Page(tmp_path / "report" / "index.html").find("script") == OURS
 
 
@@ -389,7 +389,7 @@ def test_an_old_report_is_replaced_and_other_files_stay(
 ) -> None:
     (own_report / "notes.txt").write_text("mine", encoding="utf-8")
     study = files(scales=("realism",))
-    write_report(study.ratings, study.manifest, own_report, draws=20, seed=0)
+    write_report(study.ratings, study.manifest, own_report, draws=20, rng=0)
     assert not list((own_report / "figures").glob("*similarity*"))
     assert (own_report / "notes.txt").read_text(encoding="utf-8") == "mine"
 
@@ -400,7 +400,7 @@ def test_files_of_the_same_folders_that_are_not_ours_stay(study: object, tmp_pat
         (tmp_path / "mine" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "mine" / name).write_text("mine", encoding="utf-8")
     for _ in range(2):
-        write_report(study.ratings, study.manifest, tmp_path / "mine", draws=5, seed=0)
+        write_report(study.ratings, study.manifest, tmp_path / "mine", draws=5, rng=0)
         for name in ("figures/photo.png", "tables/mine.csv", "thesis.txt"):
             assert (tmp_path / "mine" / name).read_text(encoding="utf-8") == "mine"
 
@@ -420,7 +420,7 @@ def test_a_file_in_the_way_is_never_replaced(
     with pytest.raises(
         FileExistsError, match="is not of a former report; move it away or choose another folder"
     ):
-        write_report(study.ratings, study.manifest, page.parent, draws=5, seed=0)
+        write_report(study.ratings, study.manifest, page.parent, draws=5, rng=0)
     assert page.read_text(encoding="utf-8") == "mine"
     assert not (page.parent / "figures").exists()
     assert (tmp_path / "precious.csv").exists()
@@ -439,7 +439,7 @@ def test_a_failed_run_changes_nothing(
     study = files(seed=9, scales=("realism",))
     monkeypatch.setattr("feel321.analysis.report.write.render_page", lambda *_, **__: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        write_report(study.ratings, study.manifest, own_report, draws=20, seed=0)
+        write_report(study.ratings, study.manifest, own_report, draws=20, rng=0)
     assert before == {path: path.read_bytes() for path in own_report.rglob("*") if path.is_file()}
     assert [
         path.name for path in own_report.parent.iterdir() if path.name.startswith(".report-")

@@ -71,7 +71,7 @@ SPREADS = {0: Truth(), 3: Truth(3, 2), 8: Truth(8, 4)}
 @cache
 def measure(scene: str, take: int, reducer: str) -> tuple[float, ...]:
     """The two metrics of a reduced scene."""
-    recording = condition(make_scene(scene, seed=take, duration_s=2.0), Conditioning())
+    recording = condition(make_scene(scene, rng=take, duration_s=2.0), Conditioning())
     reduced = REDUCERS[reducer](recording.acceleration, recording.rate_hz)
     return tuple(
         float(METRICS[name](recording.acceleration, reduced, recording.rate_hz)) for name in USED

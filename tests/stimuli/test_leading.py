@@ -147,7 +147,7 @@ def test_the_onset_goes_up() -> None:
 
 @pytest.mark.parametrize("name", ["bumps", "hard_taps", "isotropic_rumble"])
 def test_the_first_onset_gives_frames_their_sign_however_the_sensor_sits(name: str) -> None:
-    recording = make_scene(name, duration_s=1.0, seed=2)
+    recording = make_scene(name, duration_s=1.0, rng=2)
     reduce = dft321_principal_windowed
     still = reduce(recording.acceleration, recording.rate_hz)
     for turn in random_rotations(12, np.random.default_rng(3)):
@@ -269,7 +269,7 @@ def test_noise_does_not_choose_the_onset_where_a_peak_just_reaches_half() -> Non
 def test_noise_does_not_choose_the_onset_of_a_drag(seed: int) -> None:
     """In these takes a peak of the first loud frame just reaches half: the gain was 35 and 57 while that was a step."""
     drag = condition(
-        make_scene("texture_drag", duration_s=4.0, seed=seed), Conditioning()
+        make_scene("texture_drag", duration_s=4.0, rng=seed), Conditioning()
     ).acceleration[:, :20000]
     once = dft321_principal_windowed(drag, 10000.0)
     for draw in range(5):

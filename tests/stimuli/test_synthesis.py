@@ -35,7 +35,7 @@ def test_at_least_the_six_scenes_of_the_contract() -> None:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_are_seeded_and_of_the_size_of_tool_use(name: str) -> None:
-    first, again, other = make_scene(name), make_scene(name), make_scene(name, seed=1)
+    first, again, other = make_scene(name), make_scene(name), make_scene(name, rng=1)
     np.testing.assert_array_equal(first.acceleration, again.acceleration)
     assert not np.allclose(first.acceleration, other.acceleration)
     assert 5 < np.abs(first.acceleration).max() < 80
@@ -58,7 +58,7 @@ def test_scenes_move_as_their_names_say() -> None:
 @pytest.mark.parametrize("name", ["bumps", "texture_drag"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_pattern_of_the_papers_table_1(name: str, seed: int) -> None:
-    recording = condition(make_scene(name, seed=seed), Conditioning())
+    recording = condition(make_scene(name, rng=seed), Conditioning())
     acceleration, rate = recording.acceleration, recording.rate_hz
     spectral = {
         r: spectral_match(acceleration, f(acceleration, rate), rate) for r, f in REDUCERS.items()
@@ -91,7 +91,7 @@ def test_bad_scenes_are_refused(name: str, changes: dict[str, float], message: s
 
 
 def test_scenes_joined_by_a_plus_follow_one_another_in_equal_shares() -> None:
-    joined = make_scene("bumps+texture_drag+hard_taps", duration_s=8.0, seed=3)
+    joined = make_scene("bumps+texture_drag+hard_taps", duration_s=8.0, rng=3)
     assert joined.acceleration.shape == (3, 80_000)
     assert joined.name == "bumps-texture_drag-hard_taps"
     loud = [np.sqrt((part**2).mean()) for part in np.array_split(joined.acceleration, 3, axis=1)]

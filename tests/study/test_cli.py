@@ -652,7 +652,7 @@ def test_draws_and_seed_of_a_study_reach_its_report(
     calls: list[dict[str, int]] = []
 
     def write_report(_ratings: Path, _manifest: Path, folder: Path, **choices: Any) -> None:
-        calls.append({name: choices[name] for name in ("draws", "seed")})
+        calls.append({name: choices[name] for name in ("draws", "rng")})
         folder.mkdir(exist_ok=True)
 
     monkeypatch.setattr("feel321.analysis.report.write.write_report", write_report)
@@ -669,11 +669,7 @@ def test_draws_and_seed_of_a_study_reach_its_report(
     assert main(["analyze", str(study.path)]) == 0
     assert main(["analyze", str(study.path), *tables[:2]]) == 0
     assert main(["analyze", str(elsewhere), *tables]) == 0
-    assert calls == [
-        {"draws": 200, "seed": 5},
-        {"draws": 200, "seed": 5},
-        {"draws": 2000, "seed": 0},
-    ]
+    assert calls == [{"draws": 200, "rng": 5}, {"draws": 200, "rng": 5}, {"draws": 2000, "rng": 0}]
 
 
 def test_a_table_that_would_be_the_same_is_left_alone(tmp_path: Path) -> None:

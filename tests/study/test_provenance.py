@@ -190,7 +190,7 @@ def test_audit_compares_both_forms_of_the_manifest(built: StudyFolder) -> None:
     path = built.stimuli / "manifest.json"
     details = json.loads(path.read_bytes())
     details["stimuli"][0]["temporal_match"] = 0.5
-    path.write_text(json.dumps(details), encoding="utf-8")
+    path.write_text(json.dumps(details, indent=1), encoding="utf-8")
     assert audit_study(built) == [
         f"{built.stimuli}: manifest.csv and manifest.json differ; one was changed, build the set again"
     ]

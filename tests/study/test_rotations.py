@@ -66,9 +66,7 @@ def test_every_test_stimulus_has_the_statistics_of_its_recording_and_reducer(
     steps = Conditioning(high_pass_hz=30)
     bumps = condition(make_scene("bumps", duration_s=0.3), steps)
     for reducer in REDUCERS:
-        one = rotation_statistics(
-            bumps.acceleration, bumps.rate_hz, reducer=reducer, rng=np.random.default_rng(6)
-        )
+        one = rotation_statistics(bumps, [reducer], rng=np.random.default_rng(6)).loc[reducer]
         expected = (one.spectral_mean, one.spectral_sd, one.temporal_mean, one.temporal_sd)
         expected += (one.bounded_mean, one.bounded_sd)
         for level in ("as_is", "equal_intensity"):

@@ -178,9 +178,7 @@ def test_line_ends_stay_and_a_broken_file_is_named(tmp_path: Path) -> None:
         study.with_settings({"study.seed": 6})
 
 
-def test_old_names_are_found_with_a_warning() -> None:
-    with pytest.warns(DeprecationWarning, match=r"create_study is deprecated; use Study\.create"):
-        assert callable(face.create_study)
+def test_unknown_names_are_refused() -> None:
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         face.nothing  # noqa: B018 - asking is the point
 
@@ -214,7 +212,7 @@ def test_draws_are_as_declared_unless_asked_for_and_the_seed_is_the_studys(
     monkeypatch.setattr("feel321.study.export.narrative.write_methods", lambda *_: None)
     pilot.analyze()
     pilot.analyze(draws=7)
-    assert [(how["draws"], how["seed"]) for how in chosen] == [(2000, 5), (7, 5)]
+    assert [(how["draws"], how["rng"]) for how in chosen] == [(2000, 5), (7, 5)]
 
 
 def test_a_built_set_has_a_page_unless_none_is_wanted(smallest: StudyFolder) -> None:

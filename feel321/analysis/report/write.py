@@ -286,7 +286,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     paper: Paper | None = None,
     about: About | None = None,
     rng: Rng = 0,
-    seed: int | None = None,
     progress: Progress | None = False,
 ) -> Results:
     """Analyse ratings against the match metrics and write the report.
@@ -323,8 +322,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         The study's name, the day of its last rating, and the order of its protocols.
     rng : int or Generator
         Seed of all randomness; the same files, choices and seed give the same bytes.
-    seed : int, optional
-        Older name of `rng`.
     progress : bool or callable
         Whether to show a progress bar; or called with the numbers of sections done and to do.
 
@@ -346,8 +343,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> results = analysis.write_report("ratings.csv", "manifest.csv", "report")  # doctest: +SKIP
     >>> print(results.summary())  # doctest: +SKIP
     """
-    seed = as_seed(rng) if seed is None else seed
-    choices = Choices(draws=draws, margin=margin, seed=seed, rules=find_rules(rules))
+    choices = Choices(draws=draws, margin=margin, seed=as_seed(rng), rules=find_rules(rules))
     with (
         ResultsFolder(folder, background=True) as target,
         follow(progress or False, "report") as move,

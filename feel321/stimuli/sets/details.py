@@ -1,7 +1,7 @@
 """`manifest.json`, written and read entry by entry: that of a large set is never in memory as a whole.
 
 What is said of the whole set comes first, then the tables with one entry per recording or stimulus. The layout is that
-of `json.dumps(..., indent=1)`. A file in another layout, as another program may have written it, is read as a whole.
+of `json.dumps(..., indent=1)`.
 """
 
 import json
@@ -82,13 +82,9 @@ def iterate_rows(folder: Path) -> Iterator[dict[str, Any]]:
 def _scan(path: Path, *, skip: Iterable[str]) -> Iterator[tuple[str, str, Any]]:
     """Iterate over sections, and over the entries of those that are long; of those to skip only the name is given."""
     with path.open(encoding="utf-8", newline="\n") as file:
-        is_ours = file.readline() == "{\n" and _SECTION.match(file.readline()) is not None
-    if not is_ours:
-        yield from _list_whole(json.loads(path.read_bytes()))
-        return
-    with path.open(encoding="utf-8", newline="\n") as file:
+        if file.readline() != "{\n":
+            raise ValueError(f"{path}: not as feel321 wrote it; build the set again")
         lines = iter(file)
-        next(lines)
         for line in lines:
             if line.rstrip("\n") == "}":
                 return
@@ -97,16 +93,6 @@ def _scan(path: Path, *, skip: Iterable[str]) -> Iterator[tuple[str, str, Any]]:
                 raise ValueError(f"{path}: damaged at {line[:40]!r}")
             yield from _read_section(found[1], found[2], lines, is_skipped=found[1] in skip)
     raise ValueError(f"{path}: ends before its end")
-
-
-def _list_whole(details: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
-    for section, value in details.items():
-        if section not in LONG:
-            yield section, "", value
-        elif section == "stimuli":
-            yield from (("stimuli", "", row) for row in value)
-        else:
-            yield from ((section, key, entry) for key, entry in value.items())
 
 
 def _read_section(

@@ -346,7 +346,7 @@ def _read_row(row: dict[str, str], place: str) -> Stimulus:
         values: dict[str, Any] = {
             name: sys.intern(row[name]) if name in _SHARED else _READ_AS[name](row[name])
             for name in COLUMNS
-            if row.get(name) or name not in FURTHER
+            if row[name] or name not in FURTHER
         }
         metrics = {name: float(cell) if cell else math.nan for name, cell in further.items()}
     except ValueError as error:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from feel321.doors import announce
 from feel321.stimuli.sets.details import iterate_rows
-from feel321.stimuli.sets.manifest import FURTHER, check_stimuli, describe_row, read_stimuli
+from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_stimuli
 from feel321.study.auditing.entries import audit_entry, list_remarks
 from feel321.study.auditing.evidence import weigh
 from feel321.study.auditing.journals import audit_journals
@@ -92,9 +92,7 @@ def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
         return findings, None  # Among the findings already.
     try:
         with reading_origin(folder):
-            # An earlier version wrote fewer columns.
-            listed = ({**dict.fromkeys(FURTHER), **row} for row in iterate_rows(folder))
-            pairs = zip_longest(listed, map(describe_row, stimuli))
+            pairs = zip_longest(iterate_rows(folder), map(describe_row, stimuli))
             is_same = all(_digest_row(one) == _digest_row(other) for one, other in pairs)
     except ValueError as error:
         return [*findings, str(error)], stimuli.sha256

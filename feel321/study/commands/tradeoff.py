@@ -197,7 +197,7 @@ def _stress(task: Comparison) -> object:
 
 def _advise(task: Comparison, context: Context, *, quiet: bool) -> object:
     """Name the simplest sufficient reducer for every recording, by metrics, and by ratings where there are any."""
-    from feel321.analysis.tradeoff.advise.page import advise_recordings, write_advice
+    from feel321.analysis.tradeoff.advise.page import advise_recordings
 
     output = task.output / "advice"
     with shared.show_progress("advice") as progress:
@@ -211,10 +211,10 @@ def _advise(task: Comparison, context: Context, *, quiet: bool) -> object:
             progress=progress,
         )
         with shared.recording(task.study, "tradeoff", output):
-            content = write_advice(advice, output)
+            advice.write(output)
     if not quiet:
         shared.echo(advice.summary())
-    return content
+    return _read_results(output)
 
 
 def _read_results(folder: Path) -> object:

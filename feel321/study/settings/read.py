@@ -156,7 +156,7 @@ def open_entry(
     about = {"name", "interaction", "sample", "picture", "rotation", "scene", "file"}
     own = entry.model_dump(exclude=about)
     if isinstance(entry, SceneTable):
-        recording = make_scene(entry.scene, **own)
+        recording = make_scene(entry.scene, rng=own.pop("seed"), **own)
     elif method := find_format(folder / entry.file, folder=folder, declared=formats):
         if given := [name for name, value in own.items() if value]:
             raise ValueError(

@@ -111,7 +111,7 @@ def test_isotropic_noise_needs_all_of_its_energy(
     white = Recording(np.random.default_rng(seed).standard_normal((3, 8000)), 4000.0, "white")
     for recording in (
         real("isotropic_noise_20k.wav"),
-        make_scene("isotropic_rumble", seed=seed),
+        make_scene("isotropic_rumble", rng=seed),
         white,
     ):
         advice = tell(recording, seed=seed)
@@ -121,7 +121,7 @@ def test_isotropic_noise_needs_all_of_its_energy(
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_constrained_drag_is_served_by_its_line(tell: Tell, seed: int) -> None:
-    assert tell(make_scene("constrained_drag", seed=seed, duration_s=2.0)).answer == "pca321"
+    assert tell(make_scene("constrained_drag", rng=seed, duration_s=2.0)).answer == "pca321"
 
 
 @pytest.mark.parametrize("ratio", [1.0, 0.9, 0.5])

@@ -15,7 +15,6 @@ from feel321.analysis.tradeoff.advise.page import (
     build_content,
     draw_advice,
     find_state,
-    write_advice,
 )
 from feel321.analysis.tradeoff.advise.scene import Context, Rated
 from feel321.analysis.tradeoff.face import advise
@@ -142,7 +141,7 @@ def test_ratings_that_are_not_heard_are_told_of(tmp_path: Path) -> None:
         assert study.advices[0].answer == "pca321"
         assert study.note.startswith("Ratings were not used: ")
         assert words in study.note
-        write_advice(study, tmp_path / "advice")
+        study.write(tmp_path / "advice")
         assert study.note in (tmp_path / "advice" / "index.html").read_text(
             encoding="utf-8"
         ).replace("&#39;", "'")
@@ -215,16 +214,16 @@ def test_writing_twice_gives_the_same_bytes_and_spares_what_is_not_ours(
     study: Advice, tmp_path: Path
 ) -> None:
     folder = tmp_path / "advice"
-    first = {name: (folder / name).read_bytes() for name in write_advice(study, folder)["files"]}
+    study.write(folder)
+    first = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     (folder / "notes.txt").write_text("mine")
-    assert {
-        name: (folder / name).read_bytes() for name in write_advice(study, folder)["files"]
-    } == first
+    study.write(folder)
+    assert {path: path.read_bytes() for path in first} == first
     assert (folder / "notes.txt").read_text() == "mine"
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "index.html").write_text("mine")
     with pytest.raises(FileExistsError, match="not of a former report"):
-        write_advice(study, tmp_path / "other")
+        study.write(tmp_path / "other")
     assert (tmp_path / "other" / "index.html").read_text() == "mine"
 
 

@@ -100,7 +100,7 @@ def test_without_test_stimuli_there_is_no_analysis(
 ) -> None:
     edit(small.ratings, change)
     with pytest.raises(ValueError, match="must be of one stimulus or more with role 'test'"):
-        write_report(small.ratings, small.manifest, folder, draws=2, seed=0)
+        write_report(small.ratings, small.manifest, folder, draws=2, rng=0)
     assert not folder.exists()
 
 
@@ -169,7 +169,7 @@ def test_what_little_there_is_becomes_a_page(
     small: object, folder: Path, change: Change, note: str
 ) -> None:
     edit(small.ratings, change)
-    results = write_report(small.ratings, small.manifest, folder, draws=2, seed=0)
+    results = write_report(small.ratings, small.manifest, folder, draws=2, rng=0)
     assert any(note in told for told in results.notes)
     assert all("\n" not in told for told in results.notes)
     assert results.verdict
@@ -191,6 +191,6 @@ METRICS = {
 @pytest.mark.parametrize(("change", "note"), list_cases(METRICS))
 def test_odd_metrics_become_a_page(small: object, folder: Path, change: Change, note: str) -> None:
     edit(small.manifest, change)
-    results = write_report(small.ratings, small.manifest, folder, draws=2, seed=0)
+    results = write_report(small.ratings, small.manifest, folder, draws=2, rng=0)
     assert any(note in told for told in results.notes)
     assert (folder / "index.html").is_file()

@@ -54,7 +54,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
 
 def report_on(rows: pd.DataFrame, manifest: Path, folder: Path) -> Results:
     rows.to_csv(folder / "some.csv", index=False)
-    results = write_report(folder / "some.csv", manifest, folder / "report", draws=20, seed=0)
+    results = write_report(folder / "some.csv", manifest, folder / "report", draws=20, rng=0)
     page = (folder / "report" / "index.html").read_text(encoding="utf-8")
     assert "nan" not in re.sub(r"<svg.*?</svg>", "", page, flags=re.DOTALL).replace("nanometre", "")
     return results

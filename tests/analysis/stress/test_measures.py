@@ -172,7 +172,7 @@ def test_spread_of_metrics_is_that_of_the_rotation_statistics(drag: Any) -> None
     turns, samples = random_rotations(200, rng())[None], drag.acceleration
     takes = vary([drag], rng=rng())._replace(turns=turns)
     (found,) = measure_takes(REDUCERS["soc321"], takes)["spread"]
-    known = rotation_statistics(samples, drag.rate_hz, reducer="soc321", rotations=200, rng=rng())
+    known = rotation_statistics(samples, ["soc321"], rng=rng(), rate_hz=drag.rate_hz).loc["soc321"]
     assert found == pytest.approx(max(known.spectral_sd, known.temporal_sd))
 
 

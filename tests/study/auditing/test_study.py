@@ -251,7 +251,7 @@ def test_a_changed_manifest_is_found(copy: StudyFolder) -> None:
     path = copy.stimuli / "manifest.json"
     entry = json.loads(path.read_text(encoding="utf-8"))
     entry["stimuli"][0]["spectral_match"] = 0.99
-    path.write_text(json.dumps(entry), encoding="utf-8")
+    path.write_text(json.dumps(entry, indent=1), encoding="utf-8")
     assert find_only(copy) == (
         f"{copy.stimuli}: manifest.csv and manifest.json differ; one was changed, build the set again"
     )

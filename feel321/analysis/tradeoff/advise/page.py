@@ -19,7 +19,7 @@ from feel321.doors import announce
 from feel321.jobs import ALONE, Workers, as_workers, gather_results
 from feel321.records import to_json_value
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.types import PathLike, Reducer
+from feel321.types import Reducer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -243,15 +243,6 @@ def _advise(
     # The work is in transforms: threads of the linear algebra only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         return advise_scene(scene, context, seed=seed, ratings=rated, reducers=reducers)
-
-
-def write_advice(advice: Advice, folder: PathLike) -> dict[str, Any]:
-    """Write advice and return what ``results.json`` holds; kept for callers of the former name."""
-    import json
-
-    page = advice.write(folder)
-    content: dict[str, Any] = json.loads(page.with_name("results.json").read_text(encoding="utf-8"))
-    return content
 
 
 def _refuse_ratings(

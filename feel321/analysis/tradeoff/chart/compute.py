@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import platform
@@ -39,7 +38,7 @@ from feel321.analysis.tradeoff.chart.points import (
 from feel321.analysis.tradeoff.results import PageParts, PageResult, as_recordings, as_table
 from feel321.doors import announce
 from feel321.jobs import ALONE, Job, Workers, as_workers, gather_results
-from feel321.types import PathLike, Samples
+from feel321.types import Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -152,12 +151,6 @@ class Chart(PageResult):
             "figures": captions,
         }  # fmt: skip
         return PageParts("chart.html", content, pictures, {"chart": self, **values})
-
-
-def write_chart(chart: Chart, folder: PathLike) -> tuple[str, ...]:
-    """Write a chart and return the names of its files; kept for callers of the former name."""
-    results = chart.write(folder).with_name("results.json")
-    return tuple(json.loads(results.read_text(encoding="utf-8"))["files"])
 
 
 def compute_chart(  # noqa: PLR0913 - every choice that changes the numbers has a name of its own

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, count
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from feel321.analysis.tradeoff.stress.page import Stress
 from feel321.doors import describe
 from feel321.jobs import ALONE, Job, Workers, as_workers, gather_results
 from feel321.stimuli.reducers.registry import REDUCERS, reduce
-from feel321.types import PathLike, Reducer, Samples
+from feel321.types import Reducer, Samples
 
 if TYPE_CHECKING:
     from feel321.stimuli.recording import Recording
@@ -120,11 +119,6 @@ def _check_inputs(
     if unknown := [name for name in sensor if name not in names]:
         known = ", ".join(names) or "none"
         raise ValueError(f"sensor must name recordings ({known}), got {unknown[0]!r}")
-
-
-def write_stress(result: Stress, folder: PathLike) -> Path:
-    """Write a stress test; kept for callers of the former name."""
-    return result.write(folder)
 
 
 def _collect_notes(
