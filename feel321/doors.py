@@ -45,11 +45,11 @@ def as_rng(rng: int | np.random.Generator, what: str = "rng") -> np.random.Gener
     return np.random.default_rng(int(rng))
 
 
-def as_seed(rng: int | np.random.Generator, what: str = "rng") -> int:
+def as_seed(rng: int | np.random.Generator) -> int:
     """Take the seed that is given, or draw one from a generator: for results that have many sources of randomness."""
     import numpy as np
 
-    generator = as_rng(rng, what)
+    generator = as_rng(rng)
     return int(generator.integers(2**32) if isinstance(rng, np.random.Generator) else rng)
 
 

@@ -103,11 +103,11 @@ def check_columns(table: DataFrame, names: Sequence[str], what: str) -> None:
         raise ValueError(f"{what}: column {', '.join(missing)} is missing; got {got}")
 
 
-def check_draws(draws: int, *, least: int = 2, usual: int = 2000) -> None:
+def check_draws(draws: int, *, usual: int = 2000) -> None:
     """Refuse fewer bootstrap draws than have a spread."""
-    if draws < least:
+    if draws < 2:  # noqa: PLR2004 - a spread needs two
         raise ValueError(
-            f"draws must be {least} or more, got {draws}; use {usual} for results to be published"
+            f"draws must be 2 or more, got {draws}; use {usual} for results to be published"
         )
 
 

@@ -383,11 +383,6 @@ class Draws(NamedTuple):
     of_recordings: Values
 
 
-def draw_intervals(items: Items, method: str, *, draws: int, rng: np.random.Generator) -> Draws:
-    """Draw participants and recordings with replacement, and correlate anew each time."""
-    return draw_methods(items, [method], draws=draws, rng=rng)[method]
-
-
 def draw_methods(
     items: Items, methods: Iterable[str], *, draws: int, rng: np.random.Generator
 ) -> dict[str, Draws]:

@@ -81,13 +81,17 @@ def linear_grid(n_samples: int, rate_hz: float) -> Samples:
     return np.arange(first, last + 1, dtype=np.float64) * spacing
 
 
-def log_grid(n_samples: int, rate_hz: float, *, points_per_octave: int = 24) -> Samples:
-    """Logarithmically spaced frequencies over the same range as `linear_grid`; possibly none."""
+PER_OCTAVE = 24
+"""Points of a logarithmic grid."""
+
+
+def log_grid(n_samples: int, rate_hz: float) -> Samples:
+    """Logarithmically spaced frequencies, 24 per octave, over the same range as `linear_grid`; possibly none."""
     lowest, highest = max(LOWEST_HZ, rate_hz / n_samples), min(HIGHEST_HZ, rate_hz / 2)
     if lowest > highest:
         return np.zeros(0)
-    n_points = int(np.log2(highest / lowest) * points_per_octave) + 1
-    return lowest * 2.0 ** (np.arange(n_points) / points_per_octave)
+    n_points = int(np.log2(highest / lowest) * PER_OCTAVE) + 1
+    return lowest * 2.0 ** (np.arange(n_points) / PER_OCTAVE)
 
 
 class WeberSmoothing:

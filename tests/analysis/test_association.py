@@ -16,7 +16,7 @@ from feel321.analysis.resampling import (
     correlate_draws,
     count_scarcest,
     draw_counts,
-    draw_intervals,
+    draw_methods,
 )
 from feel321.analysis.table.items import make_items
 
@@ -450,11 +450,14 @@ def test_metrics_that_say_the_same_get_the_same_intervals(
 def test_a_within_interval_rests_on_whatever_is_scarcest(tidy: Callable[..., pd.DataFrame]) -> None:
     items = make_items(tidy(participants=2, recordings=6), [SPECTRAL])
     for method in ("pearson", "within"):
-        assert count_scarcest(items, draw_intervals(items, method, draws=5, rng=rng())) == 2
+        assert count_scarcest(items, draw_methods(items, [method], draws=5, rng=rng())[method]) == 2
     items = make_items(tidy(participants=8, recordings=6), [SPECTRAL])
     silent = replace(items, metrics=np.where(items.recordings < 3, items.metrics, 0.5))
     for method, count in (("pearson", 6), ("within", 3)):
-        assert count_scarcest(silent, draw_intervals(silent, method, draws=5, rng=rng())) == count
+        assert (
+            count_scarcest(silent, draw_methods(silent, [method], draws=5, rng=rng())[method])
+            == count
+        )
 
 
 def test_exactly_half_of_the_stimuli_make_a_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:

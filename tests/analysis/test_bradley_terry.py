@@ -8,11 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.contrasts.bradley_terry import (
-    bradley_terry,
-    bradley_terry_by_rater,
-    count_duels,
-)
+from feel321.analysis.contrasts.bradley_terry import bradley_terry, count_duels
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -245,7 +241,7 @@ def test_draws_in_which_an_item_met_nobody_have_no_estimate() -> None:
     rows = [(f"p{who}", "a", "b", "ab"[turn % 2]) for who in range(4) for turn in range(5 + who)]
     rows += [("p3", "b", "c", "bc"[turn % 2]) for turn in range(6)]
     trials = pd.DataFrame(rows, columns=["participant", "first", "second", "winner"])
-    result = bradley_terry_by_rater(trials, draws=400, rng=np.random.default_rng(0))
+    result = bradley_terry(trials, by_rater=True, draws=400, rng=np.random.default_rng(0))
     drawn = np.random.default_rng(0).multinomial(4, np.full(4, 0.25), size=400)
     assert f"In {(drawn[:, 3] == 0).sum()} of 400 draws" in result.notes[0]
     assert "No interval: too many draws" in result.notes[1]
@@ -255,7 +251,7 @@ def test_draws_in_which_an_item_met_nobody_have_no_estimate() -> None:
 def test_raters_who_are_all_alike_tell_nothing_of_others() -> None:
     rows = [(who, "a", "b", winner) for who in "xyz" for winner in "aab"]
     trials = pd.DataFrame(rows, columns=["participant", "first", "second", "winner"])
-    notes = bradley_terry_by_rater(trials, draws=50, rng=np.random.default_rng(0)).notes
+    notes = bradley_terry(trials, by_rater=True, draws=50, rng=np.random.default_rng(0)).notes
     assert notes == (
         "No interval: all draws gave the same, so that nothing shows how raters differ.",
     )
@@ -331,7 +327,7 @@ def test_unknown_choices_are_refused() -> None:
 
 def test_raters_alike_give_walds_errors_and_raters_unlike_give_larger() -> None:
     rng = np.random.default_rng(1)
-    alike = bradley_terry_by_rater(make_trials(raters=40), draws=400, rng=rng).fixed
+    alike = bradley_terry(make_trials(raters=40), by_rater=True, draws=400, rng=rng).fixed
     wald = bradley_terry(make_trials(raters=40)).fixed
     assert alike["estimate"].to_numpy() == pytest.approx(wald["estimate"].to_numpy())
     assert alike.loc["b":, "se"].to_numpy() == pytest.approx(
@@ -339,15 +335,20 @@ def test_raters_alike_give_walds_errors_and_raters_unlike_give_larger() -> None:
     )
     unlike = make_trials(raters=40, spread=1.0)
     assert (
-        bradley_terry_by_rater(unlike, draws=400, rng=rng).fixed["se"]
+        bradley_terry(unlike, by_rater=True, draws=400, rng=rng).fixed["se"]
         / bradley_terry(unlike).fixed["se"]
     )["d"] > 1.5
 
 
 def test_a_draw_is_a_fit_of_the_raters_drawn() -> None:
     trials = make_trials(raters=5, rounds=6, order=0.3)
-    result = bradley_terry_by_rater(
-        trials, order_effect=True, reference="b", draws=40, rng=np.random.default_rng(3)
+    result = bradley_terry(
+        trials,
+        by_rater=True,
+        order_effect=True,
+        reference="b",
+        draws=40,
+        rng=np.random.default_rng(3),
     )
     weights = np.random.default_rng(3).multinomial(5, np.full(5, 0.2), size=40)
     drawn = []
@@ -369,7 +370,7 @@ def test_draws_without_an_estimate_are_counted() -> None:
         ("p2", "a", "b", "b"),
     ]
     trials = pd.DataFrame(one_sided, columns=["participant", "first", "second", "winner"])
-    result = bradley_terry_by_rater(trials, draws=300, rng=np.random.default_rng(0))
+    result = bradley_terry(trials, by_rater=True, draws=300, rng=np.random.default_rng(0))
     assert math.isnan(result.fixed.loc["b", "low"])
     assert "an item always won or lost" in result.notes[0]
     assert result.notes[1].startswith("No interval")
@@ -378,7 +379,7 @@ def test_draws_without_an_estimate_are_counted() -> None:
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
-        ({}, {"rater": "who"}, "trials: column who is missing"),
+        ({}, {"by_rater": "who"}, "trials: column who is missing"),
         ({"participant": "same"}, {}, "trials must be of two raters or more, got one"),
         (
             {"participant": None},
@@ -392,8 +393,9 @@ def test_bad_raters_are_refused(
     change: dict[str, object], options: dict[str, object], message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
-        bradley_terry_by_rater(
-            make_trials().assign(**change), rng=np.random.default_rng(0), **options
+        bradley_terry(
+            make_trials().assign(**change),
+            **{"by_rater": True, "rng": np.random.default_rng(0)} | options,
         )
 
 
@@ -407,9 +409,9 @@ def test_intervals_over_raters_cover_and_walds_do_not() -> None:
     for seed in range(400):
         trials = make_trials(seed, raters=15, rounds=2, spread=0.7)
         rows = [
-            bradley_terry_by_rater(trials, draws=300, rng=np.random.default_rng(seed)).fixed.loc[
-                "c"
-            ],
+            bradley_terry(
+                trials, by_rater=True, draws=300, rng=np.random.default_rng(seed)
+            ).fixed.loc["c"],
             bradley_terry(trials).fixed.loc["c"],
         ]
         covered.append([row["low"] <= truth <= row["high"] for row in rows])

@@ -14,7 +14,7 @@ from matplotlib.image import imread
 
 from feel321.analysis.association.correlate import make_panel
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers
-from feel321.analysis.figures.estimates import describe_extremes, draw_profile, draw_profiles
+from feel321.analysis.figures.estimates import describe_extremes, draw_profiles
 from feel321.analysis.figures.scatter import (
     describe_relation,
     draw_scatter,
@@ -69,9 +69,8 @@ def scatter(table: pd.DataFrame) -> Figure:
 
 def profile(table: pd.DataFrame) -> Figure:
     found = find(table)
-    return draw_profile(
-        found.profile, found.participants, looks=assign_looks(order_reducers(table["reducer"]))
-    )
+    looks = assign_looks(order_reducers(table["reducer"]))
+    return draw_profiles([(found.profile, found.participants)], looks=looks)
 
 
 def name_at_length(table: pd.DataFrame, stem: str) -> pd.DataFrame:

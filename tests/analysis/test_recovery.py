@@ -23,7 +23,7 @@ from scipy.stats import binom
 from feel321.analysis.agreement import bootstrap_alpha, intraclass, krippendorff_alpha
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate
-from feel321.analysis.contrasts.bradley_terry import bradley_terry, bradley_terry_by_rater
+from feel321.analysis.contrasts.bradley_terry import bradley_terry
 from feel321.analysis.contrasts.compare import equivalence, non_inferiority, profile_reducers
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
@@ -424,7 +424,9 @@ def find_abilities(spread: float) -> pd.Series:
 
 def judge_duels(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
     trials = make_duels(rng, raters=14, spread=0.6)
-    by_rater = bradley_terry_by_rater(trials, reference="a", draws=DRAWS, rng=rng).fixed.loc["d"]
+    by_rater = bradley_terry(trials, by_rater=True, reference="a", draws=DRAWS, rng=rng).fixed.loc[
+        "d"
+    ]
     truth = find_abilities(0.6)["d"]
     yield "Bradley-Terry, raters drawn", by_rater["low"] <= truth <= by_rater["high"]
     rows = bradley_terry(trials.drop(columns="participant"), reference="a").fixed.loc["d"]

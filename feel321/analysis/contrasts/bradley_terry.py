@@ -204,20 +204,6 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     )  # fmt: skip
 
 
-def bradley_terry_by_rater(
-    trials: DataFrame,
-    *,
-    rater: str = "participant",
-    reference: str | None = None,
-    order_effect: bool = False,
-    draws: int = 1000,
-    rng: Rng = 0,
-) -> BradleyTerry:
-    """Fit a Bradley-Terry model whose errors come from drawing raters anew."""
-    options = {"reference": reference, "order_effect": order_effect}
-    return _fit_by_rater(trials, rater, options, draws=draws, rng=as_rng(rng))
-
-
 def _fit_by_rater(
     trials: DataFrame, rater: str, options: dict[str, Any], *, draws: int, rng: np.random.Generator
 ) -> BradleyTerry:

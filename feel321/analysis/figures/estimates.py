@@ -79,9 +79,9 @@ class ForestRow:
         return GAP_CM + max(LINE_CM * (1 + self.label.count("\n")), MARK_CM * len(self.marks))
 
 
-def fit_rows(rows: Iterable[ForestRow], *, width_cm: float = LABEL_CM) -> list[ForestRow]:
+def fit_rows(rows: Iterable[ForestRow]) -> list[ForestRow]:
     """Break the labels of rows to two lines at most that fit their place."""
-    return [replace(row, label=style.fit_text(row.label, width_cm)) for row in rows]
+    return [replace(row, label=style.fit_text(row.label, LABEL_CM)) for row in rows]
 
 
 def find_height(rows: Iterable[ForestRow]) -> float:
@@ -307,13 +307,6 @@ EXTREMES = {
 
 Profile = tuple["DataFrame", "DataFrame"]
 """Rows per reducer, and means per participant."""
-
-
-def draw_profile(
-    profile: DataFrame, participants: DataFrame, *, looks: Mapping[str, Look]
-) -> Figure:
-    """Draw ratings per reducer as a raincloud: every participant, their distribution, the mean and its interval."""
-    return draw_profiles([(profile, participants)], looks=looks)
 
 
 def draw_profiles(parts: Sequence[Profile], *, looks: Mapping[str, Look]) -> Figure:

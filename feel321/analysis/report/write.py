@@ -411,14 +411,6 @@ def _open(
     return read_table(ratings, manifest, **choices), given | paths
 
 
-def compute_sections(
-    table: Table, choices: Choices, *, progress: Progress | None = False
-) -> tuple[Section, ...]:
-    """Run the whole analysis; returns its sections in the report's order."""
-    with follow(progress or False, "report") as move, words.declaring(table.info):
-        return tuple(_reconcile(list(_compute(table, choices, move))))
-
-
 def _compute(
     table: Table, choices: Choices, progress: Callable[[int, int], None]
 ) -> Iterator[Section]:

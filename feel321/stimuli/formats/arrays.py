@@ -189,7 +189,7 @@ def decode_arrays(
             requested=None if request.unit is None else common.parse_unit(request.unit),
         ),
         common.one_value(
-            {name: _as_scalar(array, "the rate") for name, array in rates.items()},
+            {name: _read_rate(array) for name, array in rates.items()},
             argument="rate_hz",
             requested=request.rate_hz,
         ),
@@ -264,10 +264,10 @@ def _read_stamps(
     return stamps * second, float(np.spacing(coarse(np.abs(stamps).max(initial=0.0)))) * second
 
 
-def _as_scalar(array: NDArray[Any], what: str) -> float:
+def _read_rate(array: NDArray[Any]) -> float:
     if np.size(array) != 1:
-        raise ValueError(f"{what} must be one number, got {np.size(array)} values")
-    return float(as_numbers(np.asarray(array), what).item())
+        raise ValueError(f"the rate must be one number, got {np.size(array)} values")
+    return float(as_numbers(np.asarray(array), "the rate").item())
 
 
 HEADER_BYTES = 128

@@ -167,7 +167,7 @@ def draw_cost(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
     return _finish(figure, choose_looks(tables), figure.axes[-1].xaxis)
 
 
-def draw_latency(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
+def draw_latency(tables: Tables) -> Figure:
     """Draw accuracy against algorithmic latency, windowed reducers with every window."""
 
     def draw(axes: Axes, measure: str, looks: dict[str, style.Look]) -> DataFrame:
@@ -200,7 +200,7 @@ def draw_latency(tables: Tables, measures: Sequence[str] = PAPER) -> Figure:
                 _mark(axes, (shift * window, rest["mean"].median()), look, size=4)
         return rows
 
-    figure = _draw_panels(tables, measures, draw)
+    figure = _draw_panels(tables, PAPER, draw)
     axes = figure.axes[-1]
     limits = (AT_ONCE_MS / 2, 2 * OFFLINE_MS)
     axes.set(xscale="log", xlabel="Algorithmic latency, window (ms)", xlim=limits)

@@ -36,9 +36,6 @@ PAPER = MEASURES[:2]
 ACCURACY = MEASURES[2]
 """The measure that stands for accuracy where there is room for one: from 0 to 1 whatever the reducer."""
 
-SWEEPS = ("size", "window", "hop", "block", "rate", "bits")
-"""What is varied where cost is measured."""
-
 TABLES: Mapping[str, tuple[str, ...]] = MappingProxyType({
     "scenes": ("name", "rate_hz", "duration_s", "used_s", "sha256"),
     "points": ("method", "reducer", "measure", "median", "mean", "lowest", "highest", "se",
