@@ -572,7 +572,8 @@ def match_in_windows(samples: Samples, reduced: Samples, rate_hz: float) -> Samp
     weights = energies.sum(axis=-2)
     total = weights.sum(axis=-1)
     share = np.nan_to_num(mean_over_axes(of_axes)) * weights
-    return np.divide(share.sum(axis=-1), total, out=np.full_like(total, np.nan), where=total > 0)
+    unknown = np.full_like(total, np.nan)
+    return np.asarray(np.divide(share.sum(axis=-1), total, out=unknown, where=total > 0))
 
 
 PLANNED = ("spectral_match_bounded", "temporal_match")

@@ -446,8 +446,8 @@ def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
     tables = [model.slopes.reset_index().assign(attribute=name) for name, model in models.items()]
     table = pd.concat(tables, ignore_index=True)
     table.insert(0, "attribute", table.pop("attribute"))
-    plain = adjust_holm(table["plain_p"].fillna(table["p"]).tolist())
-    plain = np.where(table["plain_p"].notna(), plain, NONE)
+    plain = np.array(adjust_holm(table["plain_p"].fillna(table["p"]).tolist()))
+    plain[table["plain_p"].isna()] = NONE
     return table.assign(p_holm=adjust_holm(table["p"].tolist()), plain_p_holm=plain)
 
 

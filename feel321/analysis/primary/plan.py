@@ -157,7 +157,7 @@ def _add_level(items: DataFrame, rows: DataFrame) -> DataFrame:
             continue
         values = levels.first().astype(np.float64)
         if name == AMPLITUDE:
-            values = 20 * np.log10(values.where(values > 0))
+            values = values.where(values > 0).map(np.log10) * 20
         if np.isfinite(values).all():
             return items.assign(**{LEVEL: items[ITEM].map(values)})
     return items

@@ -21,6 +21,8 @@ from feel321.analysis.primary.plan import find_most_df
 from feel321.records import Result
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from feel321.types import Samples
 
 SIGNIFICANCE = 0.05
@@ -175,7 +177,12 @@ def find_own(
 
 
 def find_recording_variance(
-    study: SlopePrecision, own: Samples, alike: Samples, *, scenes: Samples, spreads: Samples
+    study: SlopePrecision,
+    own: Samples,
+    alike: Samples,
+    *,
+    scenes: NDArray[np.intp],
+    spreads: Samples,
 ) -> float:
     """Compute the variance that recordings' own slopes give an estimate, weighted as if they did not differ.
 

@@ -102,7 +102,8 @@ def find_depths(energy: Samples, rate_hz: float) -> Samples:
     shares = (band[:, None] == np.unique(band[band >= 0])).astype(float)
     depths = 2 * np.sqrt(np.abs(spectrum) ** 2 @ shares)
     mean = mean[..., None]
-    return np.divide(depths, mean, out=np.full_like(depths, np.nan), where=mean > 0)
+    unknown = np.full_like(depths, np.nan)
+    return np.asarray(np.divide(depths, mean, out=unknown, where=mean > 0))
 
 
 def compare_depths(recorded: Samples, reduced: Samples) -> Samples:
