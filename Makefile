@@ -60,7 +60,7 @@ guards: .venv/.tests # sizes, docstrings, faces, wheel, pins, exclusions
 	$(PYTHON) -m pytest tests/house
 
 docs: .venv/.tests ## the documentation site, into build/docs; warnings are errors
-	$(PYTHON) -m sphinx -j auto -q -W --keep-going -d build/doctrees docs build/docs
+	$(PYTHON) -m sphinx -q -W --keep-going -d build/doctrees docs build/docs
 	@echo "Open build/docs/index.html"
 
 screenshots: .venv/.tests ## the documentation's pictures of screens and report, by Xvfb and Chromium

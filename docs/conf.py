@@ -9,7 +9,6 @@ sys.path.insert(0, str(HERE))
 from docsite import methods, reference, settings  # noqa: E402 - found through the path above
 
 from feel321 import __version__  # noqa: E402
-from feel321.study.cli import feel321  # noqa: E402
 
 project = "feel321"
 author = "the feel321 authors"
@@ -43,8 +42,10 @@ html_show_sphinx = html_copy_source = html_show_sourcelink = False
 pygments_style, pygments_dark_style = "a11y-high-contrast-light", "a11y-high-contrast-dark"
 
 GENERATED = HERE / "reference"
-reference.write_faces(GENERATED / "python")
-reference.write_commands(GENERATED / "commands.rst", feel321)
-methods.write_reducers(GENERATED / "reducers")
-methods.write_metrics(GENERATED / "metrics")
+reference.write_index(HERE / "index.rst")
+reference.write_faces(GENERATED)
+reference.write_verbs(GENERATED / "verbs.rst")
+reference.write_tables(GENERATED / "tables.rst")
+methods.write_reducers(GENERATED / "reducers.rst")
+methods.write_metrics(GENERATED / "metrics.rst")
 settings.write_settings(GENERATED / "settings.rst")

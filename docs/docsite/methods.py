@@ -1,4 +1,4 @@
-"""A page for each reducer and each metric: formula, figure, and when it fails."""
+"""The pages of reducers and metrics: for each one formula, figure, and when it fails."""
 
 from __future__ import annotations
 
@@ -11,15 +11,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from docsite.plot import FAINT, INK
-from docsite.text import ASIDE, table, title, write
+from docsite.text import table, title, write
 from feel321.analysis.tradeoff.stress.battery import BATTERY
 from feel321.names import METRIC_INFO, REDUCER_NAMES
-from feel321.stimuli import INVARIANTS, METRICS, REDUCERS, psd, spectral_match_bounded
+from feel321.stimuli import (
+    INVARIANTS,
+    METRICS,
+    REDUCERS,
+    condition,
+    make_scene,
+    match,
+    psd,
+    spectral_match_bounded,
+)
 from feel321.stimuli.recording import Reduced
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, WHY_NOT_STREAMING
+from feel321.stimuli.synthesis import SCENES
+from feel321.study import settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from matplotlib.axes import Axes
 
@@ -29,88 +40,112 @@ WORDS = tomllib.loads((Path(__file__).parent / "methods.toml").read_text(encodin
 """What registries and docstrings do not say: in a sentence, what a method does, and when it fails."""
 
 CONTROL = "ordinary_drag"
+DRAWN = (
+    "say321",
+    "soc321",
+    "mag321",
+    "pca321",
+    "dft321",
+    "dft321_principal",
+    "pca321_matched",
+    "dft321_bands",
+)
+"""Reducers with a figure; the others look like one of these."""
+
+COMPARED = ("sax321", "say321", "saz321", "soc321", "mag321", "pca321", "dft321", "dft321_windowed")
+"""Columns of the paper's Table 1."""
+
+LANDIN = Path(settings.__file__).parent / "bundled" / "landin2010.toml"
+"""The bundled study that holds the numbers of the paper's Table 1."""
 
 
-def write_reducers(folder: Path) -> None:
-    """Write a page for each reducer and their list."""
-    rows = []
-    for name in REDUCER_NAMES:
-        words = WORDS["reducers"][name]
-        scene = BATTERY[words["scene"]]
-        rows.append((f":doc:`{name} <{name}>`", words["does"], words["fails"]))
-        code = f"from docsite.methods import draw_reducer\n\ndraw_reducer('{name}', '{scene.name}')"
-        notes, sources = _take_notes(REDUCERS[name], words.get("formula", ""))
-        label = f"{name} in the ordinary drag and where it fails: waveforms above, spectra below"
-        write(
-            folder / f"{name}.rst",
-            ASIDE,
-            title(name),
-            words["does"],
-            _list_facts(name),
-            title("Formula", "-"),
-            notes,
-            title("When it fails", "-"),
-            words["fails"],
-            _plot(label, code),
-            f"Left: {BATTERY[CONTROL].title.lower()}. Right: {scene.title[0].lower()}{scene.title[1:]}. {scene.reason}"
-            " Grey: the recording, its three axes above and the sum of their spectra below. Black or white: the"
-            " reduced signal. Both matches are at best 1: the bounded spectral match, and the temporal match that"
-            " does not depend on how the sensor is mounted.",
-            sources,
-            _link(f"feel321.stimuli.REDUCERS.{name}", "/tradeoff", "/metrics"),
-        )
+def write_reducers(path: Path) -> None:
+    """Write the page of all reducers."""
     write(
-        folder / "index.rst",
+        path,
         title("Reducers"),
-        "Three axes in, one out: ``REDUCERS[name](acceleration, rate_hz)``. :doc:`/metrics` compares them by the"
-        " paper's two metrics, :doc:`/tradeoff` by speed and stability.",
-        table(("reducer", "keeps", "fails"), rows, widths="24 38 38"),
+        "Three axes in, one out: ``REDUCERS[name](acceleration, rate_hz)``, from (..., 3, n) to (..., n). In the"
+        " figures, grey is the recording (its three axes above, the sum of their spectra below) and black or white the"
+        " reduced signal; both matches are at best 1.\n",
+        title("The paper's table, and ours", "-"),
+        "Spectral match / temporal match. Upper rows: Table 1 of Landin et al. 2010 (Figure 3: bumps, drag and taps;"
+        " Figure 4: texture drag); below, the bundled scenes, conditioned as in a study. The scenes are synthetic:"
+        " compare the pattern, not the digits.\n",
+        table(("", *COMPARED), [*_list_paper(), *_list_scenes()]),
+        *(_describe_reducer(name) for name in REDUCER_NAMES),
     )
 
 
-def write_metrics(folder: Path) -> None:
-    """Write a page for each metric and their list."""
-    rows = []
-    for name, metric in METRICS.items():
-        words, info = WORDS["metrics"][name], METRIC_INFO[name]
-        best = "higher is better" if info.higher == "better" else "0 is best"
-        ends = f"{info.low:g} to {info.high:g}".replace("-inf to", "at most").replace(
-            " to inf", " or more"
-        )
-        reach = f"{ends} {info.unit}".strip()
-        rows.append((f":doc:`{name} <{name}>`", words["does"], f"{reach}; {best}"))
-        code = f"from docsite.methods import draw_metric\n\ndraw_metric('{name}')"
-        notes, sources = _take_notes(metric, words.get("formula", ""))
-        label = f"{info.label}, over the gain and over the delay of the reduced signal"
-        write(
-            folder / f"{name}.rst",
-            ASIDE,
-            title(name),
-            words["does"],
-            f"Range: {reach}; {best}.",
-            title("Formula", "-"),
-            notes,
-            title("When it misleads", "-"),
-            words["fails"],
-            _plot(label, code),
-            "One second of an ordinary drag, reduced by ``dft321``, then made stronger or weaker (left) or delayed"
-            " (right).",
-            sources,
-            _link(f"feel321.stimuli.METRICS.{name}", "/rivals", "/metrics"),
-        )
+def _list_paper() -> Iterable[list[str]]:
+    """List the paper's numbers: spectral and temporal match of each transform, by figure."""
+    listed = tomllib.loads(LANDIN.read_text(encoding="utf-8"))["paper"]["published"]
+    for shown in dict.fromkeys(one["shown"] for one in listed):
+        spectral, temporal = (one["numbers"] for one in listed if one["shown"] == shown)
+        pairs = ((spectral.get(name), temporal.get(name)) for name in COMPARED)
+        yield [
+            f"paper, {shown}",
+            *("" if one is None else f"{one:.2f} / {other:.2f}" for one, other in pairs),
+        ]
+
+
+def _list_scenes() -> Iterable[list[str]]:
+    """List the matches of the bundled scenes."""
+    for name in SCENES:
+        found = match(condition(make_scene(name)), reducers=COMPARED)
+        pairs = zip(found["spectral_match"], found["temporal_match"], strict=True)
+        yield [f"``{name}``", *(f"{spectral:.2f} / {temporal:.2f}" for spectral, temporal in pairs)]
+
+
+def _describe_reducer(name: str) -> str:
+    words, scene = WORDS["reducers"][name], BATTERY[WORDS["reducers"][name]["scene"]]
+    streams = f"does not: {WHY_NOT_STREAMING[name]}" if name in WHY_NOT_STREAMING else "yes"
+    default = "yes" if name in DEFAULT_REDUCERS else "no"
+    notes, sources = _take_notes(REDUCERS[name], words.get("formula", ""))
+    code = f"from docsite.methods import draw_reducer\n\ndraw_reducer('{name}', '{scene.name}')"
+    label = f"{name} in the ordinary drag and where it fails: waveforms above, spectra below"
+    parts = [
+        title(name, "-"),
+        words["does"] + "\n",
+        f"Streams: {streams}. In a study by default: {default}.\n",
+        notes,
+        f"**When it fails.** {words['fails']}\n",
+    ]
+    if name in DRAWN:
+        left, right = BATTERY[CONTROL].title.lower(), f"{scene.title[0].lower()}{scene.title[1:]}"
+        parts += [_plot(label, code), f"Left: {left}. Right: {right}. {scene.reason}\n"]
+    return "\n".join([*parts, sources])
+
+
+def write_metrics(path: Path) -> None:
+    """Write the page of all metrics."""
     write(
-        folder / "index.rst",
+        path,
         title("Metrics"),
         "How well one axis stands for three: ``METRICS[name](acceleration, reduced, rate_hz)``. The first four are the"
-        " match metrics; the others are their rivals (:doc:`/rivals`).",
-        table(("metric", "compares", "range"), rows, widths="30 45 25"),
+        " match metrics; the others are their rivals. ``INVARIANTS`` has a counterpart of spectral and temporal match"
+        " that does not change with the mounting of the sensor. In the figures, one second of an ordinary drag, reduced"
+        " by ``dft321``, is made stronger or weaker (left) or delayed (right).\n",
+        *(_describe_metric(name) for name in METRICS),
     )
 
 
-def _list_facts(name: str) -> str:
-    streams = "yes" if name not in WHY_NOT_STREAMING else f"no: {WHY_NOT_STREAMING[name]}"
-    default = "yes" if name in DEFAULT_REDUCERS else "no; name it in ``[stimuli] reducers``"
-    return table(("streams", "in a study by default"), [(streams, default)])
+def _describe_metric(name: str) -> str:
+    words, info = WORDS["metrics"][name], METRIC_INFO[name]
+    best = "higher is better" if info.higher == "better" else "0 is best"
+    ends = f"{info.low:g} to {info.high:g}".replace("-inf to", "at most").replace(
+        " to inf", " or more"
+    )
+    notes, sources = _take_notes(METRICS[name], words.get("formula", ""))
+    code = f"from docsite.methods import draw_metric\n\ndraw_metric('{name}')"
+    return "\n".join([
+        title(name, "-"),
+        words["does"] + "\n",
+        f"Range: {' '.join(filter(None, (ends, info.unit)))}; {best}.\n",
+        notes,
+        f"**When it misleads.** {words['fails']}\n",
+        _plot(f"{info.label}, over the gain and over the delay of the reduced signal", code),
+        sources,
+    ])
 
 
 def _take_notes(function: Callable[..., object], formula: str) -> tuple[str, str]:
@@ -128,7 +163,7 @@ def _take_notes(function: Callable[..., object], formula: str) -> tuple[str, str
         *("\n".join(below.get(key, [])) for key in ("Summary", "Notes")),
     )
     sources = below.get("References") or _find_sources(function, "\n".join(lines))
-    heading = title("Source", "-") + "\n" if sources else ""
+    heading = "**Source.**\n\n" if sources else ""
     return (
         _drop_footnotes("\n".join(each.strip("\n") + "\n" for each in said if each)),
         heading + _drop_footnotes("\n".join(sources)),
@@ -153,11 +188,7 @@ def _find_sources(function: Callable[..., object], text: str) -> list[str]:
 
 def _plot(label: str, code: str) -> str:
     lines = "".join(f"   {line}".rstrip() + "\n" for line in code.splitlines())
-    return f".. plot:: {label}\n   :hide:\n\n{lines}"
-
-
-def _link(call: str, *pages: str) -> str:
-    return f"In Python: ``{call}``. More: {', '.join(f':doc:`{page}`' for page in pages)}, :doc:`index`."
+    return f".. plot:: {label}\n\n{lines}"
 
 
 def measure(name: str, scene: Recording) -> tuple[Reduced, float, float]:

@@ -1,21 +1,18 @@
-"""The directive `plot`: code that is run, with the figures that it leaves open, in the colours of the page."""
+"""The directive `plot`: the figures that its code leaves open, in the colours of the page."""
 
 from __future__ import annotations
 
 import re
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from docutils import nodes
-from docutils.parsers.rst import directives
 from sphinx.util.docutils import SphinxDirective
 
 from feel321.analysis.page import inline_svg
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from sphinx.application import Sphinx
 
 INK, FAINT = "#010203", "#8a8b8c"
@@ -37,40 +34,32 @@ STYLE: dict[str, Any] = {
 
 
 class Plot(SphinxDirective):
-    """Runs the code; what it names is known to the next one on the page."""
+    """Runs the code and shows its figures."""
 
     required_arguments = 1
     final_argument_whitespace = True
     has_content = True
-    option_spec: ClassVar[dict[str, Callable[[str], Any]] | None] = {"hide": directives.flag}
 
     def run(self) -> list[nodes.Node]:
-        """Give the code and its figures; the argument describes them for those who do not see them."""
-        code = "\n".join(self.content)
-        known = self.env.current_document.setdefault("plot_names", {})
-        shown = nodes.literal_block(code, code, language="python")
-        drawn = draw(code, known, self.arguments[0], name=f"plot{self.env.new_serialno('plot')}")
-        return [shown] * ("hide" not in self.options) + [
-            nodes.raw("", each, format="html") for each in drawn
-        ]
+        """Give the figures; the argument describes them for those who do not see them."""
+        name = f"plot{self.env.new_serialno('plot')}"
+        drawn = draw("\n".join(self.content), self.arguments[0], name=name)
+        return [nodes.raw("", each, format="html") for each in drawn]
 
 
-def draw(code: str, known: dict[str, Any], label: str, *, name: str) -> list[str]:
+def draw(code: str, label: str, *, name: str) -> list[str]:
     """Run code and give its figures as HTML."""
     import matplotlib as mpl
 
     mpl.use("svg")
     import matplotlib.pyplot as plt
-    from matplotlib.collections import QuadMesh
 
     plt.close("all")
     with mpl.rc_context(STYLE), tempfile.TemporaryDirectory() as folder:
-        exec(compile(code, label, "exec"), known)  # noqa: S102 - a page's own code
+        exec(compile(code, label, "exec"), {})  # noqa: S102 - a page's own code
         drawn = []
         for number in plt.get_fignums():
             path = Path(folder) / f"{number}.svg"
-            for mesh in plt.figure(number).findobj(QuadMesh):
-                mesh.set_rasterized(True)  # thousands of cells are one picture
             plt.figure(number).savefig(path, metadata={"Date": None})
             drawn.append(
                 f"<figure class='plot'>{colour(inline_svg(f'{name}-{number}', label, path))}</figure>"

@@ -1,90 +1,133 @@
-"""Reference pages: every public name of every face, every verb of the command line."""
+"""Reference pages: the index, every public name, every verb, every column of every table."""
 
 from __future__ import annotations
 
 import inspect
+import io
+import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable
+from contextlib import redirect_stdout
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from types import ModuleType
 
-import click
 from sphinx.pycode import ModuleAnalyzer
 
-from docsite.text import ASIDE, contents, table, title, write
-from feel321 import analysis
+from docsite.text import block, quiet, table, title, write
+from feel321.analysis.table.dictionary import read_dictionary
+from feel321.study.cli import feel321, main
+
+PAGES = (
+    "quickstart", "tutorial", "study", "sessions", "calibration", "reading-the-report", "tradeoff", "planning",
+    "evidence", "extensions", "python", "when-something-goes-wrong",
+)  # fmt: skip
+"""The pages that people write, in the order in which a lab needs them."""
+
+REFERENCE = {
+    "reference/settings": "Every key of study.toml and rig.toml: what it may be, its default, its unit",
+    "reference/verbs": "The command line: what ``--help`` says of every verb",
+    "reference/reducers": "Every 321 transform: formula, figure, when it fails",
+    "reference/metrics": "Every metric: formula, range, when it misleads",
+    "reference/tables": "Every column of every CSV file",
+    "reference/stimuli": "From Python: recordings, reducers, metrics, stimulus sets",
+    "reference/protocols": "From Python: tasks, trials and orders",
+    "reference/study": "From Python: studies and sessions",
+    "reference/analysis": "From Python: statistics, figures, reports",
+    "reference/records": "From Python: records and types that signatures name",
+}
+"""Generated pages, and what they hold."""
 
 FACES = {
-    "feel321.stimuli": "Recordings, reducers, metrics, stimulus sets",
-    "feel321.protocols": "Tasks, trials and orders",
-    "feel321.study": "Studies and sessions",
-    "feel321.analysis": "Statistics, figures, reports",
-    "feel321.results": "What functions return",
-    "feel321.jobs": "Who does the work",
-    "feel321.types": "Types that signatures name",
+    "stimuli": ("feel321.stimuli",),
+    "protocols": ("feel321.protocols",),
+    "study": ("feel321.study",),
+    "analysis": ("feel321.analysis",),
+    "records": ("feel321.results", "feel321.jobs", "feel321.types"),
 }
+"""Page -> modules whose public names it describes."""
+
+
+def write_index(path: Path) -> None:
+    """Write the first page: what the project is, from README, then each page's title and first sentence."""
+    readme = (path.parents[1] / "README.md").read_text(encoding="utf-8")
+    pages = [(f":doc:`{name}`", _read_opening(path.with_name(f"{name}.md"))) for name in PAGES]
+    reference = [(f":doc:`{name}`", meaning) for name, meaning in REFERENCE.items()]
+    write(
+        path,
+        title("feel321"),
+        readme.split("\n\n")[1] + "\n",
+        table(("page", "about"), pages, widths="30 70"),
+        title("Reference", "-"),
+        "Made from the program when this site was built.\n",
+        table(("page", "holds"), reference, widths="30 70"),
+        _list_contents("Guide", PAGES),
+        _list_contents("Reference", REFERENCE),
+    )
+
+
+def _read_opening(page: Path) -> str:
+    """Read the first sentence of a page's text."""
+    text = re.sub(r"^(#|```|\|).*\n", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    paragraph = next(part for part in text.split("\n\n") if re.match(r"\s*[A-Z`]", part))
+    sentence = re.split(r"(?<=[.?])\s", " ".join(paragraph.split()))[0]
+    return re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", sentence).replace("`", "``")
+
+
+def _list_contents(caption: str, names: Iterable[str]) -> str:
+    lines = "".join(f"   {name}\n" for name in names)
+    return f".. toctree::\n   :hidden:\n   :caption: {caption}\n\n{lines}"
 
 
 def write_faces(folder: Path) -> None:
-    """Write a page for each face, and one for each of its names."""
-    rows = [(f":doc:`{face} <{face}/index>`", meaning) for face, meaning in FACES.items()]
-    write(
-        folder / "index.rst",
-        title("Python reference"),
-        "Import from these modules only: ``from feel321 import stimuli, analysis``. Each page gives arguments with"
-        " shapes and units, what is returned, errors, formula, source and an example. :doc:`/python` shows them at"
-        " work.",
-        table(("module", "holds"), rows),
-        contents(f"{face}/index" for face in FACES),
-    )
-    for face in FACES:
-        _write_face(folder / face, face)
-
-
-def _write_face(folder: Path, face: str) -> None:
-    module = import_module(face)
-    names = sorted(module.__all__, key=str.casefold)
-    write(
-        folder / "index.rst",
-        title(face),
-        f".. py:module:: {face}\n",
-        inspect.getdoc(module) or "",
-        table(
-            ("name", "purpose"),
-            [(f":doc:`{name} <{name}>`", _summarise(module, name)) for name in names],
-        ),
-    )
-    for name in names:
-        write(
-            folder / f"{name}.rst",
-            ASIDE,
-            title(name),
-            f":doc:`{face} <index>`\n",
-            f".. currentmodule:: {face}\n",
-            _describe(module, name),
+    """Write the pages of public names."""
+    shown: set[int] = set()
+    for page, modules in FACES.items():
+        faces = [import_module(name) for name in modules]
+        parts = (
+            [title(face.__name__, "-" if len(faces) > 1 else "="), _describe_face(face, shown)]
+            for face in faces
         )
+        heading = [title("Records and types")] if len(faces) > 1 else []
+        write(folder / f"{page}.rst", *heading, *chain.from_iterable(parts))
+
+
+def _describe_face(module: ModuleType, shown: set[int]) -> str:
+    """Describe the public names of a module; those of an earlier page are there."""
+    names = [
+        name
+        for name in sorted(module.__all__, key=str.casefold)
+        if id(getattr(module, name)) not in shown
+    ]
+    shown.update(id(getattr(module, name)) for name in names)
+    links = [
+        (f":py:obj:`{name} <{module.__name__}.{name}>`", _summarise(module, name)) for name in names
+    ]
+    return "\n".join([
+        f".. py:module:: {module.__name__}\n",
+        (inspect.getdoc(module) or "") + "\n",
+        table(("name", "purpose"), links, widths="35 65"),
+        f".. currentmodule:: {module.__name__}\n",
+        *(_describe(module, name) for name in names),
+    ])
 
 
 def _describe(module: ModuleType, name: str) -> str:
     thing = getattr(module, name)
     if inspect.isclass(thing):
-        # A record is described in the face of the functions that return it, where it is in both.
-        shown = [getattr(analysis, other) for other in analysis.__all__]
-        double = module.__name__ == "feel321.results" and thing in shown
-        return f".. autoclass:: {name}\n   :members:\n" + "   :no-index:\n" * double
+        return f".. autoclass:: {name}\n   :members:\n"
     if inspect.isfunction(thing):
         return f".. autofunction:: {name}\n"
-    return f".. py:data:: {name}\n\n" + "".join(
-        f"   {line}\n" for line in read_comment(module, name)
-    )
+    comment = "".join(f"   {line}\n" for line in read_comment(module, name))
+    return f".. py:data:: {name}\n\n{comment}"
 
 
 def _summarise(module: ModuleType, name: str) -> str:
     thing = getattr(module, name)
-    is_code = inspect.isclass(thing) or inspect.isfunction(thing)
-    lines = (inspect.getdoc(thing) or "").splitlines() if is_code else read_comment(module, name)
-    return " ".join(" ".join(lines).partition(". ")[0].split()) if not is_code else lines[0]
+    if inspect.isclass(thing) or inspect.isfunction(thing):
+        return (inspect.getdoc(thing) or "").partition("\n")[0]
+    return " ".join(" ".join(read_comment(module, name)).partition(". ")[0].split())
 
 
 def read_comment(module: ModuleType, name: str) -> list[str]:
@@ -102,57 +145,44 @@ def read_comment(module: ModuleType, name: str) -> list[str]:
     return [""]
 
 
-def write_commands(path: Path, group: click.Group) -> None:
-    """Write the page of the command line: as `--help` has it, verb by verb."""
-    verbs = sorted(group.commands.items())
-    context = click.Context(group, info_name="feel321", **group.context_settings)
-    links = [
-        (f":ref:`{verb} <verb-{verb}>`", str(one.get_short_help_str(200))) for verb, one in verbs
-    ]
+def ask_for_help(*words: str) -> str:
+    """Ask the command line for help, as a user would."""
+    said = io.StringIO()
+    with redirect_stdout(said):
+        main([*words, "--help"])
+    return said.getvalue()
+
+
+def write_verbs(path: Path) -> None:
+    """Write the page of the command line."""
+    verbs = list(feel321.commands)
     write(
         path,
-        title("Command line"),
-        "Every verb takes the study's folder, by default the current one. Exit codes: 0 done, 1 could not or found"
-        " problems, 2 wrong use, 130 interrupted. Errors are one line on stderr.",
-        table(("verb", "does"), links, widths="15 85"),
-        *_describe_options(group, context),
-        *(text for verb, one in verbs for text in _describe_verb(verb, one, context)),
+        title("Verbs"),
+        "The study is a folder, by default the current one.\n",
+        block("text", ask_for_help()),
+        *(f"{title(verb, '-')}\n{block('text', ask_for_help(verb))}" for verb in verbs),
     )
 
 
-def _describe_verb(verb: str, command: click.Command, group: click.Context) -> Iterator[str]:
-    context = click.Context(command, info_name=verb, parent=group)
-    yield f".. _verb-{verb}:\n"
-    yield title(verb, "-")
-    usage = " ".join(command.collect_usage_pieces(context))
-    yield f".. code-block:: text\n\n   feel321 {verb} {usage}\n"
-    for paragraph in inspect.cleandoc(command.help or "").replace("\b", "").split("\n\n"):
-        yield " ".join(_quiet(paragraph).split()) + "\n"
-    yield from _describe_options(command, context)
-    example = inspect.cleandoc((command.epilog or "").replace("\b", "")).removeprefix("Example:")
-    if example:
-        lines = "".join(
-            f"   {line.strip()}\n"
-            for line in example.replace("; ", "\n").splitlines()
-            if line.strip()
-        )
-        yield f".. code-block:: sh\n\n{lines}"
-
-
-def _describe_options(command: click.Command, context: click.Context) -> Iterator[str]:
-    records = [each.get_help_record(context) for each in command.get_params(context)]
-    rows = [(f"``{names}``", _quiet(meaning)) for names, meaning in filter(None, records)]
-    if rows:
-        yield table(("option", "meaning"), rows, widths="35 65")
-
-
-def _quiet(text: str) -> str:
-    """Show characters that reStructuredText would read as its own."""
-    return (
-        text
-        .replace("\\", "\\\\")
-        .replace("*", "\\*")
-        .replace("|", "\\|")
-        .replace("`", "\\`")
-        .replace("_ ", "\\_ ")
+def write_tables(path: Path) -> None:
+    """Write the data dictionary: every column that a CSV file of feel321 may have."""
+    rows = sorted(read_dictionary(), key=lambda row: (row.file != "*", row.file))
+    parts = []
+    for file in dict.fromkeys(row.file for row in rows):
+        listed = [
+            (f"``{row.column}``", row.type, row.unit, quiet(row.allowed), quiet(row.meaning))
+            for row in rows
+            if row.file == file
+        ]
+        header = ("column", "type", "unit", "allowed", "meaning")
+        heading = "Any table" if file == "*" else f"``{file}``"
+        parts.append(f"{title(heading, '-')}\n{table(header, listed, widths='24 10 10 18 38')}")
+    write(
+        path,
+        title("Tables"),
+        "Every column of the CSV files; ``dictionary.csv`` beside the tables of a study has those that occur there."
+        " ``low``, ``high``, ``se``, ``df``, ``t`` and ``p`` after a name are its interval, standard error and test;"
+        " a metric is described by what it declares. Flags are ``TRUE`` and ``FALSE``, empty cells are missing values.",
+        *parts,
     )

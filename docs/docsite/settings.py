@@ -199,6 +199,7 @@ def write_settings(path: Path) -> None:
                     f"``{each.key}``",
                     _shorten(each.allowed),
                     f"``{each.default}``" if each.default else "",
+                    find_unit(each.place),
                     _capital(each.meaning),
                 )
                 for each in listed
@@ -206,13 +207,24 @@ def write_settings(path: Path) -> None:
             ]
             parts += [
                 title(where or "At the top", "~"),
-                table(("key", "may be", "default", "meaning"), rows, widths="18 27 20 35"),
+                table(
+                    ("key", "may be", "default", "unit", "meaning"), rows, widths="18 24 18 8 32"
+                ),
             ]
     write(path, *parts)
 
 
-MOST_NAMES = 12
-"""Of what a key may be; more of them are reducers, which have pages of their own."""
+UNITS = {
+    "db_per_min": "dB/min", "mm_per_pixel": "mm/pixel", "mv_per_g": "mV/g", "m_s2": "m/s²", "m_s": "m/s", "ms": "ms",
+    "kbps": "kbit/s", "hz": "Hz", "db": "dB", "min": "min", "months": "months", "days": "days",
+    "h": "h", "s": "s", "v": "V",
+}  # fmt: skip
+"""End of a key's name -> its unit."""
+
+
+def find_unit(place: str) -> str:
+    """Find the unit of a setting: the end of its name, the longest that there is."""
+    return next((unit for end, unit in UNITS.items() if place.endswith(f"_{end}")), "")
 
 
 MOST_NAMES = 12
@@ -224,7 +236,7 @@ def _shorten(allowed: str) -> str:
     return (
         allowed
         if len(names) <= MOST_NAMES
-        else f"{', '.join(names[:4])} and others: :doc:`reducers/index`"
+        else f"{', '.join(names[:4])} and others: :doc:`reducers`"
     )
 
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-ASIDE = ":orphan:\n"
-"""Keeps a page out of the sidebar: with a hundred more entries nobody finds anything, and Sphinx takes a minute."""
-
 
 def title(text: str, line: str = "=") -> str:
     """Underline a heading."""
@@ -25,10 +22,17 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], *, widths: str =
     return "\n".join(lines) + "\n"
 
 
-def contents(names: Iterable[str], *, hidden: bool = True) -> str:
-    """List the pages that lie below one."""
-    options = "   :hidden:\n" if hidden else ""
-    return f".. toctree::\n   :maxdepth: 1\n{options}\n" + "".join(f"   {name}\n" for name in names)
+def block(language: str, text: str) -> str:
+    """Show text as it stands."""
+    lines = "\n".join(f"   {line}".rstrip() for line in text.splitlines())
+    return f".. code-block:: {language}\n\n{lines}\n"
+
+
+def quiet(text: str) -> str:
+    """Show characters that reStructuredText would read as its own."""
+    for mark in ("\\", "*", "|", "`"):
+        text = text.replace(mark, f"\\{mark}")
+    return text.replace("_ ", "\\_ ")
 
 
 def write(path: Path, *parts: str) -> None:

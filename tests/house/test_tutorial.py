@@ -71,7 +71,7 @@ def run_block(text: str, folder: Path, *, small: bool) -> None:
             continue
         words = shlex.split(command)
         assert main(words[1:]) == 0, command
-        if small and words[1] == "new":
+        if small and "--study" in words:
             shorten(folder / words[2] / "study.toml")
 
 
