@@ -232,11 +232,11 @@ def sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def hold_lock(path: Path, *, busy: str) -> Iterator[None]:
+def hold_lock(path: Path, *, busy: str, wait_s: float = LOOK_S) -> Iterator[None]:
     """Hold the lock that a file stands for, or refuse; it ends with its process, however that ends."""
     from filelock import FileLock, Timeout
 
-    lock = FileLock(path, timeout=LOOK_S, mode=find_mode(path, private=True))
+    lock = FileLock(path, timeout=wait_s, mode=find_mode(path, private=True))
     try:
         lock.acquire()
     except Timeout:

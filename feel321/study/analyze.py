@@ -27,11 +27,11 @@ from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.freeze import make_standing
-from feel321.study.ledger.progress import Progress as Participant
-from feel321.study.ledger.progress import list_progress, note_estimates, write_roster
 from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
 from feel321.study.paper import make_paper
+from feel321.study.people import Progress as Participant
+from feel321.study.people import list_progress, note_estimates, write_roster
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import closing_results
 from feel321.study.ratings import write_ratings

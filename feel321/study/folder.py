@@ -19,10 +19,6 @@ if TYPE_CHECKING:
 
 SETTINGS_FILE = "study.toml"
 RIG_FILE = "rig.toml"
-LEDGER_FILE = "ledger.sqlite"
-
-LEDGER_FILES = "ledger."
-"""How the names of all files of the ledger begin: the database, what it keeps beside itself, the log."""
 
 DELIVERED = "delivered"
 """Folder, in each participant's, of the samples that were rendered or measured at each playback."""
@@ -46,7 +42,7 @@ def name_delivered(number: int) -> str:
 class StudyFolder:
     """The places in the folder that holds `study.toml`.
 
-    is_rehearsal: whether sessions are tried out: they are stored apart, with a ledger of their own, and nothing is
+    is_rehearsal: whether sessions are tried out: they are stored apart, with numbers of their own, and nothing is
     derived from them.
     """
 
@@ -72,16 +68,6 @@ class StudyFolder:
     def sessions(self) -> Path:
         """One folder per participant."""
         return self.path / ("rehearsals" if self.is_rehearsal else "sessions")
-
-    @property
-    def ledger(self) -> Path:
-        """Who takes part under which number; beside the sessions, so that both are moved or copied as one."""
-        return self.sessions / LEDGER_FILE
-
-    @property
-    def ledger_log(self) -> Path:
-        """What the ledger forgot when it was rebuilt."""
-        return self.sessions / "ledger.log"
 
     @property
     def calibration(self) -> Path:
@@ -111,11 +97,7 @@ class StudyFolder:
     @property
     def strangers(self) -> list[Path]:
         """What else lies beside the participants' folders, sorted: copies, and what drives and programs leave."""
-        return [
-            entry
-            for entry in self._entries
-            if not (_is_ours(entry) or entry.name.startswith(LEDGER_FILES))
-        ]
+        return [entry for entry in self._entries if not _is_ours(entry)]
 
     @property
     def journals(self) -> list[Path]:

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 UNCOUNTED: Any = {
     "study": {"name"}, "session": {"consent", "language"}, "recordings": True, "reducers": True, "formats": True,
-    "metrics": {"__all__": {"use", "command", "timeout_s", "label", "unit"}}, "observer": True, "ledger": True,
+    "metrics": {"__all__": {"use", "command", "timeout_s", "label", "unit"}}, "observer": True, "stations": True,
     "paper": True, "publication": True,
 }  # fmt: skip
 """Settings that do not count, or count by what they lead to: recordings and code by content, texts by their digest."""

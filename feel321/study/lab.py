@@ -33,9 +33,9 @@ from feel321.study.exploration.motion import POINTER, Pointer, Strokes, open_tra
 from feel321.study.exploration.track import MOTION, Exploration
 from feel321.study.folder import DELIVERED
 from feel321.study.keys import USUAL
-from feel321.study.ledger.slots import recall
 from feel321.study.minutes import read_pace
 from feel321.study.observer.participant import Participant, identify_observer
+from feel321.study.people import read_progress
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.outlet import check_lsl, open_outlet
@@ -283,16 +283,14 @@ def run_participant(
     casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
     view = partial(Lab, windowed=visit.windowed, screen=visit.screen, lsl=visit.lsl)
     lab = view(study, settings, stimuli, rig, casting=casting, certificate=certificate)
-    room, notice = open_room(study, settings, stimuli, now=now)
-    if notice:
-        warn(notice)
+    room = open_room(study, settings, stimuli, now=now)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
-    for entry in recall(room.ledger, plan.participant):
-        if entry.state == "finished":  # No window is opened for it.
-            return Outcome(entry.done, entry.total)
+    own = read_progress(study.sessions / plan.participant)
+    if own.state == "finished":  # No window is opened for it.
+        return Outcome(own.done, own.total)
     try:
         outcome, repaired = lead_session(
-            replace(room, pace=read_pace(study, stimuli), warn=warn),
+            replace(room, pace=read_pace(study, stimuli)),
             plan,
             identity=_identify_all(lab),
             make_presenter=partial(open_lab, lab=lab),

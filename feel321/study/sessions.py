@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.ledger import slots
-from feel321.study.ledger.keeper import Keeper
-from feel321.study.ledger.progress import check_anchors
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
+from feel321.study.numbers import find_share, plan_participants
 from feel321.study.persons.answers import make_keeper
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.plan import Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Place, Presenter
-from feel321.study.settings.read import make_design, make_terms, read_study_texts
+from feel321.study.settings.read import make_design, read_study_texts
 
 if TYPE_CHECKING:
-    from sqlalchemy import Engine
-
     from feel321.protocols.trial import Scale
     from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.rig import Rig
@@ -31,9 +27,6 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], AbstractContextManager[Presenter]]
-
-TRIALS_BETWEEN_NOTES = 25
-"""Trials that the ledger may lag behind the journals of simulated participants; it follows real ones trial by trial."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +36,9 @@ class Room:
     study: StudyFolder
     stimuli: StimulusSet
     scales: Mapping[str, Scale]
-    ledger: Engine
     stale: Stale
     now: Clock
     pace: Pace = SIMULATED
-    warn: Callable[[str], None] | None = None
 
 
 def lead_session(
@@ -61,26 +52,18 @@ def lead_session(
 ) -> tuple[Outcome, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
-    for entry in slots.recall(room.ledger, folder.name):
-        check_anchors(entry.anchors, folder)  # a journal that was cut is not continued
     with open_session(
         folder, plan, identity=identity, now=room.now, stale=room.stale, accept_rig=accept_rig
     ) as (stored, journal):
         by_code = list_by_code(room.stimuli, seed=stored.seed)
-        every = TRIALS_BETWEEN_NOTES if stored.simulated else 1
-        keeper = Keeper(room.ledger, journal, every=every, warn=room.warn)
-
         durations = find_durations(room.stimuli)
         left_s = find_left(stored, journal.records, durations=durations, pace=room.pace)
 
         def note(place: Place) -> None:
-            keeper.see(place)
             if on_step is not None:
                 on_step(replace(place, left_s=left_s.get(place.done)))
 
-        with ExitStack() as stack:
-            stack.callback(keeper.close)
-            presenter = stack.enter_context(make_presenter(stored, journal, by_code))
+        with make_presenter(stored, journal, by_code) as presenter:
             outcome = run_session(
                 stored,
                 presenter,
@@ -90,7 +73,7 @@ def lead_session(
                 on_step=note,
                 keep=make_keeper(folder, journal),
             )
-        return outcome, "; ".join(filter(None, (journal.notice, keeper.notice)))
+        return outcome, journal.notice
 
 
 def list_rig_problems(
@@ -124,14 +107,11 @@ def list_rig_problems(
     return [f"{study.rig.name}: {problem}" for problem in problems]
 
 
-def open_room(
-    study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock
-) -> tuple[Room, str]:
+def open_room(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock) -> Room:
     """Open the shared surroundings of a study's sessions."""
-    ledger, notice = slots.open_study_ledger(study, now=now)
     scales = make_scales(read_study_texts(settings, study.path))
     stale = Stale(**settings.session.stale.model_dump())
-    return Room(study, stimuli, scales, ledger, stale, now), notice
+    return Room(study, stimuli, scales, stale, now)
 
 
 def plan_sessions(
@@ -139,12 +119,9 @@ def plan_sessions(
 ) -> list[Plan]:
     """Give participants their numbers in the design, and plan their sessions."""
     design = make_design(settings, room.study.path)
-    terms = make_terms(design, settings, room.study.path)
-    slots.agree(room.study, room.ledger, {**terms, "stimuli_sha256": room.stimuli.sha256})
-    numbers = slots.claim_numbers(
-        room.study, room.ledger, participants, simulated=simulated, now=room.now
-    )
-    return [
-        make_plan(design, room.stimuli, name, number=numbers[name], simulated=simulated)
-        for name in participants
-    ]
+
+    def make(name: str, number: int) -> Plan:
+        return make_plan(design, room.stimuli, name, number=number, simulated=simulated)
+
+    share = find_share(settings)
+    return plan_participants(room.study, participants, make, simulated=simulated, share=share)

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.checkpoints import note_checkpoint
-from feel321.study.ledger.progress import write_roster
 from feel321.study.matches import write_matches
+from feel321.study.people import write_roster
 from feel321.study.persons.answers import write_answers
 from feel321.study.provenance import require_current_set
 from feel321.study.ratings import write_ratings
@@ -219,7 +219,7 @@ def simulate_study(
     stimuli = read_stimuli(study.stimuli)
     require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
-    room, ledger_notice = open_room(study, settings, stimuli, now=now)
+    room = open_room(study, settings, stimuli, now=now)
     notices = run_simulation(room, settings, participants, seed=seed, progress=progress)
     write_roster(study)
     write_matches(study, stimuli)
@@ -227,6 +227,6 @@ def simulate_study(
     rows = write_ratings(study, stimuli)
     notices += [note_checkpoint(study, "simulate", now=now)]
     if warn is not None:
-        for notice in filter(None, (find_unfelt(settings, stimuli), ledger_notice, *notices)):
+        for notice in filter(None, (find_unfelt(settings, stimuli), *notices)):
             warn(notice)
     return rows

@@ -19,8 +19,6 @@ from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.freeze import describe_frozen
-from feel321.study.ledger.progress import LOCK_FILE, Note, list_notes, make_progress
-from feel321.study.ledger.rigs import RigUse, describe_rigs, find_rig_use
 from feel321.study.minutes import (
     Length,
     Sitting,
@@ -29,7 +27,15 @@ from feel321.study.minutes import (
     measure_length,
     observe_pace,
 )
-from feel321.study.server import find_server
+from feel321.study.people import (
+    LOCK_FILE,
+    Note,
+    RigUse,
+    describe_rigs,
+    find_rig_use,
+    list_notes,
+    make_progress,
+)
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 from feel321.study.thresholds import find_warnings, read_thresholds
@@ -218,12 +224,11 @@ class ParticipantStatus:
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Status(Result):
-    """Progress of a study; stations: what is to be known of them, where several share a ledger; frozen: in a line."""
+    """Progress of a study; frozen: whether its choices are, in a line."""
 
     participants: tuple[ParticipantStatus, ...]
     balance: BalanceAsRun | None
     length: Length | None = None
-    stations: tuple[str, ...] = ()
     frozen: str = ""
 
     def to_frame(self) -> DataFrame:
@@ -240,7 +245,7 @@ class Status(Result):
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         length = [] if self.length is None else [self.length.describe()]
         uses = [entry.rig for entry in self.participants if entry.rig]
-        lines += [*describe_rigs(uses), *self.stations, *length, *filter(None, [self.frozen])]
+        lines += [*describe_rigs(uses), *length, *filter(None, [self.frozen])]
         return "\n".join([*lines, *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
@@ -282,31 +287,8 @@ def read_status(
         if progress is not None:
             progress(count, len(folders))
     timed, length = _add_minutes(study, entries, dossiers)
-    others, lines = _read_others(study)
     frozen = "" if study.is_rehearsal else describe_frozen(study)
-    return Status((*timed, *others), measure_realised(dossiers), length, lines, frozen)
-
-
-def _read_others(study: StudyFolder) -> tuple[list[ParticipantStatus], tuple[str, ...]]:
-    """Read from a shared ledger who is at other stations, and what is to be known of those."""
-    if study.is_rehearsal or find_server(study.settings) is None:
-        return [], ()
-    from feel321.study.ledger.slots import read_others  # brings the ledger's database
-
-    entries, lines = read_others(study)
-    others = [
-        ParticipantStatus(
-            entry.participant,
-            state=entry.state,
-            number=entry.number,
-            done=entry.done,
-            left=entry.total - entry.done,
-            simulated=entry.simulated,
-            warnings=(f"at station {entry.station}, by the ledger",),
-        )
-        for entry in entries
-    ]
-    return others, lines
+    return Status(tuple(timed), measure_realised(dossiers), length, frozen)
 
 
 def _add_minutes(

@@ -221,7 +221,7 @@ class Auditable(Contents):
     """A study whose records can be verified."""
 
     def audit(self, *, expect: str = "", remotes: Sequence[str] = ()) -> Audit:
-        """Verify plans, journals, stimuli, ledger and tables, and compare all files with the checkpoints.
+        """Verify plans, journals, stimuli and tables, and compare all files with the checkpoints.
 
         Parameters
         ----------

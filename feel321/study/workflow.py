@@ -405,7 +405,7 @@ def _check_rig(
     study: StudyFolder, settings: Settings, *, now: Clock
 ) -> tuple[Rig | None, Problems]:
     """Check the rig, where there is one, and its certificate. An unusable rig is None."""
-    from feel321.study.sessions import list_rig_problems  # brings the ledger's database
+    from feel321.study.sessions import list_rig_problems
 
     if not study.rig.is_file():
         return None, Problems()

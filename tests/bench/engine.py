@@ -24,7 +24,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
-from feel321.study.session.plan import Design, Stale, make_plan, open_session
+from feel321.study.session.plan import Design, Stale, create_plan, make_plan, open_session
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -83,6 +83,8 @@ def run_all(folder: Path) -> int:
             "now": lambda: datetime.now(UTC),
             "stale": Stale(),
         }
+        (folder / plan.participant).mkdir()
+        create_plan(folder / plan.participant / "plan.json", plan)
         with open_session(folder / plan.participant, plan, **options) as (stored, journal):
             observer = SimulatedObserver(model, seed=1, number=number)
             trials += run_session(

@@ -23,7 +23,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
-from feel321.study.session.plan import Design, Stale, make_plan, open_session
+from feel321.study.session.plan import Design, Stale, create_plan, make_plan, open_session
 from feel321.study.thresholds import is_usable, read_thresholds
 
 if TYPE_CHECKING:
@@ -85,6 +85,8 @@ def recover(
         plan = make_plan(design, stimuli, f"sim{number:03d}", number=number, simulated=True)
         observer = SimulatedObserver(model, seed=14, number=number)
         options = {"identity": {}, "now": lambda: datetime.now(UTC), "stale": Stale()}
+        (folder / plan.participant).mkdir()
+        create_plan(folder / plan.participant / "plan.json", plan)
         with open_session(folder / plan.participant, plan, **options) as (stored, journal):
             run_session(stored, observer, stimuli=stimuli, journal=journal)
             thresholds = read_thresholds(stored, journal.records)

@@ -150,7 +150,7 @@ def test_slots_that_are_issued_again_restore_the_balance(starts_that_drop_out: s
     free, completed, start = set(range(1, N_STIMULI + 1)), [], 0
     while free:
         start += 1
-        slot = min(free)  # the ledger's rule: the lowest free slot
+        slot = min(free)  # as numbers are given: the lowest free one
         if start not in starts_that_drop_out:
             free.remove(slot)
             completed.append(slot)

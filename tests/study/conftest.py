@@ -15,7 +15,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Records
-from feel321.study.session.plan import Design, Plan, Stale, make_plan, open_session
+from feel321.study.session.plan import Design, Plan, Stale, create_plan, make_plan, open_session
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
 from feel321.study.workflow import build_study
 
@@ -253,6 +253,13 @@ def present_once(
     return run
 
 
+def store_plan(folder: Path, plan: Plan) -> None:
+    """Store a plan, unless the participant has one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / "plan.json").exists():
+        create_plan(folder / "plan.json", plan)
+
+
 def make_present(
     path: Path, plan: Plan, stimuli: StimulusSet, now: Clock
 ) -> Callable[..., list[Any]]:
@@ -266,6 +273,7 @@ def make_present(
         scales: Mapping[str, Scale] | None = None,
     ) -> list[Any]:
         folder = path / "sessions" / plan.participant
+        store_plan(folder, plan)
         identity = {"presenter": {"simulated": True}}
         with open_session(folder, plan, identity=identity, now=now, stale=stale or Stale()) as (
             stored,

@@ -112,7 +112,7 @@ def test_a_certificate_can_be_required(ready: StudyFolder, break_it: Any, reason
     ready.settings.write_text(text + '\n[rig]\ncertificate = "require"\n', encoding="utf-8")
     with pytest.raises(ValueError, match=reason):
         visit(ready)
-    assert not ready.ledger.exists()
+    assert not ready.participants
     assert reason in " ".join(check_study(ready).problems)
 
 
@@ -126,24 +126,6 @@ def test_one_that_expired_or_has_another_rate_is_refused(ready: StudyFolder) -> 
     assert any("(manual), valid until 2026-05-30" in line for line in notes)
     warnings = check_study(ready, now=lambda: NOW + timedelta(days=91)).warnings
     assert any("was measured at 44100 Hz, the study plays at 48000 Hz" in line for line in warnings)
-
-
-def test_sessions_from_before_there_were_certificates_go_on(
-    ready: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    @contextmanager
-    def open_presenter(*_: object, **__: object) -> Iterator[Any]:
-        yield scripted(stop_after=1)
-
-    make_identity = lab.read.make_identity
-    with monkeypatch.context() as before:
-        before.setattr(lab.read, "make_identity", lambda *given, **_: make_identity(*given))
-        before.setattr(lab, "open_lab", open_presenter)
-        with pytest.raises(KeyboardInterrupt):
-            visit(ready)
-    assert find_calibration(ready) is None
-    visit(ready)
-    assert (len(list((ready.sessions / "p01").glob("*.jsonl"))), audit_study(ready)) == (1, [])
 
 
 def test_a_certificate_that_comes_in_mid_session_is_another_rig(

@@ -19,7 +19,7 @@ def test_what_drives_and_programs_leave_beside_participants_is_no_participant(
             (study.sessions / name / ".lock").touch()
         if name not in {"empty", "locked"}:
             (study.sessions / name / "session-01.jsonl").touch()
-    for name in ("ledger.sqlite", "ledger.sqlite-journal", "ledger.log", "p03", ".DS_Store"):
+    for name in ("p03", ".DS_Store"):
         (study.sessions / name).touch()
     assert [folder.name for folder in study.participants] == ["p01", "p02"]
     assert [entry.name for entry in study.strangers] == ["@eaDir", "p03", "sim001 backup"]

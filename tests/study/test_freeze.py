@@ -27,7 +27,7 @@ from feel321.study.freeze import (
 )
 from feel321.study.ratings import write_ratings
 from feel321.study.session.engine import run_session
-from feel321.study.session.plan import Stale, make_plan, open_session
+from feel321.study.session.plan import Stale, create_plan, make_plan, open_session
 from feel321.study.settings.read import make_design, make_identity, read_settings
 from feel321.study.simulation import simulate_study
 
@@ -51,6 +51,8 @@ def rate(scripted: type, now: Clock) -> Callable[..., None]:
         plan = make_plan(design, stimuli, participant, number=number, simulated=False)
         identity = make_identity(settings, study.path, {"simulated": False})
         folder = study.sessions / participant
+        folder.mkdir(parents=True, exist_ok=True)
+        create_plan(folder / "plan.json", plan)
         with open_session(folder, plan, identity=identity, now=now, stale=Stale()) as (
             own,
             journal,

@@ -213,6 +213,8 @@ class Mover:
 def lead(folder: Path, stimuli: StimulusSet, now: Any) -> tuple[Mover, Plan, list[Any]]:
     plan = make_plan(DESIGN, stimuli, "p01", number=1, simulated=True)
     mover = Mover()
+    (folder / "p01").mkdir()
+    create_plan(folder / "p01" / "plan.json", plan)
     with open_session(folder / "p01", plan, identity={}, now=now, stale=Stale()) as (
         stored,
         journal,

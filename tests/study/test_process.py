@@ -33,8 +33,8 @@ HEAVY = {
     "psychopy",
     "sounddevice",
     "numpy",
+    "pydantic",
 }
-HEAVY |= {"pydantic", "sqlalchemy"}
 STUDY = """
 [[recordings]]
 scene = "bumps"

@@ -23,7 +23,7 @@ from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.lab import Visit, run_participant
-from feel321.study.ledger.progress import write_roster
+from feel321.study.people import write_roster
 from feel321.study.screen import window
 from feel321.study.session.events import RigAccepted
 from feel321.study.session.journal import read_journal
@@ -96,7 +96,7 @@ def test_a_device_that_is_not_there_takes_nobodys_number(
     presenter = present()
     with pytest.raises(OSError, match="'othre' not found"):
         visit(ready, device="othre")
-    assert not ready.ledger.exists()
+    assert not ready.participants
     assert presenter.log == []
     assert visit(ready, device="other").done == TOTAL
 
@@ -300,7 +300,7 @@ def test_a_machine_without_the_extra_is_told_what_to_install(
         OSError, match=rf"run: {words}, .*: pip install -c constraints.txt '.\[rig\]'"
     ):
         visit(ready, device=device)
-    assert not ready.ledger.exists()  # Nobody got a number.
+    assert not ready.participants  # Nobody got a number.
 
 
 @pytest.mark.skipif(
@@ -310,7 +310,7 @@ def test_no_display_is_one_line(ready: StudyFolder, monkeypatch: pytest.MonkeyPa
     monkeypatch.delenv("DISPLAY")
     with pytest.raises(OSError, match="run: no display found"):
         visit(ready)
-    assert not ready.ledger.exists()
+    assert not ready.participants
 
 
 def test_no_rig_is_one_line(ready: StudyFolder) -> None:
@@ -330,7 +330,7 @@ def test_a_rig_that_cannot_play_the_stimuli_is_refused_by_run_and_check_alike(
     with pytest.raises(ValueError, match=r"^rig\.toml: .*no actuator plays reduced") as error:
         visit(ready)
     assert list(check_study(ready).problems) == str(error.value).splitlines()
-    assert not ready.ledger.exists()
+    assert not ready.participants
 
 
 def test_check_finds_mistakes_in_the_rig_before_anything_is_built(tmp_path: Path) -> None:
@@ -390,7 +390,7 @@ def test_a_monitor_that_is_not_there_takes_nobodys_number(
     monkeypatch.setattr(window, "check_screen", refuse)
     presenter = present()
     assert main(["run", str(ready.path), "--participant", "p01", "--screen", "3"]) == 1
-    assert (asked, presenter.log, ready.ledger.exists()) == ([3], [], False)
+    assert (asked, presenter.log, ready.participants) == ([3], [], [])
 
 
 def test_the_window_opens_on_the_monitor_that_was_asked_for(

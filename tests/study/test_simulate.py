@@ -15,7 +15,6 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import analyze_study
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.slots import list_forgotten
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import create_journal, read_journal
@@ -107,7 +106,6 @@ def test_progress_counts_what_earlier_runs_did(copy: StudyFolder) -> None:
         for number, event in events
         if event["event"] == "rated" and event["data"]["trial"] <= 20
     ]
-    copy.ledger.unlink()
     copy.journals[0].write_bytes(b"".join(lines[: rated[4]]))
     steps: list[tuple[int, int]] = []
     simulate(copy, participants=4, progress=lambda done, total: steps.append((done, total)))
@@ -126,18 +124,13 @@ def test_who_was_released_or_withdrew_is_not_simulated_again(copy: StudyFolder) 
 def test_what_was_mended_on_resuming_is_reported(copy: StudyFolder) -> None:
     torn = copy.journals[1]
     torn.write_bytes(torn.read_bytes()[:-9])
-    copy.ledger.unlink()
     notices: list[str] = []
     simulate(copy, participants=3, warn=notices.append)
-    rebuilt, mended = notices
-    assert (
-        rebuilt
-        == f"{copy.ledger}: was missing; 3 participants were entered from their plans and journals"
-    )
+    (mended,) = notices
     assert mended.startswith(f"{torn}: ")
     assert mended.endswith("were moved to session-01.jsonl.torn1")
     simulate(copy, participants=3, warn=notices.append)
-    assert len(notices) == 2
+    assert len(notices) == 1
 
 
 def test_an_error_in_one_session_ends_the_others_with_the_trial_that_they_are_in(
@@ -171,9 +164,6 @@ def test_resuming_from_any_record_gives_the_same_table(
     journal = copy.journals[1]
     lines = journal.read_bytes().splitlines(keepends=True)
     for kept in range(0, len(lines), 5):
-        # A crash keeps what the ledger saw; here it shall have seen nothing.
-        copy.ledger.unlink()
-        copy.ledger_log.unlink(missing_ok=True)
         shutil.rmtree(copy.path / ".evidence", ignore_errors=True)
         journal.write_bytes(b"".join(lines[:kept]) + lines[kept][:9])
         assert (
@@ -182,8 +172,7 @@ def test_resuming_from_any_record_gives_the_same_table(
         )
         simulate(copy)
         assert copy.ratings.read_bytes() == whole.ratings.read_bytes()
-        assert audit_study(copy) == list_forgotten(copy)
-        assert len(list_forgotten(copy)) == 1
+        assert audit_study(copy) == []
 
 
 def test_another_seed_for_the_same_participants_is_refused(copy: StudyFolder) -> None:

@@ -108,7 +108,7 @@ def test_sessions_of_what_cannot_be_felt_are_refused_and_simulated_with_a_warnin
         run_participant(study, Visit("p01"), now=now)
     assert 'accept it: below_threshold = "accept"' in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert not study.ledger.exists()
+    assert not study.participants
     assert main(["simulate", str(study.path), "--participants", "2"]) == 0
     assert "feel321: warning: 12 of 12 stimuli" in capsys.readouterr().err
     with pytest.raises(

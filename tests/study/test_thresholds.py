@@ -19,9 +19,9 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.thresholds import acceleration_threshold
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import create_study
-from feel321.study.ledger.progress import ROSTER_FILE
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.people import ROSTER_FILE
 from feel321.study.ratings import write_ratings
 from feel321.study.sensation import LOW_RATE_HZ, find_shift
 from feel321.study.session.journal import read_journal
@@ -270,16 +270,6 @@ def test_no_factor_may_be_called_as_a_column_of_thresholds() -> None:
     with pytest.raises(ValueError, match="must not be a column"):
         check_factor("threshold_db_40hz")
     assert check_factor("threshold_group") == "threshold_group"
-
-
-def test_identity_of_old_simulations_is_kept() -> None:
-    """Journals were begun before observers had thresholds; they are resumed all the same."""
-    from feel321.study.observer.participant import identify_observer
-
-    plain = identify_observer(ObserverModel(), seed=1)["observer"]
-    assert not [name for name in plain if name.startswith("detection")]
-    other = identify_observer(ObserverModel(detection_sd=1.0), seed=1)["observer"]
-    assert other == {**plain, "detection_sd": 1.0}
 
 
 def test_people_differ_around_the_curve_by_the_planted_spread() -> None:

@@ -272,11 +272,6 @@ def take_device(rig: Rig, name: str) -> Rig:
 def identify(rig: Rig) -> dict[str, Any]:
     """List all that decides what a rig does to a stimulus, for a journal's header; calibration and keys do not."""
     settings = rig.model_dump(mode="json", exclude={"calibration", "keys"})
-    for actuator in settings["actuators"]:
-        # Journals of rigs without these settings were written before there were any.
-        for name in ("direction", "weight"):
-            if actuator[name] is None:
-                del actuator[name]
     if rig.sensor is not None:
         settings["sensor"] = rig.sensor.model_dump(mode="json", exclude_none=True)
     if rig.simulation is None:

@@ -21,7 +21,7 @@ MALFORMED = (AttributeError, LookupError, TypeError)
 _AFTER: Mapping[str, tuple[type[events.SessionEvent], ...]] = {
     # A session whose header a crash prevented may be given up.
     "": (events.SessionBegun, events.SessionReleased),
-    # A crash may keep the end from the ledger; then the lab is opened once more, and Ctrl-C may come.
+    # Simulated participants who finished may be led once more, and Ctrl-C may come.
     events.SessionFinished.event: (events.SessionAborted, events.DeviceOpened, events.NoteTaken),
     # A crash may come before the next session is begun, and nobody come back.
     events.SessionSuperseded.event: (events.SessionReleased, events.NoteTaken),

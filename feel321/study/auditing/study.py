@@ -1,4 +1,4 @@
-"""Audit: verify every journal, plan and ledger entry of a study, and compare its files with its checkpoints.
+"""Audit: verify every journal and plan of a study, and compare its files with its checkpoints.
 
 Every finding names the file, and the line where there is one. The digest that plans and journals keep of the
 stimulus set covers `manifest.csv`, and by it every WAV. Of `manifest.json` the rows are compared with that; its
@@ -7,6 +7,7 @@ recipe, units and versions are covered by checkpoints only, and `check` compares
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -14,13 +15,13 @@ from pathlib import Path
 from feel321.doors import announce
 from feel321.stimuli.sets.details import iterate_rows
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_stimuli
-from feel321.study.auditing.entries import audit_entry, list_remarks
+from feel321.study.auditing.entries import list_remarks
 from feel321.study.auditing.evidence import weigh
 from feel321.study.auditing.journals import audit_journals
 from feel321.study.auditing.tables import audit_tables
 from feel321.study.folder import StudyFolder, reading_origin
-from feel321.study.ledger.progress import find_leftovers
-from feel321.study.ledger.slots import find_lost, read_study_ledger
+from feel321.study.numbers import Holder, find_doubles, read_holder
+from feel321.study.people import find_leftovers
 from feel321.study.persons.withdrawal import find_data_left, list_stale
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_plan
 
@@ -54,12 +55,12 @@ def examine(
 def audit_study(
     study: StudyFolder, *, progress: Callable[[int, int], None] | None = None
 ) -> list[str]:
-    """Verify all plans, journals and stimuli of a study, the ledger, the tables and the checkpoints."""
+    """Verify all plans, journals and stimuli of a study, the tables and the checkpoints."""
     return list(examine(study, progress=progress).findings)
 
 
 def _audit_alone(study: StudyFolder, progress: Callable[[int, int], None] | None) -> list[str]:
-    """Verify plans, journals, stimuli and ledger."""
+    """Verify plans, journals and stimuli."""
     findings = [
         f"{path}: not a participant's folder; move it out of {study.sessions}"
         for path in study.strangers
@@ -69,18 +70,15 @@ def _audit_alone(study: StudyFolder, progress: Callable[[int, int], None] | None
     if folders or study.stimuli.exists():
         problems, stimuli_sha256 = _audit_stimuli(study.stimuli)
         findings += problems
-    try:
-        entries = {entry.participant: entry for entry in read_study_ledger(study)}
-    except (OSError, ValueError):
-        entries = {}  # `find_lost` reports it.
+    holders: list[Holder] = []
     for done, folder in enumerate(folders, start=1):
         announce(folder.name)
         findings += _audit_participant(folder, stimuli_sha256)
-        if folder.name in entries:
-            findings += audit_entry(study, folder, entries[folder.name])
+        with suppress(OSError, ValueError):  # of a plan that is among the findings
+            holders += filter(None, [read_holder(folder)])
         if progress is not None:
             progress(done, len(folders))
-    return [*findings, *find_data_left(study), *find_lost(study)]
+    return [*findings, *find_doubles(holders), *find_data_left(study)]
 
 
 def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
@@ -109,8 +107,10 @@ def _digest_row(row: object) -> str:
 
 def _audit_participant(folder: Path, stimuli_sha256: str | None) -> Iterator[str]:
     if (folder / TOMBSTONE_FILE).exists():
-        # The ledger shows whether the withdrawal was finished.
-        yield from find_leftovers(folder)
+        try:
+            yield from find_leftovers(folder)
+        except ValueError as error:
+            yield str(error)
         return
     path = folder / PLAN_FILE
     if folder.is_symlink():

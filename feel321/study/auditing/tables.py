@@ -20,7 +20,7 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import matches
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.progress import ROSTER_FILE, list_progress, list_roster
+from feel321.study.people import ROSTER_FILE, list_progress, list_roster
 from feel321.study.persons import answers
 from feel321.study.ratings import read_judgements
 from feel321.study.session.plan import TOMBSTONE_FILE

@@ -52,7 +52,7 @@ def audit(
 ) -> None:
     """Verify plans, journals and stimuli; list every change.
 
-    Compares the journals with plans, ledger, tables and report, and the files with the checkpoints in .evidence and at
+    Compares the journals with plans, tables and report, and the files with the checkpoints in .evidence and at
     its remotes. What no checkpoint covers is not judged: recordings, personal answers, other results.
     """
     study = replace(study, folder=replace(study.folder, is_rehearsal=rehearsals))

@@ -1,4 +1,4 @@
-"""Verbs of a study: new, check, build, demo, simulate, status, note, ledger, withdraw, analyze."""
+"""Verbs of a study: new, check, build, demo, simulate, status, note, withdraw, analyze."""
 
 from __future__ import annotations
 
@@ -377,28 +377,6 @@ def withdraw(
         f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
         "Copies that feel321 did not make must be removed by hand"
     )
-
-
-@click.command(epilog="Example: feel321 ledger my-study")
-@shared.study_argument
-@shared.flag("--rebuild", "Make the ledger anew from plans, journals and tombstones.")
-@shared.json_option
-def ledger(*, study: Study, rebuild: bool, as_json: bool) -> None:
-    """List participants and their design slots."""
-    from feel321.study.ledger.slots import read_study_ledger, rebuild_ledger
-
-    for line in rebuild_ledger(study.folder, now=study.now) if rebuild else []:
-        shared.warn(line)
-    entries = read_study_ledger(study.folder)
-    if as_json:
-        shared.print_json([asdict(entry) for entry in entries])
-        return
-    shared.echo(f"{'number':>6}  {'participant':<16}{'state':<12}{'done':>5} of")
-    for entry in entries:
-        mark = " (simulated)" if entry.simulated else ""
-        shared.echo(
-            f"{entry.number:>6}  {entry.participant:<16}{entry.state:<12}{entry.done:>5} {entry.total}{mark}"
-        )
 
 
 EXAMPLE = """\b

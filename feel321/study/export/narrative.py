@@ -15,11 +15,11 @@ from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study import people as progresses
 from feel321.study.actuator import certificate as certificates
 from feel321.study.folder import read_recipe
 from feel321.study.freeze import read_frozen
-from feel321.study.ledger import progress as progresses
-from feel321.study.ledger.slots import read_study_ledger
+from feel321.study.numbers import read_holders
 from feel321.study.session import plan as plans
 from feel321.study.session.events import SessionBegun, SessionFinished, TrialRated
 from feel321.study.settings.read import make_design, read_settings
@@ -68,8 +68,8 @@ class ParticipantFlow:
 
 
 def count_flow(study: StudyFolder) -> ParticipantFlow:
-    """Count people and judgements, from ledger, journals and `ratings.csv`; programs only where no person took part."""
-    entries = read_study_ledger(study)
+    """Count people and judgements, from plans, journals and `ratings.csv`; programs only where no person took part."""
+    entries = read_holders(study)
     simulated = all(entry.simulated for entry in entries)
     names = [entry.participant for entry in entries if entry.simulated == simulated]
     folders = [folder for folder in study.participants if folder.name in set(names)]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.files import write_text
 from feel321.protocols.questions import find_question
-from feel321.study.ledger import progress as progresses
+from feel321.study import people as progresses
 from feel321.study.persons.answers import read_answers
 from feel321.study.ratings import read_judgements
 from feel321.study.session.plan import require_own_plan

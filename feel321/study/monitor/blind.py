@@ -16,8 +16,8 @@ from feel321.analysis.words import format_name
 from feel321.files import is_held
 from feel321.protocols.trial import Trial
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.ledger.progress import LOCK_FILE
 from feel321.study.minutes import Pace, find_durations, find_left, observe_pace
+from feel321.study.people import LOCK_FILE
 from feel321.study.session import events
 from feel321.study.session.plan import read_as_written, replay
 from feel321.study.settings.read import list_items, read_settings

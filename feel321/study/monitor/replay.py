@@ -19,11 +19,11 @@ from feel321.protocols.agenda import Agenda
 from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.keys import USUAL, KeysTable
-from feel321.study.ledger.progress import LOCK_FILE
 from feel321.study.monitor.media import SoundBank, read_words, write_svg
 from feel321.study.monitor.script import Cast, Shot, make_shots
 from feel321.study.observer.casting import cast_observers
 from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.people import LOCK_FILE
 from feel321.study.screen import view as ui
 from feel321.study.screen.drawing import GROUND
 from feel321.study.screen.layout import compose

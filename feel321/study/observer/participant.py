@@ -563,16 +563,6 @@ def feel_level(scaled: Scaled) -> float:
     return scaled.stimulus.sensation_level_db + scaled.gain_db
 
 
-_LATER = ("direction", "vector_magnitude", "reducers", "slope_sd")
-
-
 def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:
     """List what the answers of simulated participants depend on, for the header of their journals."""
-    values, usual = model.model_dump(), ObserverModel().model_dump()
-    # Journals were begun before there were these.
-    kept = {
-        k: v
-        for k, v in values.items()
-        if not k.startswith(("detection", "matching", *_LATER)) or v != usual[k]
-    }
-    return {"simulated": True, "seed": seed, "observer": kept}
+    return {"simulated": True, "seed": seed, "observer": model.model_dump()}

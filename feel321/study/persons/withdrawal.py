@@ -15,8 +15,6 @@ from dataclasses import asdict, dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
-from sqlalchemy import Engine
-
 from feel321.files import (
     TEMPORARY,
     UNFINISHED,
@@ -29,12 +27,11 @@ from feel321.files import (
     write_text,
 )
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import server
+from feel321.study import people as progress
 from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger import database, progress, slots
-from feel321.study.ledger.database import Entry, read_ledger
 from feel321.study.matches import MATCHES_FILE, write_matches
+from feel321.study.numbers import RELEASED, Holder, read_holder
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import NoteTaken, SessionFinished, SessionReleased
@@ -64,40 +61,34 @@ def withdraw_participant(
 ) -> list[str]:
     """Remove the data of a participant for good; a tombstone keeps the code from being used again."""
     say: Callable[[str], None] = warn or (lambda _: None)
-    ledger, notice = slots.open_study_ledger(study, now=now)
     removed = _withdraw_rehearsals(study, participant, say=say)
-    if removed and participant not in {entry.participant for entry in read_ledger(ledger)}:
+    if removed and participant not in {folder.name for folder in study.participants}:
         return removed
-    entry = require_entry(ledger, participant, study=study, verb="withdraw")
-    folder = study.sessions / participant
+    folder = require_folder(study, participant)
     found = progress.read_tombstone(folder)
-    if _is_over(study, entry, found):
+    if _is_over(study, folder, found):
         if removed or found is None:
             return removed
         raise ValueError(f"participant {participant}: withdrew at {found.utc}, all data are gone")
     if folder.is_symlink():  # what it leads to is left, but looked at
-        found = found or _make_tombstone(folder, entry, reason=reason, now=now)
+        found = found or _make_tombstone(folder, reason=reason, now=now)
         _announce(_drop_link(folder), say)
     with hold_folder(folder), declaring(study, "withdraw", who=participant, warn=say):
         # Or the tombstone of a withdrawal that was interrupted.
-        tombstone = found or _make_tombstone(folder, entry, reason=reason, now=now)
+        tombstone = found or _make_tombstone(folder, reason=reason, now=now)
         progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVING))
         removed += _remove_data(folder, say)
-        _announce([notice, *clear_derived(study, tombstone)], say)
-        gone = Entry(participant, entry.simulated, entry.number, "withdrawn")
-        slots.enter(ledger, participant, gone)
-        database.compact(ledger)
+        _announce(clear_derived(study, tombstone), say)
         progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVED))
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     return removed
 
 
-def _is_over(study: StudyFolder, entry: Entry, found: progress.Tombstone | None) -> bool:
+def _is_over(study: StudyFolder, folder: Path, found: progress.Tombstone | None) -> bool:
     """Whether a withdrawal was finished, and nothing of the participant has come back with a copy."""
-    if found is None or (found.state, entry.state) != (progress.REMOVED, "withdrawn"):
+    if found is None or found.state != progress.REMOVED:
         return False
-    left = progress.find_leftovers(study.sessions / entry.participant)
-    return not any((left, *find_data_left(study)))
+    return not any((progress.find_leftovers(folder), *find_data_left(study)))
 
 
 def _announce(lines: Iterable[str], say: Callable[[str], None]) -> None:
@@ -119,7 +110,7 @@ def clear_derived(study: StudyFolder, tombstone: progress.Tombstone) -> Iterator
 def _withdraw_rehearsals(
     study: StudyFolder, participant: str, *, say: Callable[[str], None]
 ) -> list[str]:
-    """Remove what was rehearsed under the participant's code, and its entry in the ledger of rehearsals."""
+    """Remove what was rehearsed under the participant's code."""
     own = replace(study, is_rehearsal=True)
     folder = own.sessions / participant
     if study.is_rehearsal or not PARTICIPANT_ID.fullmatch(participant):
@@ -133,12 +124,6 @@ def _withdraw_rehearsals(
             ]
         (folder / progress.LOCK_FILE).unlink(missing_ok=True)
         folder.rmdir()
-    if own.ledger.is_file() and not own.ledger.is_symlink():
-        ledger = database.open_ledger(own.ledger)
-        if read_ledger(ledger, participant):
-            slots.enter(ledger, participant, None)
-            removed = removed or [f"{own.sessions.name}/{participant}"]
-        database.compact(ledger)
     return removed
 
 
@@ -147,72 +132,60 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
 
     Of one who never began there is nothing to keep: the plan goes, and the code may be used again.
     """
-    ledger, _ = slots.open_study_ledger(study, now=now)
-    entry = require_entry(ledger, participant, study=study, verb="release")
-    folder = study.sessions / participant
+    folder = require_folder(study, participant)
     if progress.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, there is nothing to release")
-    if entry.state == "released":
-        raise ValueError(
-            f"participant {participant}: was released before; number {entry.number} is free"
-        )
     with hold_folder(folder):
-        progress.check_anchors(entry.anchors, folder)
-        journal = _open_newest(folder, now=now)
-        if journal is not None:
-            _write_release(journal, participant)
-            slots.enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
-            return entry.number
+        if (holder := read_holder(folder)) is None:
+            raise ValueError(
+                f"participant {participant}: has no number, there is nothing to release"
+            )
+        if holder.state == RELEASED:
+            raise ValueError(
+                f"participant {participant}: was released before; number {holder.number} is free"
+            )
+        if (journal := _open_newest(folder, now=now)) is not None:
+            if journal.records.has(SessionFinished):
+                raise ValueError(
+                    f"participant {participant}: has finished, so the slot stays taken; to remove the data: "
+                    "feel321 withdraw"
+                )
+            journal.write(SessionReleased())
+            return holder.number
         _remove_data(folder, lambda _: None)
-        slots.enter(ledger, participant, None)
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
-    return entry.number
+    return holder.number
 
 
 def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) -> str:
     """Write a note into the newest journal of a participant; returns what the experimenter should know besides.
 
-    A note is a record like any other: chained, seen by the ledger, part of the seal. It moves no trial, makes no old
-    session fresh, and is in no table of ratings.
+    A note is a record like any other: chained, part of the seal. It moves no trial, makes no old session fresh, and is
+    in no table of ratings.
     """
     note = NoteTaken(text)
-    ledger, notice = slots.open_study_ledger(study, now=now)
-    entry = require_entry(ledger, participant, study=study, verb="take the note")
-    folder = study.sessions / participant
+    folder = require_folder(study, participant)
     if progress.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, nothing is recorded any longer")
     begin = f"participant {participant}: no session has begun, so there is no journal; begin one, then add the note"
     if not list_journals(folder):
         raise ValueError(begin)
     with hold_folder(folder):
-        progress.check_anchors(entry.anchors, folder)
         journal = require_journal(list_journals(folder)[-1], now=now)
         if journal.records.find_header() is None:
             raise ValueError(begin)
         journal.write(note)
-        notices = [notice, journal.notice]
-        try:
-            slots.enter(ledger, participant, slots.make_entry(progress.read_progress(folder)))
-        except (OSError, ValueError) as error:
-            notices.append(f"the note is in the journal, not yet in the ledger ({error})")
-    return "; ".join(filter(None, notices))
+    return journal.notice
 
 
-def require_entry(ledger: Engine, participant: str, *, study: StudyFolder, verb: str) -> Entry:
-    """Find a participant in the ledger, whose session is this station's."""
-    entries = {entry.participant: entry for entry in read_ledger(ledger)}
-    if participant not in entries:
-        known = ", ".join(entries) or "nobody yet"
-        raise ValueError(f"participant must be in the ledger, got {participant!r}; known: {known}")
-    entry = entries[participant]
-    # Data that were collected or copied here may be removed here; a session goes on, and ends, at its own station.
-    if slots.is_absent(entry, study) if verb == "withdraw" else slots.is_away(entry):
-        raise ValueError(
-            f"participant {participant}: is at station {entry.station}; {verb} there, or, if that station is lost: "
-            f"{server.take_over(entry.station)}"
-        )
-    return entry
+def require_folder(study: StudyFolder, participant: str) -> Path:
+    """Find the folder of a participant, and say who is known if there is none."""
+    known = {folder.name: folder for folder in study.participants}
+    if participant not in known:
+        names = ", ".join(known) or "nobody yet"
+        raise ValueError(f"participant {participant!r} has no session here; known: {names}")
+    return known[participant]
 
 
 @contextmanager
@@ -224,14 +197,19 @@ def hold_folder(folder: Path) -> Iterator[None]:
         yield
 
 
-def _make_tombstone(folder: Path, entry: Entry, *, reason: str, now: Clock) -> progress.Tombstone:
+def _make_tombstone(folder: Path, *, reason: str, now: Clock) -> progress.Tombstone:
+    try:
+        holder = read_holder(folder)
+    except ValueError:  # a damaged plan keeps nobody from withdrawing
+        holder = None
+    known = holder or Holder(folder.name, 0, simulated=False)
     return progress.Tombstone(
-        participant=entry.participant,
-        number=entry.number,
-        simulated=entry.simulated,
+        participant=folder.name,
+        number=known.number,
+        simulated=known.simulated,
         utc=now().isoformat(timespec="seconds"),
         reason=reason,
-        journals=tuple(read_anchor(path) for path in list_journals(folder)) or entry.anchors,
+        journals=tuple(read_anchor(path) for path in list_journals(folder)),
         state=progress.REMOVING,
     )
 
@@ -324,16 +302,6 @@ def _open_newest(folder: Path, *, now: Clock) -> Journal | None:
     if journal is None or (len(journals) == 1 and not journal.records.find_header()):
         return None
     return journal
-
-
-def _write_release(journal: Journal, participant: str) -> None:
-    if journal.records.has(SessionFinished):
-        raise ValueError(
-            f"participant {participant}: has finished, so the slot stays taken; to remove the data: feel321 withdraw"
-        )
-    # After a crash, the journal may know already what the ledger does not.
-    if not journal.records.has(SessionReleased):
-        journal.write(SessionReleased())
 
 
 # What is left of those who withdrew, for the audit.

@@ -415,8 +415,7 @@ def find_loss(delivered: Mapping[str, float], flow: Flow) -> str:
         ),
         "the motion is inverted: the wires of a coil or of the sensor were swapped since the calibration": (
             # gains that were typed say nothing of it
-            bool(delivered.get("is_measured", delivered["is_calibrated"]))
-            and delivered["polarity"] < 0
+            bool(delivered["is_measured"]) and delivered["polarity"] < 0
         ),
     }
     return next((fault for fault, is_so in faults.items() if is_so), "")

@@ -6,11 +6,11 @@ import json
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from feel321.study.session import events
-
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
     from pathlib import Path
+
+    from feel321.study.session import events
 
 UNCOMPARED = ("format", "session", "versions", "system", "clock", "frozen")
 """May differ between a header and a later opening: other versions may go on with a session, and choices be amended."""
@@ -35,10 +35,7 @@ def compare_headers(
     begun: events.SessionBegun, header: Mapping[str, Any], *, accepted: Iterable[events.RigAccepted]
 ) -> list[str]:
     """List in what a session as it was left differs from the header that it would have today."""
-    known = _describe_as_left(begun, accepted)
-    if known.get("calibration") is None and header.get("calibration") == events.UNCALIBRATED:
-        known["calibration"] = events.UNCALIBRATED  # before there were certificates, none was named
-    return find_differences(known, header, ignore=UNCOMPARED)
+    return find_differences(_describe_as_left(begun, accepted), header, ignore=UNCOMPARED)
 
 
 def _describe_as_left(

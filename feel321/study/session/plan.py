@@ -15,7 +15,7 @@ from importlib.metadata import version
 from platform import platform, python_version
 from typing import TYPE_CHECKING, Any
 
-from feel321.files import create_text, hold_lock, make_folder
+from feel321.files import create_text, hold_lock
 from feel321.protocols import order as orders
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.detection import THRESHOLD, Detection, ThresholdBlock, draw_block, make_block
@@ -231,30 +231,12 @@ def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
     del entry["sha256"]
-    for name in ("threshold", "matching", "questions", "recordings_per_participant", "methods"):
-        if not entry[name]:
-            del entry[name]  # so were plans stored before there were any
-    _drop_unused(entry)
-    if plan.task_order == orders.TASK_ORDERS[0]:
-        del entry["task_order"]
     create_text(path, _seal(json.dumps(entry, indent=1).encode()).decode(), private=True)
-
-
-def _drop_unused(entry: dict[str, Any]) -> None:
-    """Leave out options of tasks and judgements that are not used: plans stored before there were any have none."""
-    for task in entry["tasks"]:
-        for name in ("pairs", "scales", "gap_s", "answer_timeout_s", "onset_s"):
-            if task[name] in {None, ()}:
-                del task[name]
-    for judgement in (judgement for trial in entry["trials"] for judgement in trial["judgements"]):
-        if not judgement["scale"]:
-            del judgement["scale"]
 
 
 def require_plan(path: Path) -> Plan:
     """Read a stored plan; what is not as it was stored is refused."""
     content = path.read_bytes()
-    # The digest is of the bytes on the disk, so that a plan stays what it was when later versions know more fields.
     body = content.rpartition(_SEAL)[0] + b"\n}"
     if content != _seal(body):
         raise ValueError(
@@ -399,15 +381,14 @@ def open_session(
 ) -> Iterator[tuple[Plan, Journal]]:
     """Begin or resume the session of one participant, and keep everybody else from writing to it.
 
-    plan: the plan that today's settings give; stored if none is yet. identity: what must not change within the session
-    besides the plan, as JSON can hold it: locale, rig, calibration, and the kind of presenter. Yields the plan as it is
-    stored, and the journal with a header and all that was done before.
+    plan: the plan that today's settings give; the stored one must be the same. identity: what must not change within
+    the session besides the plan, as JSON can hold it: locale, rig, calibration, and the kind of presenter. Yields the
+    plan as it is stored, and the journal with a header and all that was done before.
 
     A session that was begun with another plan, stimulus set or presenter is refused with what differs; another
     presenter may take over where nobody has done anything yet, in a journal of its own. With accept_rig, another rig or
     certificate is recorded and goes on with the session.
     """
-    make_folder(folder, private=True)
     busy = "another session is writing here; let it finish or stop it first"
     with hold_lock(folder / ".lock", busy=busy):
         if (folder / TOMBSTONE_FILE).exists():
@@ -416,7 +397,7 @@ def open_session(
             journals.read_journal(path).records.find_header()
             for path in journals.list_journals(folder)
         )
-        stored = _settle_plan(folder / PLAN_FILE, plan, is_begun=is_begun)
+        stored = _compare_stored(folder / PLAN_FILE, plan, is_begun=is_begun)
         own = dict(identity)
         yield (
             stored,
@@ -424,9 +405,8 @@ def open_session(
         )
 
 
-def _settle_plan(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
-    if not path.exists():
-        create_plan(path, plan)
+def _compare_stored(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
+    """Read a stored plan, and refuse it where the study has changed since."""
     stored = require_plan(path)
     remedy = (
         f"change it back, begin with another participant, or move {path.parent.parent.name}/ away"

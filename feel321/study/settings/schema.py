@@ -31,7 +31,6 @@ from feel321.stimuli.sets.anchors import ANCHORS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
-from feel321.study import server
 from feel321.study.admission import OURS, name_protocols
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.exploration.explorer import EXPLORERS
@@ -538,19 +537,17 @@ class AnalysisTable(kinds.TomlTable):
     hypotheses: tuple[kinds.Words, ...] = ()
 
 
-class LedgerTable(kinds.TomlTable):
-    """`[ledger]`: where it is kept who takes part, if several stations run the study."""
+class StationsTable(kinds.TomlTable):
+    """`[stations]`: which of several computers that run the study this one is; each gives numbers of its own."""
 
-    url: str | None = None
-    station: kinds.AtLeastOne | None = None
-    of: kinds.AtLeastOne | None = None
+    this: kinds.AtLeastOne = 1
+    of: kinds.AtLeastOne = 1
 
-    @model_validator(mode="before")
-    @classmethod
-    def _check_table(cls, table: object) -> object:
-        # A slip must not lead to another ledger, and a password in it is not repeated.
-        server.check_table(table)
-        return table
+    @model_validator(mode="after")
+    def _check_place(self) -> Self:
+        if self.this > self.of:
+            raise ValueError(f"this must be 1 to {self.of}, got {self.this}")
+        return self
 
 
 class Settings(kinds.TomlTable):
@@ -569,6 +566,6 @@ class Settings(kinds.TomlTable):
     between: Between = Field(default_factory=dict)
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()
-    ledger: LedgerTable = LedgerTable()
+    stations: StationsTable = StationsTable()
     paper: PaperTable | None = None
     publication: PublicationTable = PublicationTable()

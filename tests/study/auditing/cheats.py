@@ -1,7 +1,7 @@
 """Ways to falsify a finished study, each a function on its folder; `seen.csv` says which are seen, and how.
 
-`knows` says how well informed a cheat is: it edits files; mends the digests of what it edits; makes the ledger and the
-tables anew, so that they agree. On top of that, `begin_anew` makes the evidence anew.
+`knows` says how well informed a cheat is: it edits files; mends the digests of what it edits; makes the tables anew,
+so that they agree. On top of that, `begin_anew` makes the evidence anew.
 """
 
 from __future__ import annotations
@@ -12,9 +12,8 @@ import io
 import json
 import os
 import shutil
-import sqlite3
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -22,9 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.checkpoints import take_checkpoint
-from feel321.study.ledger.progress import Tombstone, write_roster, write_tombstone
-from feel321.study.ledger.slots import rebuild_ledger
 from feel321.study.matches import write_matches
+from feel321.study.people import Tombstone, write_roster, write_tombstone
 from feel321.study.persons.answers import write_answers
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.ratings import write_ratings
@@ -41,7 +39,7 @@ from feel321.study.simulation import simulate_study
 if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder
 
-EDITS, DIGESTS, LEDGER = "edits", "mends digests", "mends ledger and tables"
+EDITS, DIGESTS, TABLES = "edits", "mends digests", "mends tables"
 
 
 @dataclass(frozen=True)
@@ -114,10 +112,7 @@ def better(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def take_as_it_is(study: StudyFolder) -> None:
-    """Make ledger and tables agree with whatever stands in the sessions, and leave no trace of that."""
-    study.ledger.unlink(missing_ok=True)
-    rebuild_ledger(study)
-    study.ledger_log.unlink(missing_ok=True)
+    """Make tables agree with whatever stands in the sessions."""
     with suppress(ValueError):  # of journals that no longer make sense
         derive(study)
 
@@ -159,12 +154,6 @@ def set_cell(rows: list[list[str]], column: str, value: str, line: int = 1) -> N
     rows[line][rows[0].index(column)] = value
 
 
-def write_sql(study: StudyFolder, statement: str) -> None:
-    with closing(sqlite3.connect(study.ledger)) as ledger:
-        ledger.execute(statement)
-        ledger.commit()
-
-
 def replace_text(path: Path, old: str, new: str) -> None:
     text = path.read_text(encoding="utf-8")
     assert old in text, path
@@ -195,13 +184,13 @@ def _(study: StudyFolder) -> None:
     edit_record(journal(study), "rated", better)
 
 
-@cheat("a rating is edited, chain, ledger and tables made anew", LEDGER)
+@cheat("a rating is edited, chain and tables made anew", TABLES)
 def _(study: StudyFolder) -> None:
     edit_record(journal(study), "rated", better)
     take_as_it_is(study)
 
 
-@cheat("all ratings of a participant are reversed", LEDGER)
+@cheat("all ratings of a participant are reversed", TABLES)
 def _(study: StudyFolder) -> None:
     records = list(read_journal(journal(study)).records)
     for place, record in enumerate(records):
@@ -213,7 +202,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("a response time is edited", LEDGER)
+@cheat("a response time is edited", TABLES)
 def _(study: StudyFolder) -> None:
     edit_record(
         journal(study),
@@ -223,19 +212,19 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("a rating is marked as rejected", LEDGER)
+@cheat("a rating is marked as rejected", TABLES)
 def _(study: StudyFolder) -> None:
     edit_record(journal(study), "rated", lambda data: {**data, "rejected": True})
     take_as_it_is(study)
 
 
-@cheat("underruns of a playback are taken out", LEDGER, is_data=False)
+@cheat("underruns of a playback are taken out", TABLES, is_data=False)
 def _(study: StudyFolder) -> None:
     edit_record(journal(study), "played", lambda data: {**data, "dac_source": "device"})
     take_as_it_is(study)
 
 
-@cheat("two answers are exchanged", LEDGER)
+@cheat("two answers are exchanged", TABLES)
 def _(study: StudyFolder) -> None:
     path = journal(study)
     records = list(read_journal(path).records)
@@ -249,7 +238,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("an answer to a question is edited", LEDGER)
+@cheat("an answer to a question is edited", TABLES)
 def _(study: StudyFolder) -> None:
     path = folder(study) / "personal.jsonl"
     row, *rest = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
@@ -265,7 +254,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("an answer of the threshold block is edited", LEDGER)
+@cheat("an answer of the threshold block is edited", TABLES)
 def _(study: StudyFolder) -> None:
     def turn(data: dict[str, Any]) -> dict[str, Any]:
         other = {"first": "second", "second": "first"}
@@ -280,7 +269,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("the time of day of a record is edited, not the time of the session", LEDGER)
+@cheat("the time of day of a record is edited, not the time of the session", TABLES)
 def _(study: StudyFolder) -> None:
     path = journal(study)
     records = list(read_journal(path).records)
@@ -297,7 +286,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("the time of day is edited in a session with people", LEDGER, is_real=True)
+@cheat("the time of day is edited in a session with people", TABLES, is_real=True)
 def _(study: StudyFolder) -> None:
     path = journal(study, "p01")
     records = list(read_journal(path).records)
@@ -315,7 +304,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("the records of a journal are put into another order", LEDGER)
+@cheat("the records of a journal are put into another order", TABLES)
 def _(study: StudyFolder) -> None:
     path = journal(study)
     records = list(read_journal(path).records)
@@ -324,7 +313,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("an attempt that was spoiled is invented", LEDGER)
+@cheat("an attempt that was spoiled is invented", TABLES)
 def _(study: StudyFolder) -> None:
     path = journal(study)
     records = list(read_journal(path).records)
@@ -341,13 +330,13 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("the flags of an answer are taken out", LEDGER)
+@cheat("the flags of an answer are taken out", TABLES)
 def _(study: StudyFolder) -> None:
     edit_record(journal(study), "rated", lambda data: {**data, "flags": ["underrun"]})
     take_as_it_is(study)
 
 
-@cheat("an experimenter's note is put in", LEDGER)
+@cheat("an experimenter's note is put in", TABLES)
 def _(study: StudyFolder) -> None:
     path = journal(study)
     records = list(read_journal(path).records)
@@ -364,29 +353,21 @@ def _(study: StudyFolder) -> None:
     journal(study).write_bytes(b"".join(lines[:-6]))
 
 
-@cheat("the last lines are cut off, then ledger --rebuild", LEDGER)
+@cheat("the last lines are cut off, and the tables made anew", TABLES)
 def _(study: StudyFolder) -> None:
     lines = journal(study).read_bytes().splitlines(keepends=True)
     journal(study).write_bytes(b"".join(lines[:-6]))
-    rebuild_ledger(study)
     derive(study)
 
 
-@cheat("the last lines are cut off, and the ledger's log removed", LEDGER)
-def _(study: StudyFolder) -> None:
-    lines = journal(study).read_bytes().splitlines(keepends=True)
-    journal(study).write_bytes(b"".join(lines[:-6]))
-    take_as_it_is(study)
-
-
-@cheat("a journal is cut, the rest shown as a line that a crash tore", LEDGER)
+@cheat("a journal is cut, the rest shown as a line that a crash tore", TABLES)
 def _(study: StudyFolder) -> None:
     lines = journal(study).read_bytes().splitlines(keepends=True)
     journal(study).write_bytes(b"".join(lines[:-6]) + lines[-6][:20])
     take_as_it_is(study)
 
 
-@cheat("a journal is emptied", LEDGER)
+@cheat("a journal is emptied", TABLES)
 def _(study: StudyFolder) -> None:
     journal(study).write_bytes(b"")
     take_as_it_is(study)
@@ -402,7 +383,7 @@ def _(study: StudyFolder) -> None:
     shutil.rmtree(folder(study, "sim002"))
 
 
-@cheat("a participant is removed everywhere", LEDGER)
+@cheat("a participant is removed everywhere", TABLES)
 def _(study: StudyFolder) -> None:
     shutil.rmtree(folder(study, "sim002"))
     take_as_it_is(study)
@@ -434,7 +415,7 @@ def _(study: StudyFolder) -> None:
     third.rename(other)
 
 
-@cheat("two participants exchange their journals", LEDGER)
+@cheat("two participants exchange their journals", TABLES)
 def _(study: StudyFolder) -> None:
     one, other = (journal(study, name).read_bytes() for name in ("sim001", "sim002"))
     journal(study, "sim001").write_bytes(other)
@@ -457,13 +438,13 @@ def _(study: StudyFolder) -> None:
     shutil.copytree(folder(study, "sim002"), folder(study, "sim009"))
 
 
-@cheat("a session is copied under another code, with all digests", LEDGER)
+@cheat("a session is copied under another code, with all digests", TABLES)
 def _(study: StudyFolder) -> None:
     copy_as(study, "sim002", "sim009", 9)
     take_as_it_is(study)
 
 
-@cheat("a participant is taken for another (renamed)", LEDGER)
+@cheat("a participant is taken for another (renamed)", TABLES)
 def _(study: StudyFolder) -> None:
     copy_as(study, "sim002", "sim009", 2)
     shutil.rmtree(folder(study, "sim002"))
@@ -489,7 +470,7 @@ def _(study: StudyFolder) -> None:
     shutil.copy(journal(study), folder(study) / "session-02.jsonl")
 
 
-@cheat("a second session is put beside the first, with all digests", LEDGER)
+@cheat("a second session is put beside the first, with all digests", TABLES)
 def _(study: StudyFolder) -> None:
     target = folder(study) / "session-02.jsonl"
     shutil.copy(journal(study), target)
@@ -497,7 +478,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("a rehearsal is taken for a session", LEDGER, is_real=True)
+@cheat("a rehearsal is taken for a session", TABLES, is_real=True)
 def _(study: StudyFolder) -> None:
     edit_record(
         journal(study, "p01"),
@@ -535,24 +516,19 @@ def _(study: StudyFolder) -> None:
     reseal(folder(study) / "plan.json", lambda plan: plan.update(simulated=False))
 
 
-@cheat("`simulated` is false in the ledger")
-def _(study: StudyFolder) -> None:
-    write_sql(study, "UPDATE participants SET simulated = 0 WHERE participant = 'sim001'")
-
-
-@cheat("a simulated participant is passed as real, everywhere", LEDGER)
+@cheat("a simulated participant is passed as real, everywhere", TABLES)
 def _(study: StudyFolder) -> None:
     pass_as_real(study, keeps_observer=True)
     take_as_it_is(study)
 
 
-@cheat("a simulated participant is passed as real, without a trace of the observer", LEDGER)
+@cheat("a simulated participant is passed as real, without a trace of the observer", TABLES)
 def _(study: StudyFolder) -> None:
     pass_as_real(study, keeps_observer=False)
     take_as_it_is(study)
 
 
-@cheat("the whole study is made anew with another seed", LEDGER)
+@cheat("the whole study is made anew with another seed", TABLES)
 def _(study: StudyFolder) -> None:
     shutil.rmtree(study.sessions)
     for name in ("ratings.csv", "participants.csv", "answers.csv"):
@@ -560,7 +536,7 @@ def _(study: StudyFolder) -> None:
     simulate_study(study, participants=3, seed=77, now=now)
 
 
-@cheat("the versions in a header are edited", LEDGER, is_data=False)
+@cheat("the versions in a header are edited", TABLES, is_data=False)
 def _(study: StudyFolder) -> None:
     edit_record(
         journal(study),
@@ -571,10 +547,10 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-# Plans, tombstones, the ledger.
+# Plans, tombstones.
 
 
-@cheat("the order of a plan is changed, and the plan sealed", LEDGER)
+@cheat("the order of a plan is changed, and the plan sealed", TABLES)
 def _(study: StudyFolder) -> None:
     def turn(plan: dict[str, Any]) -> None:
         plan["order"] = "random"
@@ -584,33 +560,33 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("the rules of a plan (fastest answer) are changed, and the plan sealed", LEDGER)
+@cheat("the rules of a plan (fastest answer) are changed, and the plan sealed", TABLES)
 def _(study: StudyFolder) -> None:
     reseal(folder(study) / "plan.json", lambda plan: plan["flow"].update(min_response_s=0.01))
     follow_plan(study)
     take_as_it_is(study)
 
 
-@cheat("the group of a participant is changed", LEDGER)
+@cheat("the group of a participant is changed", TABLES)
 def _(study: StudyFolder) -> None:
     reseal(folder(study) / "plan.json", lambda plan: plan.update(number=plan["number"] + 5))
     follow_plan(study)
     take_as_it_is(study)
 
 
-@cheat("a bad rater is withdrawn, by the verb", LEDGER, is_data=False)
+@cheat("a bad rater is withdrawn, by the verb", TABLES, is_data=False)
 def _(study: StudyFolder) -> None:
     withdraw_participant(study, "sim002", now=now)
 
 
-@cheat("a finished session is shown as released", LEDGER)
+@cheat("a finished session is shown as released", TABLES)
 def _(study: StudyFolder) -> None:
     records = list(read_journal(journal(study)).records)
     chain(journal(study), [*records, replace(records[-1], event="released", data={})])
     take_as_it_is(study)
 
 
-@cheat("a tombstone is forged", LEDGER)
+@cheat("a tombstone is forged", TABLES)
 def _(study: StudyFolder) -> None:
     own = folder(study, "sim002")
     shutil.rmtree(own)
@@ -621,7 +597,7 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("a tombstone is forged with the digests of the journals", LEDGER)
+@cheat("a tombstone is forged with the digests of the journals", TABLES)
 def _(study: StudyFolder) -> None:
     own = folder(study, "sim002")
     seen = read_anchor(journal(study, "sim002"))
@@ -637,35 +613,6 @@ def _(study: StudyFolder) -> None:
 def _(study: StudyFolder) -> None:
     withdraw_participant(study, "sim002", now=now)
     shutil.rmtree(folder(study, "sim002"))
-
-
-@cheat("a text stands in a number of the ledger")
-def _(study: StudyFolder) -> None:
-    write_sql(study, "UPDATE participants SET done = 'many' WHERE participant = 'sim001'")
-
-
-@cheat("a number in the ledger is changed")
-def _(study: StudyFolder) -> None:
-    write_sql(study, "UPDATE participants SET number = 7 WHERE participant = 'sim001'")
-
-
-@cheat("a participant is taken out of the ledger")
-def _(study: StudyFolder) -> None:
-    write_sql(study, "DELETE FROM participants WHERE participant = 'sim001'")
-
-
-@cheat("the ledger is removed")
-def _(study: StudyFolder) -> None:
-    study.ledger.unlink()
-
-
-@cheat("lines are cut off, the ledger rebuilt, and its log emptied", LEDGER)
-def _(study: StudyFolder) -> None:
-    lines = journal(study).read_bytes().splitlines(keepends=True)
-    journal(study).write_bytes(b"".join(lines[:-3]))
-    rebuild_ledger(study)
-    study.ledger_log.write_bytes(b"")
-    derive(study)
 
 
 # Tables and the report.
@@ -780,7 +727,7 @@ def _(study: StudyFolder) -> None:
     wav.write_bytes(wav.read_bytes()[:-4] + b"\x01\x00\x00\x00")
 
 
-@cheat("a WAV is exchanged, with manifest, plans and headers", LEDGER)
+@cheat("a WAV is exchanged, with manifest, plans and headers", TABLES)
 def _(study: StudyFolder) -> None:
     wav = min(study.stimuli.glob("*.wav"))
     old = hashlib.sha256(wav.read_bytes()).hexdigest()
@@ -833,7 +780,7 @@ def _(study: StudyFolder) -> None:
     path.write_bytes(path.read_bytes()[:-4] + b"\x01\x00\x00\x00")
 
 
-@cheat("a delivered recording is exchanged, with its digest in the journal", LEDGER, is_real=True)
+@cheat("a delivered recording is exchanged, with its digest in the journal", TABLES, is_real=True)
 def _(study: StudyFolder) -> None:
     path = folder(study, "p01") / "delivered" / "0001.wav"
     path.write_bytes(path.read_bytes()[:-4] + b"\x01\x00\x00\x00")

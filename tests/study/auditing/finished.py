@@ -17,7 +17,7 @@ from feel321.study.actuator.rig import read_rig
 from feel321.study.analyze import analyze_study
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.lab import Visit, run_participant
-from feel321.study.ledger.progress import write_roster
+from feel321.study.people import write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study

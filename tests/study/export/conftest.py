@@ -114,7 +114,7 @@ def make_presenter(scripted: Present, place: int) -> Any:
 def hold_sessions(study: StudyFolder, names: list[str], scripted: Present, now: Any) -> None:
     """Hold sessions of real people, on a rig and at a station whose names tell something."""
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
-    room, _ = open_room(study, settings, stimuli, now=now)
+    room = open_room(study, settings, stimuli, now=now)
     identity = {
         "presenter": {"simulated": False, "rig": {"device": {"name": PLANTED["device"]}}},
         "calibration": {

@@ -32,11 +32,8 @@ TRACES = frozenset({
     "unlink",
     "mkdir",
     "rmdir",
-    "execute",
-    "executemany",
-    "commit",
 })
-"""Calls into the system that may leave a trace on the disk; the ledger's are SQLite's."""
+"""Calls into the system that may leave a trace on the disk."""
 
 
 def leaves_trace(event: str, function: Any) -> bool:

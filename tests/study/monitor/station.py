@@ -38,7 +38,7 @@ class SlowObserver(SimulatedObserver):
 def main(path: Path, participant: str, seed: int, sleep_s: float) -> None:
     study = StudyFolder(path)
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
-    room, _ = open_room(study, settings, stimuli, now=utc_now)
+    room = open_room(study, settings, stimuli, now=utc_now)
     plan = plan_sessions(room, settings, [participant], simulated=True)[0]
     casting = cast_observers(settings, stimuli, seed=seed)
 

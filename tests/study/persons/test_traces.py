@@ -5,12 +5,10 @@ from __future__ import annotations
 import gzip
 import json
 import shutil
-import sqlite3
 import subprocess
 import sys
 import tempfile
 import zipfile
-from contextlib import closing
 from dataclasses import replace
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
@@ -114,7 +112,6 @@ def plant_more(study: StudyFolder) -> None:
     (folder / ".personal.jsonl.1.ab12.part").write_text(SECRET)
     (folder / "notes.txt").write_text(SECRET)
     shutil.copytree(folder, study.path / "rehearsals" / WHO)
-    shutil.copyfile(study.ledger, study.path / "rehearsals" / "ledger.sqlite")
     (study.path / ".ratings.csv.1.ab12.part").write_text(f"participant\n{WHO}\n")
     (study.path / ".answers.csv.4711.part").write_text(SECRET)
     stage = study.path / "feel321-1-dead"
@@ -123,15 +120,6 @@ def plant_more(study: StudyFolder) -> None:
     temporary = study.path.parent / "tmp" / "feel321-1-dead"
     temporary.mkdir()
     (temporary / "order.pickle").write_bytes(SECRET.encode())
-    with (
-        closing(sqlite3.connect(study.ledger)) as file,
-        file,
-    ):  # an earlier version: deleted rows stayed in pages
-        file.execute("PRAGMA secure_delete = OFF")
-        file.execute("CREATE TABLE more (text)")
-        file.execute("INSERT INTO more VALUES (?)", [SECRET * 50])
-        file.execute("DELETE FROM more")
-        file.execute("DROP TABLE more")
 
 
 def make_report(folder: Path) -> None:
@@ -162,7 +150,7 @@ def write_everything(study: StudyFolder, out: Path, *, really: bool) -> None:
     say("status", study.path, "--notes")
 
 
-KEPT = {"withdrawn.json", "ledger.sqlite", "ledger.log", "outputs.jsonl"}
+KEPT = {"withdrawn.json", "outputs.jsonl"}
 """Files that may hold the code of somebody who withdrew."""
 
 
@@ -172,7 +160,6 @@ def test_marks_are_gone_once_somebody_withdrew_and_outputs_elsewhere_are_named(
 ) -> None:
     write_everything(planted, out := tmp_path / "out", really=really)
     plant_more(planted)
-    assert SECRET.encode() in planted.ledger.read_bytes()
     assert len(grep(planted.path, SECRET)) > 5
     others = {path: path.read_bytes() for path in (planted.sessions / "sim001").iterdir()}
     say("withdraw", planted.path, "--participant", WHO, "--yes")

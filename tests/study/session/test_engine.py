@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.session.events import PartPlayed
 from feel321.study.session.journal import Records
 from feel321.study.session.plan import replay
 from feel321.study.session.ports import Abort, Confirm, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from feel321.study.session.plan import Plan
 
@@ -250,27 +248,6 @@ def test_the_clock_goes_on_where_it_stopped(present: Present, scripted: type) ->
     (resumed,) = [record for record in records if record.event == "resumed"]
     before = Records(records[: records.index(resumed)])
     assert resumed.data["clock"]["presenter_s"] == before.find_elapsed() > 0
-
-
-def test_a_session_begun_before_onsets_had_a_source_goes_on_with_one(
-    present: Present, scripted: type, plan: Plan, tmp_path: Path
-) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        present(scripted(stop_after=5))
-    (path,) = tmp_path.rglob("session-*.jsonl")
-    begun = path.read_bytes()
-    assert (
-        b"dac_source" not in begun
-    )  # the very bytes that were written before there was this field
-    known = {(n, 1): [Playback(1.0, 1.0, dac_source="latency")] * 2 for n in range(6, 21)}
-    records = present(scripted(playbacks=known))
-    assert path.read_bytes().startswith(begun)
-    assert [record.event for record in records][-1] == "finished"
-    played = list(Records(records).find(PartPlayed))
-    assert {one.dac_source for one in played if one.trial <= 5} == {""}
-    assert {one.dac_source for one in played if one.trial > 5} == {"latency"}
-    assert [one.to_data() for one in played] == list_events(records, "played")
-    assert replay(plan, records).done == 20
 
 
 def test_replaying_a_journal_cut_after_any_record_never_contradicts_the_plan(

@@ -26,6 +26,7 @@ GOOD = {
     "rms_m_s2": 2.0,
     "lag": 960.0,
     "is_calibrated": 1.0,
+    "is_measured": 1.0,
 }
 
 
@@ -44,9 +45,8 @@ def fail(**changes: float) -> dict[str, float]:
         (fail(level_error_db=-6.0), "6.0 dB too weak (at most 3.0 dB)"),
         (fail(level_error_db=6.0), "6.0 dB too strong"),
         (fail(polarity=-1.0), "inverted"),
-        (fail(level_error_db=-6.0, polarity=-1.0, is_calibrated=0.0), ""),
+        (fail(level_error_db=-6.0, polarity=-1.0, is_calibrated=0.0, is_measured=0.0), ""),
         (fail(coherence=0.05, is_calibrated=0.0), "no trace"),
-        (fail(polarity=-1.0, is_measured=1.0), "inverted"),
         (fail(polarity=-1.0, is_measured=0.0), ""),  # typed gains know no polarity
     ],
 )

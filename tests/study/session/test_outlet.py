@@ -15,7 +15,7 @@ from feel321.study.session import outlet as outlets
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Record
 from feel321.study.session.outlet import SENT, make_marker, name_source, open_outlet
-from feel321.study.session.plan import Stale, open_session
+from feel321.study.session.plan import Stale, create_plan, open_session
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -48,6 +48,8 @@ def test_another_process_receives_every_event_once_in_order_and_in_time(
     presenter.pass_time = lambda: time.perf_counter() - begun
     folder = tmp_path / plan.participant
     identity = {"presenter": {"simulated": True}}
+    folder.mkdir()
+    create_plan(folder / "plan.json", plan)
     with open_session(folder, plan, identity=identity, now=now, stale=Stale()) as (stored, journal):
         source = name_source(journal.path)
         assert plan.participant not in source

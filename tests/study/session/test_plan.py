@@ -147,20 +147,6 @@ def test_the_digest_is_that_of_the_bytes_before_it(plan: Plan, tmp_path: Path) -
     )
 
 
-def test_a_plan_stored_before_a_field_of_trials_was_added_is_still_good(
-    plan: Plan, tmp_path: Path
-) -> None:
-    path = tmp_path / "plan.json"
-    create_plan(path, plan)
-    body = path.read_text(encoding="utf-8").partition(',\n "sha256": ')[0] + "\n}"
-    # As if `catch`, which has a default, had come into `Trial` after this plan was stored.
-    old = body.replace(',\n   "catch": ""', "")
-    assert old != body
-    path.write_text(f'{old[:-2]},\n "sha256": "{digest(old)}"\n}}\n', encoding="utf-8")
-    assert require_plan(path) == plan
-    assert require_plan(path).sha256 == digest(old)
-
-
 def test_a_plan_of_another_format_is_refused(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -216,12 +202,9 @@ def test_differences_are_named(
     assert differences == ["seed 7 -> 8", "flow.break_min 10.0 -> None", "flow.rest_s 60.0 -> 1.0"]
 
 
-def test_plans_with_tasks_in_a_fixed_order_are_stored_as_before_there_was_another(
-    design: Design, stimuli: StimulusSet, plan: Plan, tmp_path: Path
+def test_tasks_take_turns_where_they_are_counterbalanced(
+    design: Design, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
-    create_plan(tmp_path / "fixed.json", plan)
-    assert b"task_order" not in (tmp_path / "fixed.json").read_bytes()
-    assert require_plan(tmp_path / "fixed.json").task_order == "fixed"
     turned = [
         remake(replace(design, task_order="counterbalanced"), stimuli, number=number)
         for number in (1, 2, 3)

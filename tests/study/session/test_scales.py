@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -138,25 +137,7 @@ def test_the_audit_finds_a_forged_rating(
     assert finding in next(audit_steps(records, threefold), "")
 
 
-def test_plans_of_one_scale_are_stored_as_before(
-    tmp_path: Path, plan: Plan, threefold: Plan
-) -> None:
-    create_plan(tmp_path / "plan.json", plan)
-    stored = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"))
-    assert set(stored["trials"][0]["judgements"][0]) == {
-        "part",
-        "stimulus_id",
-        "reference_id",
-        "expected",
-    }
-    assert set(stored["tasks"][0]) == {
-        "protocol",
-        "timing",
-        "reference",
-        "surface",
-        "training",
-        "practice",
-    }
+def test_a_plan_holds_the_scales_of_its_tasks(tmp_path: Path, threefold: Plan) -> None:
     create_plan(tmp_path / "threefold.json", threefold)
     read = require_plan(tmp_path / "threefold.json")
     assert read == threefold

@@ -25,10 +25,10 @@ from feel321.protocols.trial import Flow, Scale
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.progress import write_roster
-from feel321.study.ledger.slots import claim_slots, list_forgotten, open_study_ledger
+from feel321.study.numbers import Share, plan_participants
 from feel321.study.observer.participant import ObserverModel, identify_observer
 from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.people import write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import Design, Stale, make_plan, require_plan
@@ -217,19 +217,15 @@ class Session:
         def now() -> datetime:
             return datetime.now(UTC) + timedelta(hours=later_h)
 
-        ledger, _ = open_study_ledger(study)
-        number = claim_slots(ledger, ["sim001"], simulated=True, now=now)["sim001"]
-        plan = make_plan(self.design, self.stimuli, "sim001", number=number, simulated=True)
-        room = Room(study, self.stimuli, SCALES, ledger, Stale(6.0, self.policy), now)
+        def make(name: str, number: int) -> Plan:
+            return make_plan(self.design, self.stimuli, name, number=number, simulated=True)
+
+        (plan,) = plan_participants(study, ["sim001"], make, simulated=True, share=Share())
+        room = Room(study, self.stimuli, SCALES, Stale(6.0, self.policy), now)
         make_presenter = partial(self._make_presenter, memory=set())
         identity = {"presenter": identify_observer(MODEL, seed=3)}
-        with pytest.MonkeyPatch.context() as patch:
-            # Small sessions, noted as often as long ones are.
-            patch.setattr("feel321.study.sessions.TRIALS_BETWEEN_NOTES", 3)
-            while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[
-                0
-            ].stopped:
-                pass
+        while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
+            pass
         write_roster(study)
         write_ratings(study, self.stimuli)
 
@@ -368,16 +364,9 @@ class Lab:
         return study
 
     def compare(
-        self,
-        study: StudyFolder,
-        task: str,
-        presenter: str,
-        *,
-        policy: str = "continue",
-        told: str,
-        forgotten: int = 0,
+        self, study: StudyFolder, task: str, presenter: str, *, policy: str = "continue", told: str
     ) -> None:
-        """Check that a study ended as the one that was never interrupted; its ledger may have been rebuilt."""
+        """Check that a study ended as the one that was never interrupted."""
         whole, _ = self._lead_whole(task, presenter)
         end = read_end(study, presenter, policy=policy)
         assert [r.event for r in read_journal(study.journals[-1]).records].count("finished") == 1, (
@@ -391,8 +380,7 @@ class Lab:
         assert end.table == (
             strip(whole.table, "onset_s") if policy == "warm_up" else whole.table
         ), told
-        assert audit_study(study) == list_forgotten(study), told
-        assert len(list_forgotten(study)) == forgotten, told
+        assert audit_study(study) == [], told
 
     def find_whole(self, task: str, presenter: str) -> StudyFolder:
         """Find the study that was never interrupted; not to be touched."""

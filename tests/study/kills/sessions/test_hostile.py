@@ -110,7 +110,7 @@ def test_a_full_disk_under_a_journal(
 
 
 @pytest.mark.parametrize("n_bytes", [2_000, 9_000, 16_000])
-def test_a_full_disk_under_the_ledger_or_a_plan(
+def test_a_full_disk_under_a_plan(
     lab: Any, study: StudyFolder, whole: StudyFolder, n_bytes: int, tmp_path: Path
 ) -> None:
     said = lab.processes.speak(
@@ -169,10 +169,8 @@ def test_a_read_only_folder_can_be_looked_at(
         lock_folder, partial(simulate, finished, participants=3), path=tmp_path / "refused"
     )
     assert (refused.code, refused.err.count("\n")) == (1, 1), refused.err
-    reason = "could not be used (attempt to write a readonly database)"
-    assert refused.err.startswith(
-        f"feel321: {finished.ledger}: {reason}; check that the folder may be written to"
-    )
+    assert refused.err.startswith(f"feel321: {finished.sessions}")
+    assert "Read-only file system" in refused.err
     for verb in ("status", "audit"):
         looked = lab.processes.speak(
             lock_folder, partial(main, [verb, str(finished.path)]), path=tmp_path / verb

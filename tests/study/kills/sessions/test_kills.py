@@ -30,7 +30,7 @@ TASKS = (
 )
 PRESENTERS = ("observer", "scripted")
 OPENING = 60
-"""So many calls at most until a session is open: the ledger, the slot, the plan, the journal or its mending."""
+"""So many calls at most until a session is open: the number, the plan, the journal or its mending."""
 
 every_session = pytest.mark.parametrize(
     ("task", "presenter"), [(task, presenter) for task in TASKS for presenter in PRESENTERS]

@@ -9,18 +9,15 @@ import pytest
 
 from feel321.protocols.trial import Flow, Judgement, Page, Part, Task, Trial
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.keeper import note_progress
-from feel321.study.ledger.slots import claim_slots, open_study_ledger
+from feel321.study.numbers import Share, plan_participants
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
 from feel321.study.session.journal import (
-    Anchor,
-    Journal,
     create_journal,
     list_journals,
     name_journal,
     require_journal,
 )
-from feel321.study.session.plan import PLAN_FILE, Plan, create_plan, replay, require_plan
+from feel321.study.session.plan import PLAN_FILE, Plan, replay, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,23 +68,23 @@ class Lab:
     study: StudyFolder
 
     def claim(self, participant: str, *, simulated: bool = False) -> int:
-        ledger, _ = open_study_ledger(self.study)
-        return claim_slots(ledger, [participant], simulated=simulated, now=tell_time)[participant]
+        (plan,) = plan_participants(
+            self.study,
+            [participant],
+            lambda name, number: make_small_plan(name, number=number, simulated=simulated),
+            simulated=simulated,
+            share=Share(),
+        )
+        return plan.number
 
     def begin(self, participant: str, *, simulated: bool = False, session: int = 1) -> Path:
-        number = self.claim(participant, simulated=simulated)
+        self.claim(participant, simulated=simulated)
         folder = self.study.sessions / participant
-        folder.mkdir(parents=True, exist_ok=True)
-        if session == 1:
-            create_plan(
-                folder / PLAN_FILE, make_small_plan(participant, number=number, simulated=simulated)
-            )
         journal = create_journal(folder / name_journal(session), now=tell_time)
         sha256 = require_plan(folder / PLAN_FILE).sha256
         identity = {"presenter": {"simulated": simulated}}
         header = (1, participant, sha256, "5" * 64, 7, identity, session, {}, "", {})
         journal.write(SessionBegun(*header))
-        self.note(journal)
         return folder
 
     def work(self, participant: str, trials: int = TRIALS, *, rejected: bool = False) -> Path:
@@ -111,20 +108,7 @@ class Lab:
             agenda.tell_trial(step.number, accepted=not rejected, as_expected=None, time_s=1.0)
         if agenda.done == TRIALS and not journal.records.has(SessionFinished):
             journal.write(SessionFinished(TRIALS, 0))
-        self.note(journal)
         return journal.path
-
-    def note(self, journal: Journal) -> None:
-        ledger, _ = open_study_ledger(self.study)
-        plan = require_plan(journal.path.parent / PLAN_FILE)
-        note_progress(
-            ledger,
-            plan.participant,
-            anchor=Anchor(journal.path.name, len(journal.records), journal.tip),
-            done=replay(plan, journal.records).done,
-            total=TRIALS,
-            state="finished" if journal.records.has(SessionFinished) else "running",
-        )
 
 
 @pytest.fixture

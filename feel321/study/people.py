@@ -1,11 +1,10 @@
-"""The progress of participants, read from plans, journals and tombstones; `participants.csv` is made of it.
-
-The chain inside a journal cannot show that whole lines are missing at its end; whoever kept an anchor can.
-"""
+"""Participants, read from plans, journals and tombstones: how far they are, on which rig; and `participants.csv`."""
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -13,24 +12,17 @@ from typing import Any
 from feel321.files import write_table, write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.rigs import find_rig_use
 from feel321.study.session import plan as plans
 from feel321.study.session.events import (
     NoteTaken,
     PageRead,
+    PartPlayed,
+    RigAccepted,
     SessionFinished,
     SessionReleased,
     TrialRated,
 )
-from feel321.study.session.journal import (
-    Anchor,
-    Chain,
-    Records,
-    digest,
-    find_cut,
-    list_journals,
-    read_anchor,
-)
+from feel321.study.session.journal import Anchor, Chain, Records, digest, list_journals, read_anchor
 from feel321.study.thresholds import list_columns, read_thresholds
 
 ROSTER_FILE = "participants.csv"
@@ -40,14 +32,6 @@ REMOVING, REMOVED = "removing", "removed"
 
 LOCK_FILE = ".lock"
 """Held while a session runs or a participant leaves."""
-
-
-def check_anchors(anchors: Iterable[Anchor], folder: Path) -> None:
-    """Refuse to go on with journals of which less is there than was seen."""
-    for anchor in anchors:
-        if cut := find_cut(anchor, folder):
-            rebuild = f"feel321 ledger {quote(str(folder.parent.parent))} --rebuild"
-            raise ValueError(f"{cut}; restore it from a copy, or accept it as it is: {rebuild}")
 
 
 # Tombstones.
@@ -95,8 +79,11 @@ def read_tombstone(folder: Path) -> Tombstone | None:
 
 def find_leftovers(folder: Path) -> list[str]:
     """Find what lies beside a tombstone: no data of someone who withdrew may stay, or come back with a copy."""
-    if not (folder / plans.TOMBSTONE_FILE).exists():
+    if (stone := read_tombstone(folder)) is None:
         return []
+    if stone.state == REMOVING:
+        again = f"feel321 withdraw {quote(str(folder.parents[1]))} --participant {folder.name}"
+        return [f"{folder}: the withdrawal was interrupted; finish it: {again}"]
     kept = {folder / plans.TOMBSTONE_FILE, folder / LOCK_FILE}
     files = {path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
     return [
@@ -126,6 +113,98 @@ def list_notes(chains: Iterable[Chain]) -> Iterator[Note]:
         for record in chain.records:
             if record.event == NoteTaken.event and isinstance(event := record.content, NoteTaken):
                 yield Note(record.utc, event.text)
+
+
+# Rigs.
+
+
+LETTERS = 12
+"""Of a rig's digest, where it is shown."""
+
+DATA_SHEET = ("sensitivity_mv_per_g", "input_peak_v")
+"""What gives the full scale of a sensor."""
+
+ESTIMATED = "latency"
+"""How an onset was got (`dac_source`) where the device gave no time of it: `actuator.stream.FROM_LATENCY`."""
+
+
+@dataclass(frozen=True, slots=True)
+class RigUse:
+    """The rig of one session: first letters of its digest, the id of its certificate, or `uncalibrated`.
+
+    changes: accepted in mid-session (`run --accept-rig`); estimated: onset times that the device did not give.
+    """
+
+    participant: str
+    rig: str = ""
+    calibration: str = ""
+    changes: tuple[str, ...] = ()
+    estimated: int = 0
+
+
+def find_rig_use(participant: str, records: Records) -> RigUse:
+    """Find on which rig a session was held, as it was left; simulated participants have none."""
+    if (header := records.find_header()) is None:
+        return RigUse(participant)
+    rig = header.identity.get("presenter", {}).get("rig")
+    calibration, changes = header.identity.get("calibration"), []
+    for event in records.find(RigAccepted):
+        rig, calibration = event.rig, event.calibration
+        changes += event.changes
+    sources = (event.dac_source for event in records.find(PartPlayed))
+    return RigUse(
+        participant,
+        rig=digest_settings(json.dumps(rig, sort_keys=True))[:LETTERS] if rig else "",
+        calibration=calibration["id"] if isinstance(calibration, dict) else calibration or "",
+        changes=tuple(changes),
+        estimated=sum(source == ESTIMATED for source in sources),
+    )
+
+
+@cache
+def digest_settings(text: str) -> str:
+    """Make the digest of a rig from its settings as a journal's header holds them, in JSON."""
+    from feel321.study.actuator import rig as rigs
+
+    entry = json.loads(text)
+    sensor = entry.get("sensor") or {}
+    # A sensor is given by its data sheet or by its full scale; a header holds both.
+    sheet = {name: sensor.pop(name) for name in DATA_SHEET if name in sensor}
+    try:
+        rig = rigs.Rig.model_validate_json(json.dumps(entry))
+        if rig.sensor and sheet:
+            rig = rig.model_copy(update={"sensor": rig.sensor.model_copy(update=sheet)})
+        return rigs.digest(rig)
+    except (ValueError, OverflowError):  # of another version
+        return digest(text)
+
+
+def describe_rigs(uses: Iterable[RigUse]) -> Iterator[str]:
+    """Describe who was on another rig or certificate than most, whose rig was changed, whose onsets are estimates."""
+    used = [use for use in uses if use.rig]
+    yield from _describe_odd({use.participant: use.rig for use in used}, "rig")
+    usual = _find_usual([use.rig for use in used])
+    own = {use.participant: use.calibration for use in used if use.rig == usual}
+    yield from _describe_odd(own, "certificate")
+    for use in used:
+        if use.changes:
+            yield f"{use.participant}: the rig was changed in mid-session ({'; '.join(use.changes)})"
+    for use in used:
+        if use.estimated:
+            yield f"{use.participant}: {use.estimated} onset times are estimated from the latency: the device gave none"
+
+
+def _describe_odd(values: Mapping[str, str], what: str) -> Iterator[str]:
+    usual = _find_usual(list(values.values()))
+    n_usual = sum(value == usual for value in values.values())
+    for odd in sorted(set(values.values()) - {usual}):
+        who = ", ".join(name for name, value in values.items() if value == odd)
+        yield f"{who}: another {what} ({odd or 'none'}) than the other {n_usual} ({usual or 'none'})"
+
+
+def _find_usual(values: Sequence[Any]) -> Any:  # noqa: ANN401 - whatever is counted
+    """Find the value that most have; of several, the one that came first."""
+    return max(Counter(values).items(), key=lambda item: item[1])[0] if values else None
 
 
 # Progress and `participants.csv`.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.agenda import Agenda
-from feel321.study.ledger.progress import write_roster
+from feel321.study.people import write_roster
 from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.events import PageRead
 from feel321.study.session.journal import require_journal

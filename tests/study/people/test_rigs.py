@@ -3,8 +3,7 @@ from __future__ import annotations
 import json
 
 from feel321.study.actuator.rig import LimitsTable, Rig, SensorTable, digest, identify
-from feel321.study.ledger.progress import Progress, note_estimates
-from feel321.study.ledger.rigs import RigUse, describe_rigs, digest_settings
+from feel321.study.people import Progress, RigUse, describe_rigs, digest_settings, note_estimates
 
 RIG = Rig(limits=LimitsTable(peak_m_s2=10, rms_m_s2=5, duration_s=3))
 

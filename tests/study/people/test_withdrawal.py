@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.files import hold_lock
-from feel321.study.ledger.database import read_ledger
-from feel321.study.ledger.progress import find_leftovers, read_tombstone, write_roster
-from feel321.study.ledger.slots import find_lost, open_study_ledger
+from feel321.study.numbers import read_holders
+from feel321.study.people import find_leftovers, read_tombstone, write_roster
 from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.plan import PLAN_FILE
@@ -23,17 +22,16 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
-    from feel321.study.ledger.database import Entry
+    from feel321.study.numbers import Holder
 
 DYING = """
 import os, signal, sys
 from datetime import UTC, datetime
 from pathlib import Path
 from feel321.study.folder import StudyFolder
-from feel321.study.ledger.slots import find_lost
 from feel321.study.persons.withdrawal import withdraw_participant
 import feel321.analysis.report.folder, feel321.files, feel321.stimuli.sets.manifest, feel321.study.ratings, filelock
-root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
+root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate"}
 def now():
     return datetime(2026, 1, 1, 12, tzinfo=UTC)
 def die_at(last):
@@ -59,8 +57,8 @@ for step in range(1000):
 """
 
 
-def entries(study: StudyFolder) -> dict[str, Entry]:
-    return {entry.participant: entry for entry in read_ledger(open_study_ledger(study)[0])}
+def holders(study: StudyFolder) -> dict[str, Holder]:
+    return {holder.participant: holder for holder in read_holders(study)}
 
 
 def read_files(folder: Path) -> dict[str, bytes]:
@@ -132,19 +130,13 @@ def test_all_data_go_and_a_tombstone_stays(two: Any, now: Any) -> None:
     }
     assert read_files(two.study.sessions / "p02") == others
     assert read_journal(two.study.sessions / "p02" / "session-01.jsonl").torn == b""
-    assert find_lost(two.study) == []
+    assert find_leftovers(folder) == []
 
 
 def test_the_slot_is_free_and_the_code_is_not(two: Any, now: Any) -> None:
     withdraw_participant(two.study, "p01", now=now)
-    entry = entries(two.study)["p01"]
-    assert (entry.state, entry.number, entry.done, entry.total, entry.anchors) == (
-        "withdrawn",
-        1,
-        0,
-        0,
-        (),
-    )
+    holder = holders(two.study)["p01"]
+    assert (holder.state, holder.number) == ("withdrawn", 1)
     with pytest.raises(
         ValueError, match="participant p01: was withdrawn; no code is used twice, use another"
     ):
@@ -162,8 +154,8 @@ def test_a_broken_journal_does_not_keep_anybody_from_withdrawing(two: Any, now: 
 
 def test_someone_who_only_has_a_slot_can_withdraw(lab: Any, now: Any) -> None:
     lab.claim("p01")
-    assert withdraw_participant(lab.study, "p01", now=now) == []
-    assert entries(lab.study)["p01"].state == "withdrawn"
+    assert withdraw_participant(lab.study, "p01", now=now) == ["plan.json"]
+    assert holders(lab.study)["p01"].state == "withdrawn"
 
 
 def test_a_running_session_is_not_pulled_away(two: Any, now: Any) -> None:
@@ -182,7 +174,7 @@ def test_a_running_session_is_not_pulled_away(two: Any, now: Any) -> None:
 def test_nobody_else_can_leave(two: Any, now: Any, leave: Callable[..., Any], name: str) -> None:
     before = read_files(two.study.path)
     with pytest.raises(
-        ValueError, match=f"participant must be in the ledger, got '{name}'; known: p01, p02"
+        ValueError, match=f"participant '{name}' has no session here; known: p01, p02"
     ):
         leave(two.study, name, now=now)
     assert read_files(two.study.path) == before
@@ -288,13 +280,13 @@ def test_a_kill_at_any_step_leaves_everything_or_a_tombstone_and_the_same_call_f
         assert {path.name for path in (study.sessions / "p01").iterdir()} - {".lock"} == {
             "withdrawn.json"
         }
-        assert {name: e.state for name, e in entries(study).items()} == {
+        assert {name: one.state for name, one in holders(study).items()} == {
             "p01": "withdrawn",
-            "p02": "running",
+            "p02": "planned",
         }
         assert "p01" not in (study.path / "participants.csv").read_text()
         assert list(read_files(study.report)) == ["mine.csv"]
-        assert find_lost(study) == []
+        assert find_leftovers(study.sessions / "p01") == []
 
 
 def check_after_kill(study: StudyFolder, before: dict[str, bytes], *, is_whole: bool) -> None:
@@ -307,7 +299,7 @@ def check_after_kill(study: StudyFolder, before: dict[str, bytes], *, is_whole: 
         return
     assert [anchor.lines for anchor in tombstone.journals] == [7]
     if tombstone.state == "removing":
-        (line,) = find_lost(study)
+        (line,) = find_leftovers(study.sessions / "p01")
         finish = f"feel321 withdraw {study.path} --participant p01"
         assert line.endswith(f"the withdrawal was interrupted; finish it: {finish}")
 
@@ -319,8 +311,7 @@ def test_release_keeps_the_data_and_frees_the_slot(lab: Any, now: Any) -> None:
     assert release_participant(lab.study, "p01", now=now) == 1
     assert journal.read_bytes().startswith(before)
     assert read_journal(journal).records[-1].event == "released"
-    entry = entries(lab.study)["p01"]
-    assert (entry.state, entry.done, entry.total, entry.anchors[0].lines) == ("released", 2, 4, 8)
+    assert holders(lab.study)["p01"].state == "released"
     assert lab.claim("p02") == 1
     with pytest.raises(ValueError, match="participant p01: was released before; number 1 is free"):
         release_participant(lab.study, "p01", now=now)
@@ -340,47 +331,13 @@ def test_who_has_finished_is_not_released(two: Any, now: Any) -> None:
     assert {name: after[name] for name in before} == before
 
 
-def test_a_release_that_was_killed_before_the_ledger_knew_is_finished_by_the_next(
-    lab: Any, now: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    journal = lab.begin("p01") / "session-01.jsonl"
-
-    def die(*_: Any) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("feel321.study.ledger.slots.enter", die)
-        with pytest.raises(KeyboardInterrupt):
-            release_participant(lab.study, "p01", now=now)
-    assert entries(lab.study)["p01"].state == "running"
-    release_participant(lab.study, "p01", now=now)
-    assert [record.event for record in read_journal(journal).records] == ["begun", "released"]
-    assert entries(lab.study)["p01"].state == "released"
-
-
-def test_a_journal_that_was_cut_is_not_released(lab: Any, now: Any) -> None:
-    lab.begin("p01")
-    journal = lab.work("p01", 2)
-    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-1]))
-    with pytest.raises(
-        ValueError, match="ends with line 6, 7 lines of it were seen; restore it from a copy"
-    ):
-        release_participant(lab.study, "p01", now=now)
-
-
-@pytest.mark.parametrize("left", ["nothing", "plan", "empty journal"])
+@pytest.mark.parametrize("left", ["plan", "empty journal"])
 def test_of_someone_who_never_began_nothing_is_kept(lab: Any, now: Any, left: str) -> None:
     folder = lab.study.sessions / "p01"
-    if left == "nothing":
-        lab.claim("p01")
-    else:
-        lab.begin("p01")
-        (folder / "session-01.jsonl").unlink()
-        # As after a crash: the ledger has seen no line yet.
-        lab.study.ledger.unlink()
+    lab.claim("p01")
     if left == "empty journal":
         create_journal(folder / "session-01.jsonl", now=now)
     assert release_participant(lab.study, "p01", now=now) == 1
     assert not folder.exists()
-    assert entries(lab.study) == {}
+    assert holders(lab.study) == {}
     assert (lab.begin("p01") / PLAN_FILE).exists()  # The code may be used again.

@@ -5,13 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.ledger.progress import (
-    REMOVED,
-    Tombstone,
-    find_leftovers,
-    read_tombstone,
-    write_tombstone,
-)
+from feel321.study.people import REMOVED, Tombstone, find_leftovers, read_tombstone, write_tombstone
 from feel321.study.session.journal import Anchor
 
 if TYPE_CHECKING:

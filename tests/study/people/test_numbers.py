@@ -1,0 +1,260 @@
+"""Numbers in the design: dense, unique and given again, whoever asks for them and dies."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from feel321.study.numbers import (
+    PLANNED,
+    Share,
+    find_doubles,
+    find_share,
+    plan_participants,
+    read_holder,
+    read_holders,
+)
+from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+from feel321.study.session.plan import PLAN_FILE, make_plan, require_plan
+from feel321.study.settings.schema import Settings
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.folder import StudyFolder
+    from feel321.study.session.plan import Design, Plan
+
+
+@pytest.fixture
+def plan_here(lab: Any, design: Design, stimuli: StimulusSet) -> Any:
+    """Plan sessions of a small design in the study; gives participant -> number."""
+
+    def run(*names: str, simulated: bool = False, share: Share | None = None) -> dict[str, int]:
+        def make(name: str, number: int) -> Plan:
+            return make_plan(design, stimuli, name, number=number, simulated=simulated)
+
+        plans = plan_participants(
+            lab.study, names, make, simulated=simulated, share=share or Share()
+        )
+        return {plan.participant: plan.number for plan in plans}
+
+    return run
+
+
+def test_numbers_are_given_in_the_order_of_asking_and_kept(lab: Any, plan_here: Any) -> None:
+    assert plan_here("b", "a", "b") == {"b": 1, "a": 2}
+    assert plan_here("c") == {"c": 3}
+    assert plan_here("a", "d") == {"a": 2, "d": 4}
+    assert plan_here("sim001", simulated=True) == {"sim001": 1}
+    stored = {
+        path.parent.name: require_plan(path).number
+        for path in lab.study.sessions.glob("*/plan.json")
+    }
+    assert stored == {"a": 2, "b": 1, "c": 3, "d": 4, "sim001": 1}
+
+
+def test_the_same_person_gets_the_same_plan(lab: Any, now: Any, plan_here: Any) -> None:
+    plan_here("p01", "p02")
+    before = {path: path.read_bytes() for path in lab.study.sessions.glob("*/plan.json")}
+    plan_here("p02", "p01")
+    assert {path: path.read_bytes() for path in before} == before
+    for name in ("p01", "p02"):
+        release_participant(lab.study, name, now=now)
+    assert plan_here("p01", "p02") == {"p01": 1, "p02": 2}
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_the_lowest_freed_number_is_given_again(lab: Any, now: Any) -> None:
+    for name in ("p01", "p02", "p03", "p04"):
+        lab.begin(name)
+    lab.work("p04")
+    release_participant(lab.study, "p03", now=now)
+    withdraw_participant(lab.study, "p02", now=now)
+    assert [lab.claim(name) for name in ("p05", "p06", "p07")] == [2, 3, 5]
+    states = {one.participant: (one.number, one.state) for one in read_holders(lab.study)}
+    assert states["p02"] == (2, "withdrawn")
+    assert states["p03"] == (3, "released")
+    assert {states[name] for name in ("p05", "p06", "p07")} == {(n, PLANNED) for n in (2, 3, 5)}
+    assert list(find_doubles(read_holders(lab.study))) == []
+
+
+GIVEN = [
+    ((1, 2, 1), ["+a", "+b", "s+x", "+c", "-b", "+d", "+e", "-a", "-d", "+f", "s+y", "+g", "+h"],
+     [1, 3, 1, 5, 3, 7, 1, 3, 3, 9]),
+    ((2, 2, 2), ["+a", "s+x", "-a", "+b", "+c", "+d", "-d", "+e", "+f", "+g", "-c", "-f", "+h", "+i", "+j"],
+     [3, 3, 3, 4, 7, 7, 8, 11, 4, 8, 12]),
+    ((3, 3, 4), ["+a", "+b", "+c", "+d", "+e", "-b", "-e", "+f", "+g", "+h"],
+     [9, 10, 11, 12, 21, 10, 21, 22]),
+]  # fmt: skip
+"""Share, order of asking (+) and leaving (-), and the numbers that a database gave for it; s: simulated."""
+
+
+@pytest.mark.parametrize(("share", "order", "numbers"), GIVEN)
+def test_numbers_are_those_that_a_database_gave(
+    lab: Any,
+    now: Any,
+    plan_here: Any,
+    share: tuple[int, ...],
+    order: Sequence[str],
+    numbers: list[int],
+) -> None:
+    given = []
+    for step in order:
+        name = step[-1]
+        if "+" in step:
+            simulated = step[0] == "s"
+            given += plan_here(name, simulated=simulated, share=Share(*share)).values()
+        else:
+            release_participant(lab.study, name, now=now)
+    assert given == numbers
+
+
+@pytest.mark.parametrize("block", [1, 2, 6])
+@pytest.mark.parametrize("of", [1, 2, 5])
+def test_shares_of_stations_are_all_numbers_once(of: int, block: int) -> None:
+    shares = [Share(this, of, block) for this in range(1, of + 1)]
+    assert all(sum(share.has(number) for share in shares) == 1 for number in range(1, 200))
+    # Every station has all groups equally often.
+    for share in shares:
+        own = [number for number in range(1, 10 * of * block + 1) if share.has(number)]
+        assert {(number - 1) % block for number in own[:block]} == set(range(block))
+
+
+def test_shares_are_set_in_study_toml() -> None:
+    given = {"recordings": [{"scene": "bumps"}], "between": {"grip": ["pen", "power"]}}
+    assert find_share(Settings.model_validate(given)) == Share(1, 1, 2)
+    stations = {"stations": {"this": 2, "of": 3}}
+    assert find_share(Settings.model_validate(given | stations)) == Share(2, 3, 2)
+    for wrong in ({"this": 3, "of": 2}, {"this": 0}, {"station": 1}):
+        with pytest.raises(ValueError, match="stations"):
+            Settings.model_validate(given | {"stations": wrong})
+
+
+@pytest.mark.parametrize(
+    ("names", "simulated", "message"),
+    [
+        (["p03", "P01"], False, "participant P01: differs from p01 in capitals only"),
+        (["p03", "q", "Q"], False, "participant Q: differs from q in capitals only"),
+        (["p03", "a b"], False, "participant must be letters, digits, - and _, got 'a b'"),
+        (["p03", "p01"], True, "participant p01: was planned as a real one, got a simulated one"),
+        (["p03", "gone"], False, "participant gone: was withdrawn; no code is used twice"),
+        (["p03", "left"], False, "participant left: was released; no code is used twice"),
+    ],
+)
+def test_who_cannot_be_planned_is_named_and_nobody_is(
+    lab: Any, now: Any, plan_here: Any, names: list[str], simulated: bool, message: str
+) -> None:
+    for name in ("p01", "gone", "left"):
+        lab.begin(name)
+    withdraw_participant(lab.study, "gone", now=now)
+    release_participant(lab.study, "left", now=now)
+    with pytest.raises(ValueError, match=message):
+        plan_here(*names, simulated=simulated)
+    assert not (lab.study.sessions / "p03").exists()
+
+
+@pytest.mark.parametrize("content", [None, b"", b"{}", b'{"participant": "p01", "number": -1'])
+def test_a_number_that_cannot_be_read_is_given_to_nobody(
+    lab: Any, plan_here: Any, content: bytes | None
+) -> None:
+    path = lab.begin("p01") / PLAN_FILE
+    path.unlink() if content is None else path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"p01/plan\.json: is missing or damaged.*from a copy"):
+        plan_here("p02")
+    assert read_holder(lab.study.sessions / "nobody") is None
+
+
+CLAIM = """
+import os, signal, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from conftest import make_small_plan
+from feel321.study.folder import StudyFolder
+from feel321.study.numbers import Share, plan_participants
+study, who, kill_at = StudyFolder(Path(sys.argv[2])), sys.argv[3], int(sys.argv[4])
+calls = 0
+def watch(event, arguments):
+    global calls
+    writes = event in {"os.rename", "os.mkdir"} or (event == "open" and arguments[2] & (os.O_WRONLY | os.O_RDWR))
+    if writes and study.path.name in str(arguments[0]):
+        calls += 1
+        if calls == kill_at:
+            os.kill(os.getpid(), signal.SIGKILL)
+def make(name, number):
+    return make_small_plan(name, number=number, simulated=False)
+input()
+sys.addaudithook(watch)
+for place in range(int(sys.argv[5])):
+    plan_participants(study, [f"{who}-{place}"], make, simulated=False, share=Share())
+"""
+
+
+def claim(
+    study: StudyFolder, who: str, *, kill_at: int = 0, times: int = 1
+) -> subprocess.Popen[str]:
+    here = Path(__file__).parent
+    command = [sys.executable, "-c", CLAIM, here, study.path, who, str(kill_at), str(times)]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, text=True)
+
+
+def read_numbers(study: StudyFolder) -> dict[str, int]:
+    return {one.participant: one.number for one in read_holders(study)}
+
+
+def test_processes_that_ask_at_once_get_dense_and_different_numbers(lab: Any) -> None:
+    processes = [claim(lab.study, f"w{place}", times=12) for place in range(5)]
+    for process in processes:
+        process.communicate("go\n", timeout=120)
+    assert [process.returncode for process in processes] == [0] * 5
+    numbers = read_numbers(lab.study)
+    assert sorted(numbers.values()) == list(range(1, 61))
+    for place in range(5):  # each in the order in which it asked
+        own = [numbers[f"w{place}-{turn}"] for turn in range(12)]
+        assert own == sorted(own)
+
+
+def test_a_claim_that_is_killed_at_any_call_loses_and_doubles_nothing(lab: Any) -> None:
+    lab.claim("p01")
+    kills = 0
+    for kill_at in range(1, 40):
+        process = claim(lab.study, f"k{kill_at}", kill_at=kill_at)
+        process.communicate("go\n", timeout=120)
+        kills += process.returncode == -signal.SIGKILL
+        # Whoever was killed is planned or is not; the next one gets the lowest number that is free.
+        numbers = read_numbers(lab.study)
+        assert sorted(numbers.values()) == list(range(1, len(numbers) + 1))
+        assert lab.claim(f"n{kill_at}") == len(numbers) + 1
+        if process.returncode == 0:
+            break
+    assert kills > 5
+    assert process.returncode == 0
+    # The same call finishes what was killed.
+    before = read_numbers(lab.study)
+    left = [f"k{n}-0" for n in range(1, kill_at) if f"k{n}-0" not in before]
+    assert [lab.claim(name) for name in left] == [len(before) + 1 + n for n in range(len(left))]
+
+
+def test_processes_that_are_killed_from_outside_leave_dense_numbers(lab: Any) -> None:
+    processes = [claim(lab.study, f"w{place}", times=500) for place in range(3)]
+    for process in processes:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    while len(read_numbers(lab.study)) < 12:
+        assert any(process.poll() is None for process in processes)
+    for process in processes:
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate()
+        assert lab.claim(f"after{process.pid}") > 12
+    numbers = sorted(read_numbers(lab.study).values())
+    assert numbers == list(range(1, len(numbers) + 1))
+    for plan in lab.study.sessions.glob("*/plan.json"):
+        assert json.loads(plan.read_bytes())["participant"] == plan.parent.name
+        require_plan(plan)
