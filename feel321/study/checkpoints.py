@@ -45,7 +45,7 @@ COVERED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class FileMark:
     """By what a file is known again; of a journal, by its whole lines."""
 
     size: int
@@ -62,7 +62,7 @@ class Checkpoint:
     by: str
     who: str
     reason: str
-    marks: Mapping[str, Mark]
+    marks: Mapping[str, FileMark]
 
 
 def is_journal(name: str) -> bool:
@@ -70,7 +70,7 @@ def is_journal(name: str) -> bool:
     return SESSION_FILE.fullmatch(name.rpartition("/")[2]) is not None
 
 
-def take_marks(study: StudyFolder) -> dict[str, Mark]:
+def take_marks(study: StudyFolder) -> dict[str, FileMark]:
     """Take the marks of all covered files as they are now."""
     paths = [path for pattern in COVERED for path in study.path.glob(pattern)]
     for folder in study.participants:
@@ -84,12 +84,12 @@ def take_marks(study: StudyFolder) -> dict[str, Mark]:
     return marks
 
 
-def _take_mark(path: Path) -> Mark:
+def _take_mark(path: Path) -> FileMark:
     if not is_journal(path.name):
-        return Mark(path.stat().st_size, digest_file(path))
+        return FileMark(path.stat().st_size, digest_file(path))
     content = path.read_bytes()
     whole = content[: content.rfind(b"\n") + 1]
-    return Mark(len(whole), digest(whole))
+    return FileMark(len(whole), digest(whole))
 
 
 # The repository.
@@ -149,7 +149,7 @@ def _read_history(repo: BaseRepo, tip: Any) -> list[Checkpoint]:  # noqa: ANN401
         commit = read(tip)
         text = read(read(commit.tree)[DIGESTS][1]).data.decode()
         lines = (line.split("\t") for line in text.splitlines())
-        marks = {name: Mark(int(size), sha256) for name, size, sha256 in lines}
+        marks = {name: FileMark(int(size), sha256) for name, size, sha256 in lines}
         subject, _, reason = commit.message.decode().partition("\n\n")
         begins, occasion = subject.startswith("before "), subject.removeprefix("before ")
         by, _, who = occasion.partition(" ")
@@ -169,7 +169,7 @@ def read_own(study: StudyFolder) -> tuple[list[Checkpoint], dict[str, set[str]],
     try:
         with Repo(home) as repo:
             remotes = {url: _list_pushed(repo, name) for url, name in _list_remotes(repo).items()}
-            return _read_history(repo, repo.get_refs().get(b"HEAD")), remotes, ""  # type: ignore[call-overload]
+            return _read_history(repo, repo.get_refs().get(b"HEAD")), remotes, ""  # type: ignore[call-overload]  # references are bytes of a type of their own
     except Exception as error:  # noqa: BLE001 - what is damaged raises anything
         return [], remotes, _describe_damage(home, error)
 
@@ -186,7 +186,7 @@ def _list_remotes(repo: Repo) -> dict[str, bytes]:
 
 
 def _list_pushed(repo: Repo, name: bytes) -> set[str]:
-    return {ref.decode() for ref in repo.refs.subkeys(b"refs/remotes/" + name)}  # type: ignore[arg-type]
+    return {ref.decode() for ref in repo.refs.subkeys(b"refs/remotes/" + name)}  # type: ignore[arg-type]  # references are bytes of a type of their own
 
 
 def take_checkpoint(
@@ -205,7 +205,7 @@ def take_checkpoint(
         lines = [f"{name}\t{mark.size}\t{mark.sha256}\n" for name, mark in marks]
         blob, tree, commit = Blob.from_string("".join(lines).encode()), Tree(), Commit()
         tree.add(DIGESTS, 0o100644, blob.id)
-        tip = repo.get_refs().get(b"HEAD")  # type: ignore[call-overload]
+        tip = repo.get_refs().get(b"HEAD")  # type: ignore[call-overload]  # references are bytes of a type of their own
         commit.tree, commit.parents = tree.id, [tip] if tip else []
         commit.author = commit.committer = b"feel321 <feel321@localhost>"
         commit.author_time = commit.commit_time = int(now().timestamp())
@@ -217,8 +217,8 @@ def take_checkpoint(
             sync_folder(objects / one.id[:2].decode())
         sync_folder(objects)
         branch = name_branch(study).encode()
-        repo.refs[HEADS + branch] = commit.id  # type: ignore[index]
-        repo.refs.set_symbolic_ref(b"HEAD", HEADS + branch)  # type: ignore[arg-type]
+        repo.refs[HEADS + branch] = commit.id  # type: ignore[index]  # references are bytes of a type of their own
+        repo.refs.set_symbolic_ref(b"HEAD", HEADS + branch)  # type: ignore[arg-type]  # references are bytes of a type of their own
         pushed = {} if by.startswith("before") else _push_all(repo, branch, new=remote)
     utc = datetime.fromtimestamp(commit.commit_time, UTC).isoformat()
     places = tuple(url for url, problem in pushed.items() if not problem)
@@ -251,7 +251,7 @@ def _prepare_remote(remote: str, study: StudyFolder) -> str:
 def _push_all(repo: Repo, branch: bytes, *, new: str) -> dict[str, str]:
     """Push a branch to every remote, and keep a new one that took it; returns what went wrong, by URL."""
     remotes = _list_remotes(repo)
-    tip = repo.refs[HEADS + branch]  # type: ignore[index]
+    tip = repo.refs[HEADS + branch]  # type: ignore[index]  # references are bytes of a type of their own
     known = {one.id.encode() for one in _read_history(repo, tip)} if remotes or new else set()
     done = {}
     for url in dict.fromkeys([*remotes, *filter(None, [new])]):
@@ -278,7 +278,7 @@ def _push_all(repo: Repo, branch: bytes, *, new: str) -> dict[str, str]:
         config = repo.get_config()
         config.set((b"remote", name), b"url", url.encode())
         config.write_to_path()
-        repo.refs[b"refs/remotes/" + name + b"/" + branch] = tip  # type: ignore[index]
+        repo.refs[b"refs/remotes/" + name + b"/" + branch] = tip  # type: ignore[index]  # references are bytes of a type of their own
     return done
 
 

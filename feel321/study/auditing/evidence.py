@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from feel321.study.checkpoints import (
     EVIDENCE,
     Checkpoint,
-    Mark,
+    FileMark,
     fetch_branches,
     is_journal,
     name_branch,
@@ -107,7 +107,7 @@ def _compare_remote(
     return max(binding, default=(False, "", []))[-1]
 
 
-def _describe(history: Sequence[Checkpoint], held: list[str], today: Mapping[str, Mark]) -> str:
+def _describe(history: Sequence[Checkpoint], held: list[str], today: Mapping[str, FileMark]) -> str:
     """Say how far the evidence reaches, and how much came after it."""
     last = history[-1]
     now = {name: mark for name, mark in today.items() if is_journal(name)}
@@ -130,11 +130,11 @@ class _Comparison:
 
     study: StudyFolder
     history: Sequence[Checkpoint]
-    today: Mapping[str, Mark]
+    today: Mapping[str, FileMark]
     own: Evidence
-    base: dict[str, tuple[Checkpoint, Mark]] = field(default_factory=dict)
+    base: dict[str, tuple[Checkpoint, FileMark]] = field(default_factory=dict)
     strayed: set[str] = field(default_factory=set)
-    seen: dict[str, dict[Mark, Checkpoint]] = field(default_factory=lambda: defaultdict(dict))
+    seen: dict[str, dict[FileMark, Checkpoint]] = field(default_factory=lambda: defaultdict(dict))
     begun: dict[tuple[str, str], Checkpoint] = field(default_factory=dict)
 
     def run(self) -> None:
@@ -182,7 +182,7 @@ class _Comparison:
             text = f"the checkpoint of {one.utc} declares: {one.reason}"
             self.own.remarks.append(f"{self.study.path / EVIDENCE}: {text}")
 
-    def _judge(self, name: str, now: Mark | None, mark: Mark, *, is_open: bool) -> None:
+    def _judge(self, name: str, now: FileMark | None, mark: FileMark, *, is_open: bool) -> None:
         """Judge a file that is not what it was, or was not all the time."""
         area, path = name.partition("/")[0], self.study.path / name
         since = f"since the checkpoint of {self.base[name][0].utc}"
@@ -224,12 +224,12 @@ class _Comparison:
         self.own.findings.append(f"{folder}: {text}")
 
 
-def _has_other_ends(content: bytes, mark: Mark) -> bool:
+def _has_other_ends(content: bytes, mark: FileMark) -> bool:
     plain = content.replace(b"\r\n", b"\n")
     return mark.sha256 in {digest(plain), digest(plain.replace(b"\n", b"\r\n"))}
 
 
-def _may_change(one: Checkpoint, name: str, mark: Mark | None) -> bool:
+def _may_change(one: Checkpoint, name: str, mark: FileMark | None) -> bool:
     """Check whether a file may have become this on the occasion of a checkpoint: a withdrawal only removes files."""
     area, _, rest = name.partition("/")
     if area == "sessions":

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class TradeoffTask:
     """What reducers are to be compared on, and where the results go."""
 
     study: StudyFolder
@@ -136,7 +136,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
         check_target(output / name)
     # Recordings that were named without a study belong to none, whatever the current folder is.
     study = StudyFolder(folder or output)
-    task = Comparison(
+    task = TradeoffTask(
         study, scenes, extra, output, _find_seed(study) if seed is None else seed, workers
     )
     found: dict[str, Any] = {"advice": _advise(task, context, quiet=as_json)}
@@ -156,7 +156,7 @@ def _find_seed(study: StudyFolder) -> int:
     return read_settings(study.settings).study.seed if study.settings.is_file() else 0
 
 
-def _chart(task: Comparison, *, thorough: bool) -> object:
+def _chart(task: TradeoffTask, *, thorough: bool) -> object:
     """Plot the speed of every reducer against its accuracy."""
     from feel321.analysis.tradeoff.chart.compute import FULL, QUICK, compute_chart
     from feel321.study.analyze import find_ratings
@@ -177,7 +177,7 @@ def _chart(task: Comparison, *, thorough: bool) -> object:
     return _read_results(output)
 
 
-def _stress(task: Comparison) -> object:
+def _stress(task: TradeoffTask) -> object:
     """Find where reducers fail, and which recordings come near."""
     from feel321.analysis.tradeoff.stress.run import stress_reducers
     from feel321.stimuli.reducers.registry import REDUCERS
@@ -195,7 +195,7 @@ def _stress(task: Comparison) -> object:
     return _read_results(task.output / "stress")
 
 
-def _advise(task: Comparison, context: Context, *, quiet: bool) -> object:
+def _advise(task: TradeoffTask, context: Context, *, quiet: bool) -> object:
     """Name the simplest sufficient reducer for every recording, by metrics, and by ratings where there are any."""
     from feel321.analysis.tradeoff.advise.page import advise_recordings
 
