@@ -201,12 +201,6 @@ def read_template() -> str:
     return (TEMPLATES / "template.toml").read_text(encoding="utf-8")
 
 
-def read_all_settings() -> dict[str, str]:
-    """Read the lists of every setting, with its default and meaning, by the file that holds them."""
-    names = {"study.toml": "all_settings.toml", "rig.toml": "all_rig_settings.toml"}
-    return {file: (TEMPLATES / name).read_text(encoding="utf-8") for file, name in names.items()}
-
-
 def read_bundled(name: str) -> str:
     """Read the `study.toml` of a published study."""
     if name not in list_bundled():

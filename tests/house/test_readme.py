@@ -52,6 +52,13 @@ def pages(root: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
+def others(root: Path) -> dict[str, str]:
+    """Pages for those who change the code or report a flaw."""
+    names = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
+    return {name: (root / name).read_text(encoding="utf-8") for name in names}
+
+
+@pytest.fixture(scope="module")
 def readme(pages: dict[str, str]) -> str:
     return pages["README.md"]
 
@@ -180,12 +187,14 @@ def test_the_two_commands_come_first(readme: str) -> None:
     assert make_commands(readme)[:2] == ["demo", "test"]
 
 
-def test_every_make_command_is_a_target(pages: dict[str, str], root: Path) -> None:
+def test_every_make_command_is_a_target(
+    pages: dict[str, str], others: dict[str, str], root: Path
+) -> None:
     targets = set(
         re.findall(r"^([a-z]+):", (root / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
     )
     assert {
-        command for text in pages.values() for command in make_commands(text)
+        command for text in (pages | others).values() for command in make_commands(text)
     } - targets == set()
 
 
@@ -227,9 +236,13 @@ def test_every_picture_is_on_a_page(pages: dict[str, str], root: Path) -> None:
     assert kept == shown
 
 
-def test_every_link_leads_somewhere(pages: dict[str, str], root: Path) -> None:
+def test_every_link_leads_somewhere(
+    pages: dict[str, str], others: dict[str, str], root: Path
+) -> None:
     assert [
-        (page, each) for page, text in pages.items() for each in dead_links(root / page, text)
+        (page, each)
+        for page, text in (pages | others).items()
+        for each in dead_links(root / page, text)
     ] == []
 
 

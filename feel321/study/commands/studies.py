@@ -55,12 +55,12 @@ def new(
     all_settings: bool,
 ) -> None:
     """Begin a study: a commented study.toml, ready to use."""
-    from feel321.study.folder import add_methods, read_all_settings
+    from feel321.study.folder import add_methods
 
     if all_settings:
-        shared.echo(
-            "\n".join(f"# --- {file} ---\n{text}" for file, text in read_all_settings().items())
-        )
+        from feel321.study.all_settings import FILES, write_list
+
+        shared.echo("\n".join(write_list(file) for file in FILES).rstrip("\n"))
         return
     if folder is None:
         raise click.MissingParameter(ctx=context, param_hint="'DIR'", param_type="argument")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,13 +22,11 @@ from feel321.study.actuator.rig import AXES, ActuatorTable, LimitsTable, Rig, id
 from feel321.study.strength import find_reach
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from feel321.study.findings import Problems
 
 RATE = 2000
 LIMITS = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=60.0)
-TEMPLATE = (files("feel321.study") / "settings" / "all_rig_settings.toml").read_text(
+TEMPLATE = (Path(__file__).parents[1] / "settings" / "all_rig_settings.toml").read_text(
     encoding="utf-8"
 )
 OLD = "".join(

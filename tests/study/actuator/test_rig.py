@@ -2,17 +2,14 @@ from __future__ import annotations
 
 import json
 from importlib.resources import files
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from feel321.study.actuator.rig import Rig, digest, identify, read_rig
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
 LIMITS = "[limits]\npeak_m_s2 = 90.0\nrms_m_s2 = 30\nduration_s = 10.0\n"
-TEMPLATE = (files("feel321.study") / "settings" / "all_rig_settings.toml").read_text(
+TEMPLATE = (Path(__file__).parents[1] / "settings" / "all_rig_settings.toml").read_text(
     encoding="utf-8"
 )
 
@@ -40,7 +37,8 @@ def test_two_voice_coils_are_the_default(tmp_path: Path) -> None:
 
 
 def test_the_template_is_a_rig_that_plays_every_axis(tmp_path: Path) -> None:
-    rig = read(tmp_path, TEMPLATE)
+    text = (files("feel321.study") / "settings" / "rig_template.toml").read_text(encoding="utf-8")
+    rig = read(tmp_path, text)
     assert {source for actuator in rig.actuators for source in actuator.plays} == {
         "reduced",
         "x",

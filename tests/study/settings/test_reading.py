@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +18,8 @@ from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.wav import write_wav
 from feel321.study.actuator.rig import read_rig
-from feel321.study.folder import create_study, read_all_settings, read_template, require_study
+from feel321.study.all_settings import FILES, Setting, list_settings, read_meanings, write_list
+from feel321.study.folder import create_study, read_template, require_study
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.session.plan import Design, Stale
 from feel321.study.settings.fields import TomlTable, list_tables
@@ -26,9 +28,12 @@ from feel321.study.settings.schema import SceneTable, Settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
 
     from feel321.study.folder import StudyFolder
+
+ALL = Path(__file__).with_name("all_settings.toml").read_text(encoding="utf-8")
+ALL_OF_THE_RIG = Path(__file__).with_name("all_rig_settings.toml").read_text(encoding="utf-8")
+"""Files with every key, those without a default as comments."""
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
 TEN = list("abcdefghij")
@@ -47,7 +52,7 @@ def test_the_template_states_every_default_and_names_every_scene(
     read: Callable[[str], Settings],
 ) -> None:
     scenes = [{"scene": name} for name in SCENES]
-    for text in (read_template(), read_all_settings()["study.toml"]):
+    for text in (read_template(), ALL):
         template = read(text)
         name = {"name": template.study.name}
         assert template == Settings.model_validate({"study": name, "recordings": scenes})
@@ -64,9 +69,7 @@ def test_new_files_are_short(tmp_path: Path) -> None:
     study = create_study(tmp_path / "oak")
     assert len(study.settings.read_text(encoding="utf-8").splitlines()) <= 45
     assert len(study.rig.read_text(encoding="utf-8").splitlines()) <= 25
-    assert read_rig(study.rig) == read_rig(
-        write(tmp_path / "rig.toml", read_all_settings()["rig.toml"])
-    )
+    assert read_rig(study.rig) == read_rig(write(tmp_path / "rig.toml", ALL_OF_THE_RIG))
 
 
 def write(path: Path, text: str) -> Path:
@@ -80,7 +83,7 @@ def test_the_template_names_every_key_in_its_table(
     (tmp_path / "corpus").mkdir()
     (tmp_path / "corpus" / "a.wav").touch()
     # Keys without a default stand there as comments.
-    text = re.sub(r"^# (\w+ = |\[)", r"\1", read_all_settings()["study.toml"], flags=re.MULTILINE)
+    text = re.sub(r"^# (\w+ = |\[)", r"\1", ALL, flags=re.MULTILINE)
     assert set(list_keys(Settings)) <= set(list_written(tomllib.loads(text)))
     read(text)
 
@@ -93,6 +96,58 @@ def list_keys(table: type[TomlTable], place: str = "") -> Iterator[str]:
             yield from list_keys(one, f"{place}{name}.")
         if not inner:
             yield place + name
+
+
+def place(one: Setting) -> str:
+    return ".".join(filter(None, (one.table.strip("[]").replace(".NAME", ""), one.key)))
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_every_setting_has_a_meaning_and_every_meaning_a_setting(file: str) -> None:
+    listed = list_settings(file)
+    assert [one for one in listed if not one.meaning or not one.allowed] == []
+    assert {meaning.replace(".NAME", "") for meaning in read_meanings(file)} == set(
+        map(place, listed)
+    )
+
+
+def test_the_list_has_every_key_and_what_it_may_be_as_it_is_refused() -> None:
+    listed = {place(one): one for one in list_settings("study.toml")}
+    assert set(listed) >= {key for key in list_keys(Settings) if "conditions." not in key}
+    assert listed["session.order"].allowed == "williams, blocked, random"
+    assert listed["stimuli.levels"].allowed == "a list of as_is, equal_intensity"
+    assert listed["session.repeats"].allowed == "whole number from 1 to 1000"
+    assert listed["rig.full_scale_m_s2"].unit == "m/s²"
+    assert listed["session.threshold.frequencies_hz"].default == "required"
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_the_list_of_all_settings_is_toml_once_its_comments_are_taken_away(file: str) -> None:
+    text = write_list(file)
+    assert tomllib.loads(text) == {}
+    for one in list_settings(file):
+        assert f"\n# {one.key} = " in text
+
+
+def test_the_defaults_of_the_list_are_those_that_hold(read: Callable[[str], Settings]) -> None:
+    plain = [
+        one for one in list_settings("study.toml") if re.fullmatch(r"\[\w+(\.\w+)?\]", one.table)
+    ]
+    given = [
+        one for one in plain if one.default not in {"", "required"} and "NAME" not in one.table
+    ]
+    optional = (
+        "[session.threshold]",
+        "[session.matching]",
+        "[publication]",
+        "[paper",
+        "[stations]",
+    )
+    text = SHORTEST
+    for table in dict.fromkeys(one.table for one in given if not one.table.startswith(optional)):
+        keys = [f"{one.key} = {one.default}\n" for one in given if one.table == table]
+        text += f"{table}\n{''.join(keys)}"
+    assert read(text) == read(SHORTEST)
 
 
 TERMS = "observer.reducers"

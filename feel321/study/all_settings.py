@@ -1,0 +1,172 @@
+"""The complete list of settings, made from the schemas: name, what it may be, default, unit, meaning.
+
+`settings/meanings.toml` holds the sentence of each key; all else follows from the schemas of `study.toml` and
+`rig.toml`.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic_core import PydanticUndefined
+
+from feel321.study.actuator.rig import Rig
+from feel321.study.settings.paper import Condition
+from feel321.study.settings.schema import Settings
+
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
+
+FILES: dict[str, type[BaseModel]] = {"study.toml": Settings, "rig.toml": Rig}
+UNITS = {
+    "db_per_min": "dB/min", "mv_per_g": "mV/g", "m_s2": "m/s²", "ms": "ms", "hz": "Hz", "db": "dB", "min": "min",
+    "days": "days", "h": "h", "s": "s", "v": "V",
+}  # fmt: skip
+"""End of a key's name -> its unit."""
+
+KINDS = {
+    "boolean": "true or false", "integer": "whole number", "number": "number", "string": "text", "array": "list",
+    "object": "table",
+}  # fmt: skip
+LIMITS = {
+    "minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below",
+}  # fmt: skip
+ANYTHING = 1e9
+"""Limits of this size only keep numbers finite, so that nobody has to read them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A key: its table ([session.breaks], [[recordings]]), what it may be, its default as TOML, unit, meaning."""
+
+    table: str
+    key: str
+    allowed: str
+    default: str
+    unit: str
+    meaning: str
+
+
+def read_meanings(file: str) -> dict[str, str]:
+    """Read the sentence of each key of a file, by table and key."""
+    path = Path(__file__).parent / "settings" / "meanings.toml"
+    meanings: dict[str, str] = tomllib.loads(path.read_text(encoding="utf-8"))[file]
+    return meanings
+
+
+def list_settings(file: str) -> list[Setting]:
+    """List every key of `study.toml` or `rig.toml`, table by table."""
+    meanings = read_meanings(file)
+    found = []
+    for table, key, field in _walk(FILES[file], "", ""):
+        place = ".".join(filter(None, (table.strip("[]"), key)))
+        unit = next((unit for end, unit in UNITS.items() if key.endswith(f"_{end}")), "")
+        default = show_default(field.get_default(call_default_factory=True))
+        found.append(Setting(table, key, describe(field), default, unit, meanings.get(place, "")))
+    return sorted(
+        dict.fromkeys(found), key=lambda one: [each.table for each in found].index(one.table)
+    )
+
+
+def write_list(file: str) -> str:
+    """Write the complete list as TOML, each key as a comment with its default."""
+    lines, table = [f"# Every setting of {file}, with its default; copy what you change."], None
+    for one in list_settings(file):
+        if one.table != table:
+            lines += ["", f"# {one.table}"] if one.table else [""]
+            table = one.table
+        default = "..." if one.default in {"", "required"} else one.default
+        kind = ", ".join(filter(None, (one.allowed, one.unit)))
+        lines.append(f"# {one.key} = {default}  # {one.meaning} ({kind})")
+    return "\n".join(lines) + "\n"
+
+
+def _walk(model: type[BaseModel], where: str, form: str) -> Iterator[tuple[str, str, FieldInfo]]:
+    """Give table, key and field of every key, tables within tables included."""
+    for key, field in model.model_fields.items():
+        if field.exclude:  # no key of the file
+            continue
+        inner, inner_form = _find_tables(field.annotation)
+        if not inner:
+            brackets = {"": ("", ""), "list": ("[[", "]]")}.get(form, ("[", "]"))
+            yield f"{brackets[0]}{where}{brackets[1]}", key, field
+        elif issubclass(inner[0], Condition):  # a value and its source, alike for every condition
+            yield f"[{where}]", key, inner[0].model_fields["value"]
+        else:
+            below = ".".join(filter(None, (where, key, "NAME" if inner_form == "named" else "")))
+            for each in inner:
+                yield from _walk(each, below, inner_form or "table")
+
+
+def _find_tables(annotation: object) -> tuple[list[type[BaseModel]], str]:
+    """Find the tables that a field holds: one, a list of them, or named ones."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation], ""
+    origin, inside = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _find_tables(inside[0])
+    found = [table for each in inside if each is not NoneType for table in _find_tables(each)[0]]
+    if origin in {tuple, list}:
+        return found, "list"
+    return found, "named" if origin is dict else _find_tables(inside[0])[1] if inside else ""
+
+
+def describe(field: FieldInfo) -> str:
+    """Describe what a key may be: the names that a wrong one is refused with, else its kind and limits."""
+    whole: Any = field.annotation
+    if field.metadata:
+        whole = Annotated[(whole, *field.metadata)]
+    adapter: TypeAdapter[object] = TypeAdapter(whole)
+    for wrong, kind in (("?", ""), (["?"], "a list of "), ({"?": "?"}, "a list of ")):
+        if names := re.search(r"must be one of ([^;]*)", _refuse(adapter, wrong)):
+            return kind + names[1]
+    try:
+        return _name_kind(adapter.json_schema())
+    except Exception:  # noqa: BLE001 - pydantic has several for what no schema can say
+        return "value"
+
+
+def _refuse(adapter: TypeAdapter[object], wrong: object) -> str:
+    """Give the words with which a value is refused, none if it is not."""
+    try:
+        adapter.validate_python(wrong)
+    except ValidationError as error:
+        return "\n".join(each["msg"] for each in error.errors())
+    except (TypeError, ValueError, AttributeError):
+        pass
+    return ""
+
+
+def _name_kind(schema: dict[str, Any]) -> str:
+    if "anyOf" in schema:
+        kinds = [_name_kind(each) for each in schema["anyOf"] if each.get("type") != "null"]
+        return " or ".join(dict.fromkeys(filter(None, kinds)))
+    limits = [
+        f"{words} {schema[key]:.12g}"
+        for key, words in LIMITS.items()
+        if key in schema and abs(schema[key]) < ANYTHING
+    ]
+    name = KINDS.get(schema.get("type", ""), "value")
+    if name == "list" and "items" in schema:
+        name = f"list of: {_name_kind(schema['items'])}"
+    return " ".join([name, *limits])
+
+
+def show_default(value: object) -> str:
+    """Show a default as TOML has it."""
+    if value is PydanticUndefined:
+        return "required"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f'"{value}"' if value else ""
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(show_default(each) for each in value) + "]"
+    return f"{value:g}" if isinstance(value, int | float) else ""
