@@ -136,6 +136,10 @@ def _describe_damage(home: Path, error: Exception) -> str:
     return f"{home}: cannot be read ({type(error).__name__}: {error}); restore it from a remote"
 
 
+def _refs(repo: BaseRepo) -> Any:  # noqa: ANN401 - dulwich has types of its own for names
+    return repo.refs
+
+
 def _read_history(repo: BaseRepo, tip: Any) -> list[Checkpoint]:  # noqa: ANN401 - an id, or None
     """Read all checkpoints up to a commit, the oldest first; what is not as its id says is refused."""
     from dulwich.objects import ShaFile
@@ -169,7 +173,7 @@ def read_own(study: StudyFolder) -> tuple[list[Checkpoint], dict[str, set[str]],
     try:
         with Repo(home) as repo:
             remotes = {url: _list_pushed(repo, name) for url, name in _list_remotes(repo).items()}
-            return _read_history(repo, repo.get_refs().get(b"HEAD")), remotes, ""  # type: ignore[call-overload]  # references are bytes of a type of their own
+            return _read_history(repo, _refs(repo).as_dict().get(b"HEAD")), remotes, ""
     except Exception as error:  # noqa: BLE001 - what is damaged raises anything
         return [], remotes, _describe_damage(home, error)
 
@@ -186,7 +190,7 @@ def _list_remotes(repo: Repo) -> dict[str, bytes]:
 
 
 def _list_pushed(repo: Repo, name: bytes) -> set[str]:
-    return {ref.decode() for ref in repo.refs.subkeys(b"refs/remotes/" + name)}  # type: ignore[arg-type]  # references are bytes of a type of their own
+    return {ref.decode() for ref in _refs(repo).subkeys(b"refs/remotes/" + name)}
 
 
 def take_checkpoint(
@@ -205,7 +209,7 @@ def take_checkpoint(
         lines = [f"{name}\t{mark.size}\t{mark.sha256}\n" for name, mark in marks]
         blob, tree, commit = Blob.from_string("".join(lines).encode()), Tree(), Commit()
         tree.add(DIGESTS, 0o100644, blob.id)
-        tip = repo.get_refs().get(b"HEAD")  # type: ignore[call-overload]  # references are bytes of a type of their own
+        tip = _refs(repo).as_dict().get(b"HEAD")
         commit.tree, commit.parents = tree.id, [tip] if tip else []
         commit.author = commit.committer = b"feel321 <feel321@localhost>"
         commit.author_time = commit.commit_time = int(now().timestamp())
@@ -217,8 +221,8 @@ def take_checkpoint(
             sync_folder(objects / one.id[:2].decode())
         sync_folder(objects)
         branch = name_branch(study).encode()
-        repo.refs[HEADS + branch] = commit.id  # type: ignore[index]  # references are bytes of a type of their own
-        repo.refs.set_symbolic_ref(b"HEAD", HEADS + branch)  # type: ignore[arg-type]  # references are bytes of a type of their own
+        _refs(repo)[HEADS + branch] = commit.id
+        _refs(repo).set_symbolic_ref(b"HEAD", HEADS + branch)
         pushed = {} if by.startswith("before") else _push_all(repo, branch, new=remote)
     utc = datetime.fromtimestamp(commit.commit_time, UTC).isoformat()
     places = tuple(url for url, problem in pushed.items() if not problem)
@@ -251,7 +255,7 @@ def _prepare_remote(remote: str, study: StudyFolder) -> str:
 def _push_all(repo: Repo, branch: bytes, *, new: str) -> dict[str, str]:
     """Push a branch to every remote, and keep a new one that took it; returns what went wrong, by URL."""
     remotes = _list_remotes(repo)
-    tip = repo.refs[HEADS + branch]  # type: ignore[index]  # references are bytes of a type of their own
+    tip = _refs(repo)[HEADS + branch]
     known = {one.id.encode() for one in _read_history(repo, tip)} if remotes or new else set()
     done = {}
     for url in dict.fromkeys([*remotes, *filter(None, [new])]):
@@ -278,7 +282,7 @@ def _push_all(repo: Repo, branch: bytes, *, new: str) -> dict[str, str]:
         config = repo.get_config()
         config.set((b"remote", name), b"url", url.encode())
         config.write_to_path()
-        repo.refs[b"refs/remotes/" + name + b"/" + branch] = tip  # type: ignore[index]  # references are bytes of a type of their own
+        _refs(repo)[b"refs/remotes/" + name + b"/" + branch] = tip
     return done
 
 
