@@ -52,7 +52,7 @@ class Holder:
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class Station:
     """The numbers that a station gives: of every `of` blocks the `this`-th, from 1; a block has one of each group."""
 
     this: int = 1
@@ -64,10 +64,10 @@ class Share:
         return (number - 1) // self.block % self.of == self.this - 1
 
 
-def find_share(settings: Settings) -> Share:
+def find_station(settings: Settings) -> Station:
     """Find which numbers a station gives, by its settings."""
     own = settings.stations
-    return Share(own.this, own.of, prod(map(len, settings.between.values())))
+    return Station(own.this, own.of, prod(map(len, settings.between.values())))
 
 
 def read_holder(folder: Path) -> Holder | None:
@@ -117,7 +117,7 @@ def plan_participants(
     make: Callable[[str, int], Plan],
     *,
     simulated: bool,
-    share: Share,
+    station: Station,
 ) -> list[Plan]:
     """Store plans under the lowest free numbers; whoever was planned keeps the number and the plan that is stored."""
     study.make_sessions()
@@ -128,7 +128,7 @@ def plan_participants(
             for one in known.values()
             if one.state == PLANNED and one.simulated == simulated
         }
-        free = (number for number in count(1) if share.has(number) and number not in taken)
+        free = (number for number in count(1) if station.has(number) and number not in taken)
         _check_capitals([*known, *names])
         plans = [
             make(name, _keep(known[name], simulated=simulated) if name in known else next(free))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
-from feel321.study.numbers import find_share, plan_participants
+from feel321.study.numbers import find_station, plan_participants
 from feel321.study.persons.answers import make_keeper
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
@@ -123,5 +123,5 @@ def plan_sessions(
     def make(name: str, number: int) -> Plan:
         return make_plan(design, room.stimuli, name, number=number, simulated=simulated)
 
-    share = find_share(settings)
-    return plan_participants(room.study, participants, make, simulated=simulated, share=share)
+    station = find_station(settings)
+    return plan_participants(room.study, participants, make, simulated=simulated, station=station)

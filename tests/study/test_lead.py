@@ -9,7 +9,7 @@ import pytest
 
 from feel321.protocols.texts import read_scales
 from feel321.study.folder import StudyFolder
-from feel321.study.numbers import Share, plan_participants
+from feel321.study.numbers import Station, plan_participants
 from feel321.study.persons.withdrawal import release_participant
 from feel321.study.session.plan import Stale
 from feel321.study.sessions import Room, lead_session
@@ -39,7 +39,7 @@ def lead(room: Room, plan: Plan, presenter: Any, **options: Any) -> Any:
             presenter.log.append("closed")
 
     plan_participants(
-        room.study, [plan.participant], lambda *_: plan, simulated=True, share=Share()
+        room.study, [plan.participant], lambda *_: plan, simulated=True, station=Station()
     )
     return lead_session(room, plan, identity=IDENTITY, make_presenter=open_presenter, **options)
 
@@ -60,7 +60,7 @@ def test_the_presenter_is_closed_however_a_session_ends(
 
 def test_nobody_is_led_whose_plan_was_given_back(room: Room, plan: Plan, scripted: type) -> None:
     """The number may be another's by now."""
-    plan_participants(room.study, ["p01"], lambda *_: plan, simulated=True, share=Share())
+    plan_participants(room.study, ["p01"], lambda *_: plan, simulated=True, station=Station())
     assert release_participant(room.study, "p01", now=room.now) == 1
     with pytest.raises(FileNotFoundError):
         lead_session(room, plan, identity=IDENTITY, make_presenter=scripted)

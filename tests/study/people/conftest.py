@@ -9,7 +9,7 @@ import pytest
 
 from feel321.protocols.trial import Flow, Judgement, Page, Part, Task, Trial
 from feel321.study.folder import StudyFolder
-from feel321.study.numbers import Share, plan_participants
+from feel321.study.numbers import Station, plan_participants
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
 from feel321.study.session.journal import (
     create_journal,
@@ -73,7 +73,7 @@ class Lab:
             [participant],
             lambda name, number: make_small_plan(name, number=number, simulated=simulated),
             simulated=simulated,
-            share=Share(),
+            station=Station(),
         )
         return plan.number
 

@@ -14,9 +14,9 @@ import pytest
 
 from feel321.study.numbers import (
     PLANNED,
-    Share,
+    Station,
     find_doubles,
-    find_share,
+    find_station,
     plan_participants,
     read_holder,
     read_holders,
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 def plan_here(lab: Any, design: Design, stimuli: StimulusSet) -> Any:
     """Plan sessions of a small design in the study; gives participant -> number."""
 
-    def run(*names: str, simulated: bool = False, share: Share | None = None) -> dict[str, int]:
+    def run(*names: str, simulated: bool = False, station: Station | None = None) -> dict[str, int]:
         def make(name: str, number: int) -> Plan:
             return make_plan(design, stimuli, name, number=number, simulated=simulated)
 
         plans = plan_participants(
-            lab.study, names, make, simulated=simulated, share=share or Share()
+            lab.study, names, make, simulated=simulated, station=station or Station()
         )
         return {plan.participant: plan.number for plan in plans}
 
@@ -94,7 +94,7 @@ GIVEN = [
     ((3, 3, 4), ["+a", "+b", "+c", "+d", "+e", "-b", "-e", "+f", "+g", "+h"],
      [9, 10, 11, 12, 21, 10, 21, 22]),
 ]  # fmt: skip
-"""Share, order of asking (+) and leaving (-), and the numbers that a database gave for it; s: simulated."""
+"""Station, order of asking (+) and leaving (-), and the numbers that a database gave for it; s: simulated."""
 
 
 @pytest.mark.parametrize(("share", "order", "numbers"), GIVEN)
@@ -111,7 +111,7 @@ def test_numbers_are_those_that_a_database_gave(
         name = step[-1]
         if "+" in step:
             simulated = step[0] == "s"
-            given += plan_here(name, simulated=simulated, share=Share(*share)).values()
+            given += plan_here(name, simulated=simulated, station=Station(*share)).values()
         else:
             release_participant(lab.study, name, now=now)
     assert given == numbers
@@ -120,7 +120,7 @@ def test_numbers_are_those_that_a_database_gave(
 @pytest.mark.parametrize("block", [1, 2, 6])
 @pytest.mark.parametrize("of", [1, 2, 5])
 def test_shares_of_stations_are_all_numbers_once(of: int, block: int) -> None:
-    shares = [Share(this, of, block) for this in range(1, of + 1)]
+    shares = [Station(this, of, block) for this in range(1, of + 1)]
     assert all(sum(share.has(number) for share in shares) == 1 for number in range(1, 200))
     # Every station has all groups equally often.
     for share in shares:
@@ -130,9 +130,9 @@ def test_shares_of_stations_are_all_numbers_once(of: int, block: int) -> None:
 
 def test_shares_are_set_in_study_toml() -> None:
     given = {"recordings": [{"scene": "bumps"}], "between": {"grip": ["pen", "power"]}}
-    assert find_share(Settings.model_validate(given)) == Share(1, 1, 2)
+    assert find_station(Settings.model_validate(given)) == Station(1, 1, 2)
     stations = {"stations": {"this": 2, "of": 3}}
-    assert find_share(Settings.model_validate(given | stations)) == Share(2, 3, 2)
+    assert find_station(Settings.model_validate(given | stations)) == Station(2, 3, 2)
     for wrong in ({"this": 3, "of": 2}, {"this": 0}, {"station": 1}):
         with pytest.raises(ValueError, match="stations"):
             Settings.model_validate(given | {"stations": wrong})
@@ -178,7 +178,7 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from conftest import make_small_plan
 from feel321.study.folder import StudyFolder
-from feel321.study.numbers import Share, plan_participants
+from feel321.study.numbers import Station, plan_participants
 study, who, kill_at = StudyFolder(Path(sys.argv[2])), sys.argv[3], int(sys.argv[4])
 calls = 0
 def watch(event, arguments):
@@ -193,7 +193,7 @@ def make(name, number):
 input()
 sys.addaudithook(watch)
 for place in range(int(sys.argv[5])):
-    plan_participants(study, [f"{who}-{place}"], make, simulated=False, share=Share())
+    plan_participants(study, [f"{who}-{place}"], make, simulated=False, station=Station())
 """
 
 

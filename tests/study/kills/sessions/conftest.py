@@ -25,7 +25,7 @@ from feel321.protocols.trial import Flow, Scale
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
-from feel321.study.numbers import Share, plan_participants
+from feel321.study.numbers import Station, plan_participants
 from feel321.study.observer.participant import ObserverModel, identify_observer
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import write_roster
@@ -220,7 +220,7 @@ class Session:
         def make(name: str, number: int) -> Plan:
             return make_plan(self.design, self.stimuli, name, number=number, simulated=True)
 
-        (plan,) = plan_participants(study, ["sim001"], make, simulated=True, share=Share())
+        (plan,) = plan_participants(study, ["sim001"], make, simulated=True, station=Station())
         room = Room(study, self.stimuli, SCALES, Stale(6.0, self.policy), now)
         make_presenter = partial(self._make_presenter, memory=set())
         identity = {"presenter": identify_observer(MODEL, seed=3)}
