@@ -22,7 +22,7 @@ from feel321.study.session.events import (
     SessionReleased,
     TrialRated,
 )
-from feel321.study.session.journal import Anchor, Chain, Records, digest, list_journals, read_anchor
+from feel321.study.session.journal import Anchor, Chain, Records, digest, list_journals
 from feel321.study.thresholds import list_columns, read_thresholds
 
 ROSTER_FILE = "participants.csv"
@@ -221,7 +221,7 @@ class Progress:
     total: int
     done: int = 0
     state: str = "claimed"
-    anchors: tuple[Anchor, ...] = ()
+    sessions: int = 0
     first_utc: str = ""
     last_utc: str = ""
     rated_utc: str = ""
@@ -268,7 +268,7 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             total=sum(trial.phase == "main" for trial in plan.trials),
             done=plans.replay(plan, newest).done,
             state=find_state(newest),
-            anchors=tuple(read_anchor(path) for path in list_journals(dossier.folder)),
+            sessions=len(dossier.chains),
             first_utc=times[0] if times else "",
             last_utc=times[-1] if times else "",
             rated_utc=max(
@@ -327,7 +327,6 @@ def list_roster(everybody: Sequence[Progress]) -> tuple[list[str], list[dict[str
     for progress in everybody:
         row = {name: getattr(progress, name) for name in Progress.__slots__}
         row |= {**progress.groups, **progress.thresholds}
-        row["sessions"] = len(progress.anchors)
         row |= {name: flags[row[name]] for name in ("simulated", "training_passed")}
         rows.append(row)
     return columns, rows

@@ -325,22 +325,5 @@ class Anchor:
 
 def read_anchor(path: Path) -> Anchor:
     """Look at a journal as it is now, whether or not its chain holds."""
-    lines = _read_lines(path)
+    lines = path.read_bytes().split(b"\n")[:-1]
     return Anchor(path.name, len(lines), digest(lines[-1]) if lines else START)
-
-
-def find_cut(anchor: Anchor, folder: Path) -> str:
-    """Describe what is missing of a journal since it was last seen; empty if nothing is."""
-    path = folder / anchor.journal
-    if not path.is_file():
-        return f"{path}: is gone, {anchor.lines} lines of it were seen"
-    lines = _read_lines(path)
-    if len(lines) < anchor.lines:
-        return f"{path}: ends with line {len(lines)}, {anchor.lines} lines of it were seen"
-    if anchor.lines and digest(lines[anchor.lines - 1]) != anchor.tip:
-        return f"{path}, line {anchor.lines}: is not the line that was seen there"
-    return ""
-
-
-def _read_lines(path: Path) -> list[bytes]:
-    return path.read_bytes().split(b"\n")[:-1]
