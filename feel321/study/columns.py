@@ -11,6 +11,6 @@ RATING_COLUMNS = (
     "participant", "session", "protocol", "block", "trial", "repeat", "stimulus_id", "recording", "reducer",
     "level", "reference_id", "scale", "rating", "response_time_s", "onset_s", "underruns", "rejected", "simulated",
     "spectral_match_delivered", "temporal_match_delivered", "spectral_match_bounded_delivered", "level_error_db",
-    "delivered_by", "sensation_level_db", "other_id", "motion_distance_m", "motion_mean_speed_m_s",
+    "delivered_by", "sensation_level_db", "other_id",
 )  # fmt: skip
 """The columns of `ratings.csv`, in order."""

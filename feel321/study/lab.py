@@ -16,8 +16,6 @@ from importlib.util import find_spec
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.study.actuator.certificate import judge_certificates
 from feel321.study.actuator.rig import (
@@ -29,8 +27,6 @@ from feel321.study.actuator.rig import (
     take_device,
 )
 from feel321.study.checkpoints import note_checkpoint
-from feel321.study.exploration.motion import POINTER, Pointer, Strokes, open_tracker
-from feel321.study.exploration.track import MOTION, Exploration
 from feel321.study.folder import DELIVERED
 from feel321.study.keys import USUAL
 from feel321.study.minutes import read_pace
@@ -47,7 +43,6 @@ if TYPE_CHECKING:
     from feel321.study.actuator.output import Check, Output
     from feel321.study.folder import StudyFolder
     from feel321.study.screen.view import Hand
-    from feel321.study.screen.window import Window
     from feel321.study.session.journal import Clock, Journal
     from feel321.study.session.plan import Plan
     from feel321.study.session.ports import Place, Presenter
@@ -141,38 +136,7 @@ def open_lab(
         if lab.lsl or lab.settings.session.lsl:
             stack.enter_context(open_outlet(journal, clock))
         journal.write(DeviceOpened({**output.identity, **own}))
-        exploration = stack.enter_context(_open_exploration(plan, window, lab=lab, clock=clock))
-        yield ScreenPresenter(
-            window, output, texts, clock=clock, surfaces=surfaces, hand=hand, exploration=exploration
-        )  # fmt: skip
-
-
-@contextmanager
-def _open_exploration(
-    plan: Plan, window: Window, *, lab: Lab, clock: Callable[[], float]
-) -> Iterator[Exploration | None]:
-    """Open what measures the hand's motion, where a task explores; a simulated participant strokes by itself."""
-    if not (modes := read.find_modes(lab.settings)):
-        yield None
-        return
-    own = lab.settings.session.exploration
-    make = partial(
-        Exploration,
-        modes=modes,
-        reference_m_s=own.reference_m_s,
-        rate_hz=lab.settings.rig.rate_hz,
-        folder=lab.study.sessions / plan.participant / MOTION,
-    )
-    if lab.casting is not None:
-        rng = np.random.default_rng([lab.casting.seed, find_person(plan.participant)])
-        yield make(Strokes(clock, rng, speed_m_s=own.reference_m_s))
-    elif own.source == POINTER:
-        pointer = Pointer(clock, m_per_pixel=1e-3 * own.mm_per_pixel)
-        window.on_motion = pointer.move
-        yield make(pointer)
-    else:
-        with open_tracker(own.source) as tracker:
-            yield make(tracker)
+        yield ScreenPresenter(window, output, texts, clock=clock, surfaces=surfaces, hand=hand)
 
 
 def start_clock(elapsed_s: float) -> Callable[[], float]:

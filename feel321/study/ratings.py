@@ -157,7 +157,6 @@ def _judge(
             "rejected": _write_flag(rated.rejected or superseded),
             **_describe_delivered(felt[judgement.part].delivered),
             "other_id": find_other(trial, judgement),
-            **_describe_motion([part for part in played if part.part == judgement.part]),
         }
 
 
@@ -170,17 +169,6 @@ def _describe_delivered(delivered: Mapping[str, float]) -> dict[str, Any]:
         "level_error_db": delivered.get("level_error_db", ""),
         "delivered_by": source,
     }
-
-
-def _describe_motion(played: Sequence[PartPlayed]) -> dict[str, Any]:
-    """Describe how a stimulus was explored: path of all its playbacks, and speed, weighted by their duration."""
-    paths = [part.motion for part in played if part.motion]
-    if not paths:
-        return {"motion_distance_m": "", "motion_mean_speed_m_s": ""}
-    length_m = sum(path.get("distance_m", 0.0) for path in paths)
-    lasted_s = sum(path.get("duration_s", 0.0) for path in paths)
-    speed = length_m / lasted_s if lasted_s else 0.0
-    return {"motion_distance_m": round(length_m, 6), "motion_mean_speed_m_s": round(speed, 6)}
 
 
 def _write_flag(flag: bool) -> str:  # noqa: FBT001 - the flag is the value, not an option

@@ -11,14 +11,13 @@ from pathlib import Path
 from threading import Event, Lock
 from typing import TYPE_CHECKING, NamedTuple
 
-from feel321.study.exploration.track import MOTION
 from feel321.study.observer.casting import Casting, cast_observers, find_person, make_model
 from feel321.study.observer.participant import Touch, expect_rating, identify_observer
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import Journal, list_journals, read_journal
 from feel321.study.session.plan import TOMBSTONE_FILE, Plan
-from feel321.study.settings.read import find_modes, make_identity
+from feel321.study.settings.read import make_identity
 
 if TYPE_CHECKING:
     import numpy as np
@@ -159,9 +158,7 @@ def _run(
         room,
         plan,
         identity=make_identity(settings, room.study.path, presenter),
-        make_presenter=partial(
-            _make_observer, casting=casting, settings=settings, study=room.study
-        ),
+        make_presenter=partial(_make_observer, casting=casting),
         on_step=lambda place: count(place.done),
     )
     return notice
@@ -169,13 +166,7 @@ def _run(
 
 @contextmanager
 def _make_observer(
-    plan: Plan,
-    journal: Journal,
-    stimuli: Mapping[str, Stimulus],
-    *,
-    casting: Casting,
-    settings: Settings,
-    study: StudyFolder,
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting
 ) -> Iterator[Presenter]:
     observer = SimulatedObserver(
         casting.model,
@@ -185,16 +176,6 @@ def _make_observer(
         elapsed_s=journal.records.find_elapsed(),
     )
     observer.recall(journal.records, plan.trials, stimuli=stimuli)
-    if modes := find_modes(settings):
-        from feel321.study.exploration.simulated import MovingPresenter
-
-        folder = study.sessions / plan.participant / MOTION
-        own = settings.session.exploration
-        yield MovingPresenter(
-            observer, modes, folder=folder, reference_m_s=own.reference_m_s,
-            seeds=(casting.seed, find_person(plan.participant)),
-        )  # fmt: skip
-        return
     yield observer
 
 

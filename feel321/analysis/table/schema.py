@@ -112,8 +112,6 @@ RATINGS: Mapping[str, ColumnInfo] = {
     "other_id": ColumnInfo(
         "the other stimulus of a choice (triplet, preference), felt after stimulus_id"
     ),
-    "motion_distance_m": ColumnInfo("way of the hand during playback", "m", used=False),
-    "motion_mean_speed_m_s": ColumnInfo("mean speed of the hand", "m/s", used=False),
 }
 """One row per judgement."""
 

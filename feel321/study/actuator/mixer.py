@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from feel321.study.actuator.rig import MaskingTable, Rig
-from feel321.study.exploration.explorer import Explorer
 from feel321.types import Samples
 
 Frames = NDArray[np.float32]  # what is played: (n, channels), or (n,) of one channel
@@ -243,8 +242,7 @@ class Cue:
     """One playback, from its request to its end; the callback writes it, everybody may read it.
 
     sound: (n_samples, channels), times `scale`; gap_frames: silence before it, at least; first_frame: 0 for the whole;
-    lead_frames: by how much its first sample is sent before the vibration begins; explorer: what plays it as the hand
-    moves, if something does.
+    lead_frames: by how much its first sample is sent before the vibration begins.
     """
 
     sound: Frames
@@ -252,7 +250,6 @@ class Cue:
     scale: float = 1.0
     first_frame: int = 0
     lead_frames: int = 0
-    explorer: Explorer | None = None
     onset_frame: int = NOT_SCHEDULED
     n_played: int = 0
     clipped: int = 0
@@ -310,7 +307,6 @@ class Mixer:
         scale: float = 1.0,
         goes_on: bool = False,
         lead_s: float = 0.0,
-        explorer: Explorer | None = None,
     ) -> Cue:
         """Ask for a stimulus, times `scale`; the one that is playing is stopped.
 
@@ -331,9 +327,7 @@ class Mixer:
             sound[:n] *= (self._fade_steps[:n] / np.float32(n))[:, None]
         silence_s = max(gap_s - lead_s, min(gap_s, PAUSE_S))
         lead = 0 if first else round(lead_s * self._rate_hz)
-        if explorer is not None:
-            explorer.prepare(sound)
-        self._latest = Cue(sound, round(silence_s * self._rate_hz), scale, first, lead, explorer)
+        self._latest = Cue(sound, round(silence_s * self._rate_hz), scale, first, lead)
         self._waiting.append(self._latest)
         return self._latest
 
@@ -411,10 +405,7 @@ class Mixer:
             return self.frame
         piece = block[first:]
         piece = piece[: len(cue.sound) - cue.n_played]
-        if cue.explorer is None:
-            np.copyto(piece, cue.sound[cue.n_played : cue.n_played + len(piece)])
-        else:
-            cue.explorer.render(piece, cue.sound, cue.n_played)
+        np.copyto(piece, cue.sound[cue.n_played : cue.n_played + len(piece)])
         if self._sync:
             onset = cue.onset_frame + cue.lead_frames - self.frame
             pulse = block[max(onset, 0) : max(onset + self._sync_frames, 0)]

@@ -27,8 +27,6 @@ from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify
 from feel321.study.actuator.simulated import SIMULATED, SimulatedStream
 from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
-from feel321.study.exploration.explorer import Explorer
-from feel321.study.exploration.track import find_latencies
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
 from feel321.types import Samples
@@ -57,17 +55,9 @@ class Output(Protocol):
         """Rig, device, rate and channels, for the journal's header; compared when a session is resumed."""
 
     def start(
-        self,
-        stimulus: Stimulus | Tone | Scaled,
-        *,
-        gap_s: float,
-        goes_on: bool = False,
-        explorer: Explorer | None = None,
+        self, stimulus: Stimulus | Tone | Scaled, *, gap_s: float, goes_on: bool = False
     ) -> None:
-        """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped.
-
-        explorer: what plays it as the hand moves.
-        """
+        """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped."""
 
     @property
     def is_playing(self) -> bool:
@@ -133,23 +123,13 @@ class FileOutput:
         }
 
     def start(
-        self,
-        stimulus: Stimulus | Tone | Scaled,
-        *,
-        gap_s: float,
-        goes_on: bool = False,
-        explorer: Explorer | None = None,
+        self, stimulus: Stimulus | Tone | Scaled, *, gap_s: float, goes_on: bool = False
     ) -> None:
         """Begin a playback."""
         scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         self._name = stimulus.stimulus_id
         self._cue = self._mixer.start(
-            self._name,
-            gap_s=gap_s,
-            scale=scale,
-            goes_on=goes_on,
-            lead_s=self.lead_s,
-            explorer=explorer,
+            self._name, gap_s=gap_s, scale=scale, goes_on=goes_on, lead_s=self.lead_s
         )
         self._blocks = []
         self._begin_s, self._first_frame = self._clock(), self._mixer.frame
@@ -352,12 +332,7 @@ class StreamOutput:
         self._connection.close()
 
     def start(
-        self,
-        stimulus: Stimulus | Tone | Scaled | str,
-        *,
-        gap_s: float,
-        goes_on: bool = False,
-        explorer: Explorer | None = None,
+        self, stimulus: Stimulus | Tone | Scaled | str, *, gap_s: float, goes_on: bool = False
     ) -> None:
         """Schedule silence, then a stimulus; a dead device is opened again first, if it can be."""
         self._name = name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
@@ -372,7 +347,7 @@ class StreamOutput:
         self._take = take  # before the mixer knows, so that no block is missed
         scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         take.cue = self._mixer.start(
-            name, gap_s=gap_s, scale=scale, goes_on=goes_on, lead_s=self.lead_s, explorer=explorer
+            name, gap_s=gap_s, scale=scale, goes_on=goes_on, lead_s=self.lead_s
         )
         ahead_s = stream.compare_clocks(self._clock)
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
@@ -432,12 +407,11 @@ class StreamOutput:
         )
 
     def _measure_times(self, take: Take, cue: Cue) -> dict[str, float]:
-        """Measure blocks, and times of the device: onset, how long a stop took, the latency of motions."""
+        """Measure blocks, and times of the device: onset, and how long a stop took."""
         ahead_s = self._clock_ahead_s
         measured = {"blocks": float(take.n_blocks), "callback_ms_max": take.longest_s * 1e3}
         if take.onset_s is not None:
-            late = _measure_motion(cue, take.onset_s + ahead_s, rate_hz=self._rate_hz)
-            measured |= {"dac_time_s": take.onset_s, **late}
+            measured["dac_time_s"] = take.onset_s
         was_cut = 0 < cue.n_played < len(cue.sound)
         if self._stopped_s is not None and take.end_s is not None and was_cut:
             measured["stop_s"] = take.end_s + ahead_s - self._stopped_s
@@ -479,21 +453,11 @@ def _measure_place(cue: Cue) -> dict[str, float]:
     return {"n_samples": float(cue.n_played), **before}
 
 
-def _measure_motion(cue: Cue, first_s: float, *, rate_hz: float) -> dict[str, float]:
-    """Measure how long after its report a motion is felt, where the hand drives the playback."""
-    if cue.explorer is None or not cue.n_played:
-        return {}
-    return find_latencies(cue.explorer, first_s=first_s, rate_hz=rate_hz)
-
-
 def _describe(
     check: Check | None, stimulus_id: str, cue: Cue, *, measured: ArrayLike | None
 ) -> Mapping[str, float]:
-    """Compare a playback that came to its end with what was asked.
-
-    At another level than the set's it is not, nor where the hand decided what was played.
-    """
-    if check is None or not cue.is_complete or cue.scale != 1 or cue.explorer is not None:
+    """Compare a playback that came to its end with what was asked, unless its level is not the set's."""
+    if check is None or not cue.is_complete or cue.scale != 1:
         return {}
     return check.describe(stimulus_id, cue.sound, measured)
 

@@ -7,7 +7,6 @@ from itertools import pairwise
 from pathlib import Path
 
 from feel321.study.auditing.steps import audit_steps
-from feel321.study.exploration.track import MOTION, name_track
 from feel321.study.folder import DELIVERED, name_delivered
 from feel321.study.persons.answers import audit_personal
 from feel321.study.ratings import find_misplaced
@@ -120,19 +119,12 @@ _CLOCKS_ASLEEP = {
 
 
 def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
-    """List the files of what was rendered, measured or explored: who names them, where they are, their digest."""
+    """List the files of what was rendered or measured: who names them, where they are, their digest."""
     for record in records:
         played = record.content if record.event == events.PartPlayed.event else None
-        if not isinstance(played, events.PartPlayed):
-            continue
-        delivered = name_delivered(int(played.measured.get("file_number", 0)))
-        track = name_track(int(played.motion.get("file_number", 0)))
-        for path, sha256 in (
-            (folder / DELIVERED / delivered, played.delivered_sha256),
-            (folder / MOTION / track, played.motion_sha256),
-        ):
-            if sha256:
-                yield record, path, sha256
+        if isinstance(played, events.PartPlayed) and played.delivered_sha256:
+            name = name_delivered(int(played.measured.get("file_number", 0)))
+            yield record, folder / DELIVERED / name, played.delivered_sha256
 
 
 def _audit_files(records: Sequence[Record], folder: Path) -> Iterator[str]:

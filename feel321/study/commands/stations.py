@@ -29,8 +29,8 @@ def collect(
 ) -> None:
     """Collect the sessions of other stations into one study.
 
-    FROM are study folders, mounted or copied; they are only read. Plans, journals and what was delivered or explored
-    are verified before and after the copy; a longer journal takes the place of one that it continues. Sessions that
+    FROM are study folders, mounted or copied; they are only read. Plans, journals and what was delivered are
+    verified before and after the copy; a longer journal takes the place of one that it continues. Sessions that
     conflict with the study are refused by name; nothing is overwritten. If interrupted, run it again; a second run
     copies nothing. A participant who withdrew at one station is withdrawn here.
     """

@@ -26,7 +26,6 @@ from feel321.study.session.ports import Playback
 
 if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.exploration.explorer import Explorer
     from feel321.study.folder import StudyFolder
     from feel321.study.monitor.replay import Rehearsal
     from feel321.study.screen.drawing import Item
@@ -48,7 +47,6 @@ class BrowserWindow:
     clock: Callable[[], float]
     size: tuple[int, int] = PAGE_SIZE
     frames: FrameCounts = field(default_factory=FrameCounts)
-    on_motion: Callable[[float, float], None] = lambda _x, _y: None
     _shown: tuple[Item, ...] = ()
     _state: dict[str, Any] = field(default_factory=lambda: {"version": 0})
     _changed: threading.Condition = field(default_factory=threading.Condition)
@@ -122,7 +120,6 @@ class BrowserOutput:
         *,
         gap_s: float,
         goes_on: bool = False,  # noqa: ARG002 - the form of an output
-        explorer: Explorer | None = None,  # noqa: ARG002 - the form of an output
     ) -> None:
         """Schedule silence, then a stimulus."""
         self._began_s = self.window.clock() + gap_s

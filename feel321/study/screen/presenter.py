@@ -6,15 +6,12 @@ It shows, plays and passes on what the participant does; the engine decides what
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 from math import ceil
 
 from feel321.protocols.questions import Question
 from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.actuator.output import Output
-from feel321.study.exploration.explorer import Explorer
-from feel321.study.exploration.track import Exploration
 from feel321.study.screen.asking import Form, fill_in
 from feel321.study.screen.drawing import Sheet
 from feel321.study.screen.input import Answer, InputEvent, Request, Twice
@@ -154,7 +151,7 @@ SILENCE_S = 1.0  # longest wait for an output to fall silent before it is asked 
 class ScreenPresenter:
     """Shows, plays, and passes on what the participant does: `study.session.ports.Presenter`."""
 
-    def __init__(  # noqa: PLR0913 - a screen, what plays, what moves: each is there or not by itself
+    def __init__(
         self,
         window: Window,
         output: Output,
@@ -163,9 +160,8 @@ class ScreenPresenter:
         clock: Callable[[], float],
         surfaces: Mapping[str, Surface],
         hand: Hand | None = None,
-        exploration: Exploration | None = None,
     ) -> None:
-        self._hand, self._exploration = hand or Hand(), exploration
+        self._hand = hand or Hand()
         self._screen = Screen(window, texts, clock=clock, hand=self._hand)
         self._output, self._texts, self._clock, self._surfaces = output, texts, clock, surfaces
         self._acts: deque[Act] = deque()
@@ -251,18 +247,13 @@ class ScreenPresenter:
         self._asked_s = self._asked_s if goes_round else self._clock()
         pause_s = LOOP_PAUSE_S if goes_round else gap_s
         pause_s = pause_s if due_s is None else max(pause_s, due_s - self._clock())
-        start = self._output.start
-        if (explores := self._begin_exploring()) is not None:
-            start = partial(start, explorer=explores)
-        start(stimulus, gap_s=pause_s, goes_on=goes_on and answer.loops)
+        self._output.start(stimulus, gap_s=pause_s, goes_on=goes_on and answer.loops)
         try:
             act = self._watch_playing()
         except BaseException:
             self._output.stop()
             raise
         playback = self._output.collect()
-        if self._exploration is not None and explores is not None:
-            playback = self._exploration.finish(playback)
         self._end_part(part, is_felt=playback.completed and not playback.error)
         is_free = answer.loops and self._clock() - self._asked_s < LOOP_S
         if is_free and self._is_at_end and not playback.error and not act:
@@ -301,13 +292,6 @@ class ScreenPresenter:
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
         """Explain to the participant why an act was not accepted, until the next one."""
         self._screen.notice = self._texts.explain(reason, parts, self._screen.view.trial)
-
-    def _begin_exploring(self) -> Explorer | None:
-        """Make what plays the next stimulus as the hand moves, where the task explores."""
-        trial = self._screen.view.trial
-        if self._exploration is None or trial is None:
-            return None
-        return self._exploration.begin(trial.protocol)
 
     def _announce(self, state: str, part: Part) -> None:
         """Show which part comes before it is felt."""

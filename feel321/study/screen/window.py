@@ -121,8 +121,6 @@ class Window:
         self._shown: tuple[drawing.Item, ...] = ()
         self._due_s = self._redraw_s = 0.0
         self._is_closed = False
-        self.on_motion: Callable[[float, float], None] = lambda _x, _y: None
-        """Called with every place of the pointer, in pixels, as it is reported."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -205,8 +203,7 @@ class Window:
             on_text=write,
             on_text_motion=move,
             on_mouse_press=lambda x, y, *_: take("click", at=locate(x, y)),
-            on_mouse_drag=lambda x, y, *_: take("drag", at=self._follow(locate(x, y))),
-            on_mouse_motion=lambda x, y, *_: bool(self._follow(locate(x, y))),
+            on_mouse_drag=lambda x, y, *_: take("drag", at=locate(x, y)),
             on_deactivate=lambda: take("unfocused"),
             on_hide=lambda: take("hidden"),
             on_close=end,
@@ -214,11 +211,6 @@ class Window:
         if (own := getattr(inner, "_event_handlers", None)) is not None:
             # A window that is destroyed from outside is never asked to close. X11 says so; pyglet does not pass it on.
             own[DESTROY_NOTIFY] = end
-
-    def _follow(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Pass on where the pointer is now."""
-        self.on_motion(*place)
-        return place
 
 
 @contextmanager

@@ -470,8 +470,6 @@ def _describe_playback(playback: ports.Playback) -> dict[str, Any]:
         "dac_source": playback.dac_source,
         "delivered": {k: float(v) for k, v in playback.delivered.items() if isfinite(v)},
         "delivered_sha256": playback.delivered_sha256,
-        "motion": {k: float(v) for k, v in playback.motion.items() if isfinite(v)},
-        "motion_sha256": playback.motion_sha256,
     }
 
 

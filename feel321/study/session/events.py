@@ -223,14 +223,10 @@ class PartPlayed(AttemptEvent, event="played"):
     dac_source: str = ""
     delivered: dict[str, float] = field(default_factory=dict)
     delivered_sha256: str = ""
-    motion: dict[str, float] = field(default_factory=dict)
-    motion_sha256: str = ""
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields; what only some devices give is left out where it is empty."""
-        names = (
-            "measured", "dac_source", "delivered", "delivered_sha256", "motion", "motion_sha256",
-        )  # fmt: skip
+        names = ("measured", "dac_source", "delivered", "delivered_sha256")
         optional = {name: getattr(self, name) for name in names}
         return {k: v for k, v in super().to_data().items() if optional.get(k, True)}
 

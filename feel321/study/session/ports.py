@@ -164,10 +164,6 @@ class Playback:
         it, without if a certificate predicts it; empty if neither did.
     delivered_sha256 : str
         Digest of the file of what was measured or rendered; empty if there is none.
-    motion : mapping of str to float
-        Where the hand drove the playback: number of its track's file, distance in m, mean speed in m/s; else empty.
-    motion_sha256 : str
-        Digest of the file of the track; empty if there is none.
     """
 
     requested_s: float
@@ -181,8 +177,6 @@ class Playback:
     dac_source: str = ""
     delivered: Mapping[str, float] = field(default_factory=dict)
     delivered_sha256: str = ""
-    motion: Mapping[str, float] = field(default_factory=dict)
-    motion_sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True)

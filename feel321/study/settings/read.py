@@ -304,7 +304,6 @@ def make_identity(
         "rig": settings.rig.of_stimuli(),
         "calibration": calibration,
         "presenter": presenter,
-        **identify_exploration(settings),
         **_identify_methods(settings, folder),
         **identify_frozen(folder),
     }
@@ -323,23 +322,6 @@ def _identify_methods(settings: Settings, folder: Path) -> dict[str, Any]:
     found = {one.name: one.sha256 for one in make_recipe(settings, folder).methods}
     found |= digest_protocols(settings.session.protocols)
     return {"methods": found} if found else {}
-
-
-EXPLORABLE = ("realism", "similarity")
-"""Protocols whose stimuli the hand may drive."""
-
-
-def find_modes(settings: Settings) -> dict[str, str]:
-    """Find what the hand drives in each protocol that explores."""
-    tasks = ((name, settings.tasks.get(name)) for name in settings.session.protocols)
-    return {name: task.explore for name, task in tasks if task is not None and task.explore}
-
-
-def identify_exploration(settings: Settings) -> dict[str, Any]:
-    """Describe how a session explores, if it does, for the header of its journal."""
-    if not (modes := find_modes(settings)):
-        return {}
-    return {"exploration": {**settings.session.exploration.model_dump(), "modes": modes}}
 
 
 LATER = ("triplet", "preference")
@@ -419,8 +401,6 @@ def _check_matching(settings: Settings) -> Iterator[str]:
 
 def _check_tasks(settings: Settings) -> Iterator[str]:
     for name, table in settings.tasks.items():
-        if table.explore and name not in EXPLORABLE:
-            yield f"tasks.{name}.explore is for {' and '.join(EXPLORABLE)} only; remove it"
         # Each setting by itself, so that every mistake is found; then all together.
         alone = [TaskTable(**{key: value}) for key, value in table if key in table.model_fields_set]
         found = [line for one in alone if (line := _try_task(name, one))]

@@ -33,8 +33,6 @@ from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.admission import OURS, name_protocols
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
-from feel321.study.exploration.explorer import EXPLORERS
-from feel321.study.exploration.motion import POINTER
 from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.asking import Questions, Scales
@@ -194,14 +192,6 @@ class MatchingTable(kinds.TomlTable):
         return MatchingBlock(self.level or levels[-1], self.repeats)
 
 
-class ExplorationTable(kinds.TomlTable):
-    """`[session.exploration]`: what measures the hand's motion, for tasks that explore."""
-
-    source: kinds.Words = POINTER
-    reference_m_s: kinds.Positive = 0.1
-    mm_per_pixel: kinds.Positive = 0.25
-
-
 _OWN_PROTOCOL = kinds.own_or_one_of(OURS, "protocol", "protocols")
 
 
@@ -233,7 +223,6 @@ class SessionTable(kinds.TomlTable):
     threshold: ThresholdTable | None = None
     matching: MatchingTable | None = None
     questions: Questions = ()
-    exploration: ExplorationTable = ExplorationTable()
 
 
 class TaskTable(kinds.TomlTable):
@@ -243,7 +232,6 @@ class TaskTable(kinds.TomlTable):
     reference: kinds.Words | None = None
     surface: bool = False
     pairs: kinds.AtLeastOne | None = None
-    explore: Annotated[str, kinds.one_of(EXPLORERS)] | None = None
     scales: tuple[kinds.Words, ...] = ()
     gap_s: kinds.NotNegative | None = None
     answer_timeout_s: kinds.Positive | None = None
@@ -252,7 +240,7 @@ class TaskTable(kinds.TomlTable):
     def make_task(self, name: str, *, training: int = 0, practice: int = 0) -> Task:
         """Make the task of a design; which refuses what its protocol has not."""
         own = self.model_dump(include={"timing", "reference", "surface", "pairs"})
-        options = self.model_dump(exclude={*own, "explore"})
+        options = self.model_dump(exclude=set(own))
         return refine_task(make_task(name, training=training, practice=practice, **own), **options)
 
 

@@ -9,7 +9,6 @@ import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from threading import Thread
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +16,6 @@ import numpy as np
 
 from feel321.study.actuator.output import StreamOutput, open_stream
 from feel321.study.actuator.rig import read_rig
-from feel321.study.exploration.explorer import make_explorer
-from feel321.study.exploration.motion import Pointer
 
 if TYPE_CHECKING:
     from feel321.study.session.ports import Playback
@@ -54,33 +51,10 @@ def obey(
             output.stop()
             say({"stopped_s": (before_s, perf_counter())})
         say(collect(output))
-    elif do == "explore":  # a hand that rests, then strokes at the reference speed from after_s on
-        say(explore(output, sound, begin_s=perf_counter() + gap_s + after_s))
     elif do == "collect":
         say(collect(output))
     elif do == "clock":
         say({"clock_s": perf_counter()})
-
-
-def explore(output: StreamOutput, sound: str, *, begin_s: float) -> dict[str, Any]:
-    """Play with a pointer that a thread moves 125 times per s, as a mouse does."""
-    pointer = Pointer(perf_counter, m_per_pixel=1.0)
-    explorer = make_explorer("gain", pointer, reference_m_s=0.1, rate_hz=48000)
-    reports: list[float] = []
-
-    def move() -> None:
-        while output.is_playing:
-            if perf_counter() >= begin_s:
-                pointer.move(0.1 * (perf_counter() - begin_s), 0.0)
-                reports.append(perf_counter())
-            sleep(0.008)
-
-    output.start(sound, gap_s=0.05, explorer=explorer)
-    hand = Thread(target=move)
-    hand.start()
-    delivery = collect(output)
-    hand.join()
-    return {**delivery, "reports_s": reports, "track": pointer.take().tolist()}
 
 
 def collect(output: StreamOutput) -> dict[str, Any]:

@@ -791,17 +791,6 @@ def _(study: StudyFolder) -> None:
     take_as_it_is(study)
 
 
-@cheat("a track of motion is edited")
-def _(study: StudyFolder) -> None:
-    path = min(folder(study).glob("motion/*.csv"))
-    path.write_text(path.read_text(encoding="utf-8") + "9,9,9\n", encoding="utf-8")
-
-
-@cheat("a track of motion is removed")
-def _(study: StudyFolder) -> None:
-    min(folder(study).glob("motion/*.csv")).unlink()
-
-
 @cheat("times of files are changed", is_data=False)
 def _(study: StudyFolder) -> None:
     for path in study.path.rglob("*"):

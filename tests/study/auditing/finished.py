@@ -50,8 +50,6 @@ trials = 10
 practice = 0
 [[session.questions]]
 use = "demographics"
-[tasks.realism]
-explore = "gain"
 [analysis]
 draws = 100
 screening = ["methods/strict.py:strict"]
@@ -114,7 +112,7 @@ def now() -> datetime:
 
 
 def make_simulated(path: Path) -> StudyFolder:
-    """Three simulated participants with thresholds, questions, motion, own texts and a rule; analysed."""
+    """Three simulated participants with thresholds, questions, own texts and a rule; analysed."""
     study = create_study(path)
     study.settings.write_text(SETTINGS, encoding="utf-8")
     (path / "texts.toml").write_text(write_copy("en"), encoding="utf-8")

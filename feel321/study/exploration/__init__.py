@@ -1,1 +1,0 @@
-"""Active exploration: the hand's motion drives how a stimulus is played."""
