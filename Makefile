@@ -4,7 +4,7 @@
 PYTHON := .venv/bin/python
 PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.txt
 PACKAGE := feel321
-EXTRAS := dev docs rig ide monitor cluster lsl
+EXTRAS := dev docs rig ide cluster lsl
 comma := ,
 space := $(subst ,, )
 

@@ -30,7 +30,7 @@ def render_template(name: str, *, styles: Sequence[str] = (), **values: object) 
 
 @lru_cache(maxsize=1)
 def _open_templates() -> Environment:
-    """Open the templates, once: a live page is rendered every second."""
+    """Open the templates, once."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(

@@ -91,7 +91,7 @@ class WholeNumber(click.IntRange):
 
 LOUDNESS = "feel321.loudness"
 
-READING = {"audit", "check", "monitor", "replay", "status"}
+READING = {"audit", "check", "status"}
 """Verbs that write nothing into a study, so that they leave it as it is."""
 
 FILE = _GivenPath(path_type=Path)

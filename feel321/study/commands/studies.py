@@ -289,14 +289,35 @@ def simulate(*, study: Study, participants: int, seed: int | None, as_json: bool
     )
 
 
-@click.command(epilog="Example: feel321 status my-study")
+@click.command(
+    epilog="""\b
+Example: feel321 status my-study
+         feel321 status my-study --watch sessions.html
+"""
+)
 @shared.study_argument
 @shared.flag("--notes", "Also the experimenter's notes (feel321 note).", "with_notes")
+@click.option(
+    "--watch", "page", type=shared.FILE, metavar="PAGE",
+    help="Write a blind page of the running sessions, and renew it until Ctrl-C.",
+)  # fmt: skip
 @shared.rehearsals_option
 @shared.json_option
-def status(*, study: Study, with_notes: bool, rehearsals: bool, as_json: bool) -> None:
+def status(
+    *, study: Study, with_notes: bool, page: Path | None, rehearsals: bool, as_json: bool
+) -> None:
     """Show the progress of every participant."""
-    state = _choose(study, rehearsals=rehearsals).status()
+    study = _choose(study, rehearsals=rehearsals)
+    if page is not None:
+        from feel321.study.watch import watch_study
+
+        if with_notes or as_json:
+            raise click.UsageError("--watch does not go with --notes or --json; leave them out")
+        with shared.recording(study.folder, "status", page):
+            watch_study(study.folder, page, now=study.now, announce=shared.echo)
+        shared.echo("status: ended", err=True)
+        return
+    state = study.status()
     if as_json:
         shared.print_json(asdict(state))
         return
