@@ -1,25 +1,42 @@
-"""Independent jobs: done in this process, in several, or on a cluster, always by this one way.
+"""Independent jobs: done in this process, in several, or on a Dask cluster, always by this one way.
 
 A job is a function and its arguments, all of which can be pickled; it writes its own files whole or not at all, and its
 result does not depend on where or when it runs. So results are the same for any number of workers, and a job that was
 lost with its process is simply done again.
+
+On a cluster jobs are futures of `distributed`, not tasks of joblib's backend `dask`: that one (joblib 1.6) waits for
+ever for a task that was given up, such as one that takes the memory of four workers in turn.
 """
 
 from __future__ import annotations
 
+import io
+import os
+import pickle
+import sys
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
+from contextlib import closing
 from contextvars import copy_context
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from importlib.util import find_spec
 from itertools import islice
-from re import fullmatch, search
+from pathlib import Path, PurePath
+from re import fullmatch
 from typing import Any
+
+from feel321.extensions import Method, find_method
 
 __all__ = ["Workers"]
 
 Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 """What is called, its positional and its named arguments."""
+
+Numbered = tuple[int, Any]
+"""The place of a job and its result."""
+
+PATIENCE_S = 60.0
+"""How long a cluster without workers is waited for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,17 +47,14 @@ class Workers:
     ----------
     count : int
         Number of processes of this machine.
-    dask : str
+    scheduler : str
         Instead, the scheduler of a Dask cluster: `tcp://HOST:PORT`, or `tls://HOST:PORT` with certificates named in
-        Dask's own configuration.
-    share : str
-        With `dask`: URL of a folder, opened by fsspec, through which files travel. If left out, all machines must see
-        the study's folder under the same name.
+        Dask's own configuration. All machines must see the study's folder under the same name.
 
     Raises
     ------
     ValueError
-        If the number is below 1, the address is not of that form, or the URL holds a password.
+        If the number is below 1, or the address is not of that form.
 
     Examples
     --------
@@ -49,28 +63,17 @@ class Workers:
     """
 
     count: int = 1
-    dask: str = ""
-    share: str = ""
+    scheduler: str = ""
 
     def __post_init__(self) -> None:
         """Refuse what cannot work."""
         if self.count < 1:
             raise ValueError(f"workers must be 1 or more, got {self.count}")
-        if self.dask and not fullmatch(r"(tcp|tls)://.+:\d+", self.dask):
+        if self.scheduler and not fullmatch(r"(tcp|tls)://.+:\d+", self.scheduler):
             raise ValueError(
-                f"dask must be tcp://HOST:PORT or tls://HOST:PORT, as dask scheduler prints it; got {self.dask!r}"
+                "scheduler must be tcp://HOST:PORT or tls://HOST:PORT, as dask scheduler prints it; got "
+                f"{self.scheduler!r}"
             )
-        if self.share and not self.dask:
-            raise ValueError("share is for a Dask cluster; give dask too, or leave share out")
-        if search(r"://[^/@:]*:(?!\d*(/|$))[^@]*@", self.share):
-            raise ValueError(
-                "share must hold no password; use a key, or put it into fsspec's configuration on all machines "
-                "(~/.config/fsspec/conf.json)"
-            )
-
-    def stay_here(self) -> Workers:
-        """Keep to the processes of this machine, where a job's files would travel farther than it is long."""
-        return Workers(self.count) if self.share else self
 
 
 ALONE = Workers()
@@ -84,29 +87,23 @@ def as_workers(workers: int | Workers) -> Workers:
 
 def run_jobs(
     jobs: Iterable[Job], *, workers: Workers = ALONE, threads: int = 1
-) -> Iterator[tuple[int, Any]]:
+) -> Iterator[Numbered]:
     """Yield the place of each job and its result, as they are done; only a few jobs are taken ahead of time."""
-    if workers.dask:
-        yield from _run_on_cluster(jobs, workers)
-        return
-    if workers.count == 1:
-        yield from _run_here(jobs, threads=threads)
-        return
-    from joblib import Parallel, delayed
+    if workers.scheduler:
+        yield from _run_on_cluster(jobs, workers.scheduler)
+    elif workers.count == 1:
+        # Each thread has a context of its own, in which it can say what is being done.
+        with ThreadPoolExecutor(threads) as pool:
+            yield from _run_futures(
+                jobs,
+                lambda place, job: pool.submit(copy_context().run, _run_numbered, place, job),
+                count_threads=lambda: threads,
+            )
+    else:
+        from joblib import Parallel, delayed
 
-    numbered = (delayed(_run_numbered)(place, job) for place, job in enumerate(jobs))
-    yield from Parallel(n_jobs=workers.count, return_as="generator_unordered")(numbered)
-
-
-def _run_on_cluster(jobs: Iterable[Job], workers: Workers) -> Iterator[tuple[int, Any]]:
-    missing = [name for name in ("distributed", "fsspec") if find_spec(name) is None]
-    if missing:
-        raise ModuleNotFoundError(
-            f"a Dask cluster needs {' and '.join(missing)}, not installed here; run pip install 'feel321[cluster]'"
-        )
-    from feel321.cluster import run_on_cluster
-
-    return run_on_cluster(jobs, address=workers.dask, share=workers.share)
+        numbered = (delayed(_run_numbered)(place, job) for place, job in enumerate(jobs))
+        yield from Parallel(n_jobs=workers.count, return_as="generator_unordered")(numbered)
 
 
 def gather_results(
@@ -120,21 +117,134 @@ def gather_results(
     return [found[place] for place in sorted(found)]
 
 
-def _run_numbered(place: int, job: Job) -> tuple[int, Any]:
+def _run_numbered(place: int, job: Job) -> Numbered:
     function, arguments, named = job
     return place, function(*arguments, **named)
 
 
-def _run_here(jobs: Iterable[Job], *, threads: int) -> Iterator[tuple[int, Any]]:
-    """Run jobs in threads of this process; each has a context of its own, in which it can say what is being done."""
-    left = enumerate(jobs)
-    with ThreadPoolExecutor(threads) as pool:
-        running: set[Future[tuple[int, Any]]] = set()
-        while True:
-            for place, job in islice(left, 2 * threads - len(running)):
-                running.add(pool.submit(copy_context().run, _run_numbered, place, job))
-            if not running:
-                return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for one in done:
-                yield one.result()
+def _run_futures(
+    jobs: Iterable[Job],
+    submit: Callable[[int, Job], Future[Numbered]],
+    *,
+    count_threads: Callable[[], int],
+) -> Iterator[Numbered]:
+    """Keep two jobs in flight per thread."""
+    left, running = enumerate(jobs), set[Future[Numbered]]()
+    while True:
+        for place, job in islice(left, max(2 * count_threads() - len(running), 0)):
+            running.add(submit(place, job))
+        if not running:
+            return
+        done, running = wait(running, PATIENCE_S, FIRST_COMPLETED)
+        if not done and not count_threads():
+            raise OSError(f"the Dask cluster has no worker for {PATIENCE_S:g} s; {AGAIN}")
+        for one in done:
+            yield one.result()
+
+
+# On a cluster.
+
+
+def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
+    if find_spec("distributed") is None:
+        raise ModuleNotFoundError(
+            "a Dask cluster needs distributed, not installed here; run pip install 'feel321[cluster]'"
+        )
+    from distributed.scheduler import KilledWorker
+
+    with closing(_connect(address)) as client:
+        crew, versions = client.get_executor(), find_versions()
+        replies = _run_futures(
+            jobs,
+            lambda place, job: crew.submit(_do, place, _pack(job), versions),
+            count_threads=lambda: sum(client.nthreads().values()),
+        )
+        try:
+            yield from map(_open, replies)
+        except (CancelledError, KilledWorker) as error:
+            what = str(error) or "its scheduler is gone"
+            raise OSError(f"{address}: the Dask cluster failed ({what}); {AGAIN}") from None
+        finally:
+            crew.shutdown(wait=False)  # what waits is cancelled
+
+
+def _open(reply: Numbered) -> Numbered:
+    """Return the result of a job, or raise what it raised."""
+    place, (result, error) = reply
+    if error is not None:
+        raise error
+    return place, result
+
+
+AGAIN = "check scheduler and workers and run the command again: what is finished is kept"
+
+
+def _connect(address: str) -> Any:  # noqa: ANN401 - distributed's own types are incomplete
+    """Connect to a cluster that has a worker."""
+    from distributed import Client
+
+    try:
+        client = Client(address, set_as_default=False)  # type: ignore[no-untyped-call]  # distributed's types
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+    except (OSError, TypeError, ValueError) as error:
+        raise OSError(f"{address}: no Dask cluster answers ({error}); {AGAIN}") from None
+    return client
+
+
+MODULES = ("feel321", "numpy", "scipy", "soxr")
+"""What decides the bytes of results, besides Python's minor version."""
+
+
+def find_versions() -> dict[str, str]:
+    """Find the versions that all machines must have."""
+    found = {name: str(__import__(name).__version__) for name in MODULES}
+    return {**found, "Python": f"{sys.version_info.major}.{sys.version_info.minor}"}
+
+
+def _do(
+    place: int, content: bytes, versions: dict[str, str]
+) -> tuple[int, tuple[Any, Exception | None]]:
+    """Do a job on a worker, unless its versions are others; what a job raises is part of the reply."""
+    try:
+        if (own := find_versions()) != versions:
+            other = ", ".join(
+                f"{k} {own[k]} instead of {v}" for k, v in versions.items() if own[k] != v
+            )
+            raise ValueError(f"a worker has {other}; install the same versions there, or stop it")  # noqa: TRY301 - told like other failures of a job
+        function, arguments, named = pickle.loads(content)  # noqa: S301 - what a worker is there for
+        return place, (function(*arguments, **named), None)
+    except Exception as error:  # noqa: BLE001 - whatever it is, it is raised where the job was sent from
+        return place, (None, error)
+
+
+def _pack(job: Job) -> bytes:
+    """Pickle a job; its paths are made absolute, and they and a lab's own methods must be the same on a worker."""
+    from cloudpickle import Pickler
+
+    class Packer(Pickler):  # type: ignore[misc]  # cloudpickle has no types
+        def reducer_override(self, obj: Any) -> Any:  # noqa: ANN401 - anything in a job
+            if isinstance(obj, PurePath):
+                path = Path(os.path.abspath(obj))  # noqa: PTH100 - links stay as they are
+                return _take_path, (str(path), path.exists())
+            if isinstance(obj, Method) and obj.origin == "module":
+                return _take_method, astuple(obj)
+            return super().reducer_override(obj)
+
+    content = io.BytesIO()
+    Packer(content, protocol=pickle.HIGHEST_PROTOCOL).dump(job)
+    return content.getvalue()
+
+
+def _take_path(path: str, exists: bool) -> Path:  # noqa: FBT001 - arguments of a pickle
+    if exists and not Path(path).exists():
+        raise FileNotFoundError(
+            f"{path}: not there on a worker; let all machines see the study's folder under the same name"
+        )
+    return Path(path)
+
+
+def _take_method(*facts: Any) -> Method:  # noqa: ANN401 - fields of a method
+    method = Method(*facts)
+    if find_method(method.kind, method.place).sha256 != method.sha256:
+        raise ValueError(f"a worker has other code of {method}; install the same version there")
+    return method

@@ -7,7 +7,6 @@ from itertools import count
 
 import pytest
 
-from feel321 import cluster
 from feel321.analysis.tradeoff.advise.page import advise_recordings
 from feel321.analysis.tradeoff.advise.scene import Context
 from feel321.analysis.tradeoff.chart.compute import Effort, list_accuracy_jobs
@@ -49,39 +48,11 @@ def test_jobs_are_taken_only_a_few_ahead() -> None:
     "address", ["127.0.0.1:8786", "tcp://host", "http://host:1", "tcp://:port"]
 )
 def test_an_address_that_is_none_is_refused(address: str) -> None:
-    with pytest.raises(ValueError, match=r"^dask must be tcp://HOST:PORT or tls://HOST:PORT.*got "):
+    with pytest.raises(ValueError, match=r"^scheduler must be tcp://HOST:PORT or tls://.*got "):
         Workers(1, address)
-
-
-def test_a_shared_folder_needs_a_cluster() -> None:
-    with pytest.raises(ValueError, match=r"^share is for a Dask cluster"):
-        Workers(2, share="file:///data")
-
-
-@pytest.mark.parametrize("url", ["sftp://lab:secret@host/x", "simplecache::ftp://lab:a/secret@h/x"])
-def test_a_share_with_a_password_is_refused_without_printing_it(url: str) -> None:
-    with pytest.raises(ValueError, match=r"^share must hold no password") as caught:
-        Workers(1, "tcp://host:1", url)
-    assert "secret" not in str(caught.value)
-    for plain in ("sftp://lab@host:22/x", "s3://bucket/a:b@c", "file:///data", "ftp://host:21"):
-        assert Workers(1, "tcp://host:1", plain).share == plain
-
-
-def test_an_error_of_a_share_names_scheme_and_host_only() -> None:
-    pytest.importorskip("fsspec", reason="of the extra cluster")
-    with pytest.raises(ValueError, match=r"^--share nosuch://host: ") as caught:
-        cluster._open_share("nosuch://token@host/private")
-    assert not [word for word in ("token", "private") if word in str(caught.value)]
 
 
 def test_a_cluster_needs_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("feel321.jobs.find_spec", lambda _: None)
     with pytest.raises(ModuleNotFoundError, match=r"pip install 'feel321\[cluster\]'"):
         [*run_jobs([], workers=Workers(1, "tcp://127.0.0.1:1"))]
-
-
-def test_an_encrypted_address_needs_certificates() -> None:
-    pytest.importorskip("distributed")
-    jobs: list[Job] = [(operator.add, (1, 1), {})]
-    with pytest.raises(ValueError, match=r"^tls://127\.0\.0\.1:1: no certificates are named; set "):
-        gather_results(jobs, workers=Workers(1, "tls://127.0.0.1:1"))

@@ -119,7 +119,7 @@ def main(chosen: list[str]) -> None:
 
 def measure(verb: str, folder: Path, *, address: str, pids: list[int]) -> None:
     """Measure a verb in one process, in two, and on the cluster."""
-    ways = {"1": [], "2": ["--workers", "2"], "dask 2": ["--dask", address]}
+    ways = {"1": [], "2": ["--workers", "2"], "dask 2": ["--scheduler", address]}
     first: Cost | None = None
     for way, options in ways.items():
         place = folder / f"{verb}-{way.replace(' ', '-')}"

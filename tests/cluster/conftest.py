@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 LONGEST_S = 90.0
@@ -24,30 +24,20 @@ class Cluster:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.workers: list[subprocess.Popen[bytes]] = []
-        self.address = "tcp://127.0.0.1:0"
-        self.start_scheduler()
-
-    def start_scheduler(self) -> None:
-        """Start the scheduler, on the port that the former had."""
-        about = self.folder / "scheduler.json"
-        about.unlink(missing_ok=True)
-        port = self.address.rpartition(":")[2]
+        about = folder / "scheduler.json"
         self.scheduler = self._start(
-            "scheduler", "--host", "127.0.0.1", "--port", port, "--scheduler-file", str(about)
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(about)
         )
         wait_until(lambda: about.is_file() and about.stat().st_size > 0)
         self.address = json.loads(about.read_text())["address"]
 
-    def start_worker(
-        self, *options: str, before: Sequence[str] = (), python_path: Path | None = None
-    ) -> subprocess.Popen[bytes]:
-        """Start a worker, and wait until the scheduler knows it; before: a program that starts it."""
+    def start_worker(self, *options: str) -> subprocess.Popen[bytes]:
+        """Start a worker, and wait until the scheduler knows it."""
         scratch = self.folder / f"worker-{len(self.workers)}"
         known = self._count_workers()
         worker = self._start(
             "worker", self.address, "--no-nanny", "--nthreads", "1", "--host", "127.0.0.1",
-            "--memory-limit", "0", "--local-directory", str(scratch), *options, before=before,
-            python_path=python_path,
+            "--memory-limit", "0", "--local-directory", str(scratch), *options,
         )  # fmt: skip
         self.workers.append(worker)
         wait_until(lambda: self._count_workers() > known)
@@ -57,14 +47,11 @@ class Cluster:
         log = (self.folder / "scheduler.log").read_text()
         return log.count("Register worker")
 
-    def _start(
-        self, *command: str, before: Sequence[str] = (), python_path: Path | None = None
-    ) -> subprocess.Popen[bytes]:
+    def _start(self, *command: str) -> subprocess.Popen[bytes]:
         environment = {
             **os.environ, "DASK_TEMPORARY_DIRECTORY": str(self.folder), "OPENBLAS_NUM_THREADS": "1",
-            **({"PYTHONPATH": str(python_path)} if python_path else {}),
         }  # fmt: skip
-        words = [*before, sys.executable, "-m", "dask", *command, "--no-dashboard"]
+        words = [sys.executable, "-m", "dask", *command, "--no-dashboard"]
         words += ["--dashboard-address", "127.0.0.1:0"]
         with (self.folder / f"{command[0]}.log").open("ab") as log:
             return subprocess.Popen(

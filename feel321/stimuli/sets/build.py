@@ -258,8 +258,7 @@ class _Crew:
         whole: Iterable[Job] = ((*job, how) for job in jobs)
         threads = 1 if self.recipe.methods else THREADS
         done = count(before * n + 1)
-        workers = self.workers.stay_here() if before else self.workers
-        for place, result in run_jobs(whole, workers=workers, threads=threads):
+        for place, result in run_jobs(whole, workers=self.workers, threads=threads):
             found[place] = result
             self.move(next(done), 2 * n)
         return found
@@ -269,9 +268,7 @@ def _survey(
     recordings: Sequence[Recording | Unread], crew: _Crew
 ) -> tuple[list[Facts], dict[str, render.Measured]]:
     """Survey all recordings; refuses with every one that cannot be used."""
-    # Where machines have no folder in common, samples travel.
-    given = (read_given(one) if crew.workers.share else one for one in recordings)
-    jobs = ((survey_recording, (one, crew.history.select(one.name).measured)) for one in given)
+    jobs = ((survey_recording, (one, crew.history.select(one.name).measured)) for one in recordings)
     return _gather(crew.run(jobs, len(recordings), before=0))
 
 

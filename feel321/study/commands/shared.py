@@ -150,22 +150,16 @@ def workers_option(verb: Verb) -> Verb:
         help="Number of processes; each takes a second or two to start, too long for a few short recordings.",
     )
     @click.option(
-        "--dask",
+        "--scheduler",
         metavar="ADDRESS",
         default="",
-        help="Use a Dask cluster: address of its scheduler, tcp://HOST:PORT (not encrypted; anyone who can reach it "
-        "can run programs) or tls://HOST:PORT.",
-    )
-    @click.option(
-        "--share",
-        metavar="URL",
-        default="",
-        help="With --dask: URL (fsspec) of a folder for exchanging files.  [default: all machines see the same files]",
+        help="Use a Dask cluster that sees the same files: tcp://HOST:PORT (not encrypted; anyone who can reach it can "
+        "run programs) or tls://HOST:PORT.",
     )
     @wraps(verb)
-    def employ_then_do(*, processes: int, dask: str, share: str, **own: object) -> None:
+    def employ_then_do(*, processes: int, scheduler: str, **own: object) -> None:
         try:
-            workers = Workers(processes, dask, share)
+            workers = Workers(processes, scheduler)
         except ValueError as error:
             raise click.UsageError(f"--{error}") from None
         verb(workers=workers, **own)
