@@ -283,7 +283,6 @@ class Plannable(Auditable):
         screening: Sequence[str] = (),
         wanted: float = 0.8,
         studies: int = 1000,
-        whole: int = 0,
         workers: int | Workers = 1,
         seed: int | None = None,
         folder: PathLike | None = None,
@@ -301,8 +300,8 @@ class Plannable(Auditable):
         hypothesis : str, optional
             Attribute/metric that the recommended design is for; the one of `effects` with the least power if left out.
         pilot : str, optional
-            Table of ratings to take standard deviations from, "study" for the study's own, "observers" for those of its
-            simulated observers; the usual ones of `analysis.Truth` if left out.
+            Table of ratings to take standard deviations from, or "study" for the study's own; the usual ones of
+            `analysis.Truth` if left out.
         manifest : str or path, optional
             The stimuli of the pilot; the study's by default.
         screening : sequence of str
@@ -311,8 +310,6 @@ class Plannable(Auditable):
             Power that is asked for.
         studies : int
             Simulated studies of each checked design; 0 for the closed form alone.
-        whole : int
-            Whole studies through sessions and analysis, which take a second each.
         workers : int or Workers
             Number of processes, or who else does the work. The result does not depend on it.
         seed : int, optional
@@ -334,7 +331,7 @@ class Plannable(Auditable):
         given = None if manifest is None else as_path(manifest, "manifest")
         seed = self.settings.study.seed if seed is None else seed
         sizes = setup.Sizes(
-            participants, recordings, reducers, repeats, hypothesis or "", studies, whole, seed
+            participants, recordings, reducers, repeats, hypothesis or "", studies, seed
         )
         with follow(self.progress, "power") as step:
             task = setup.set_up(

@@ -440,10 +440,9 @@ class PowerPlan(Result):
     Parameters
     ----------
     table : DataFrame
-        A row per design: ``participants recordings reducers repeats trials`` (of one person), ``minutes`` (of one
-        person's sessions, NaN if unknown), ``kind`` (given, one factor, grid), of the hypothesis in closed form
-        ``power ceiling detectable width``, by simulation where it was simulated ``simulated simulated_low
-        simulated_high``, ``enough`` (in closed form, at least the wanted power, in a session that can be held),
+        A row per design: ``participants recordings reducers repeats trials`` (of one person), ``kind`` (given, one
+        factor, grid), of the hypothesis in closed form ``power ceiling detectable width``, by simulation where it was
+        simulated ``simulated simulated_low simulated_high``, ``enough`` (in closed form, at least the wanted power),
         ``refuted`` (was simulated, and the whole interval lies below the wanted power or fewer than 90 % of the studies
         gave a test) and ``recommended``.
     powers : tuple of Power
@@ -453,7 +452,7 @@ class PowerPlan(Result):
     wanted : float
         Power that is asked for.
     recommended : PowerDesign or None
-        The smallest design that is enough: fewest minutes of all people together, then fewest participants.
+        The smallest design that is enough: fewest trials of all people together, then fewest participants.
     answer : str
         The recommendation in one sentence, or why there is none.
     notes : tuple of str

@@ -59,7 +59,7 @@ class Aim(NamedTuple):
         return form, float(scenario.planted.slopes[self.row, self.column])
 
 
-def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how many studies, who does them, who watches
+def plan_power(  # noqa: PLR0913 - what varies, for what; how many studies, who does them, who watches
     design: PowerDesign,
     truth: Truth,
     *,
@@ -68,7 +68,6 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     reducers: Sequence[int] = (),
     repeats: Sequence[int] = (),
     hypothesis: tuple[str, str] | None = None,
-    minutes: Callable[[PowerDesign], float] | None = None,
     studies: int = 1000,
     seed: int = 0,
     workers: int | Workers = ALONE,
@@ -88,8 +87,6 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
         to 4 repeats, if left out.
     hypothesis : tuple of str, optional
         Attribute and metric that the recommendation is for; the planted slope with the least power if left out.
-    minutes : callable, optional
-        Minutes that one person spends on a design; trials stand for them if left out.
     studies : int
         Simulated studies of the given design, of the recommended one and of three more; 0 for the closed form alone.
     seed : int
@@ -115,11 +112,11 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     -----
     For every combination of recordings, reducers and repeats that is tried, the smallest number of participants that
     is enough in closed form is added to the table (``kind`` is smallest). The recommended design changes as few of
-    recordings, reducers and repeats as is needed, then takes the least time of all participants together; where numbers
-    of participants are named, it has one of these; a design for which `minutes` gives NaN is never recommended. It is
-    simulated: where the simulation refutes it (its whole interval lies below the wanted power, or fewer than 90 % of
-    the studies give a test), the next one is simulated that detects a slope smaller by as much as the simulation
-    lacked, or where there is none the one that detects the smallest; up to 8 of them.
+    recordings, reducers and repeats as is needed, then takes the fewest trials of all participants together; where
+    numbers of participants are named, it has one of these. It is simulated: where the simulation refutes it (its whole
+    interval lies below the wanted power, or fewer than 90 % of the studies give a test), the next one is simulated that
+    detects a slope smaller by as much as the simulation lacked, or where there is none the one that detects the
+    smallest; up to 8 of them.
 
     Examples
     --------
@@ -135,7 +132,7 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
     """
     aim = _choose_aim(design, truth, hypothesis)
     wanted = dict(zip(SIZES, (participants, recordings, reducers, repeats), strict=True))
-    rows = list(_tabulate(_list_designs(design, wanted), truth, aim=aim, minutes=minutes))
+    rows = list(_tabulate(_list_designs(design, wanted), truth, aim=aim))
     allowed = set(participants) or {row.design.participants for row in rows}
     rows = [row._replace(allowed=row.design.participants in allowed) for row in rows]
     enough = sorted(filter(_Row.is_enough, rows), key=lambda row: _rank(row, design))
@@ -162,7 +159,7 @@ def plan_power(  # noqa: PLR0913 - what varies, for what, at which cost; how man
 
 
 class _Row(NamedTuple):
-    """A design in closed form, and what it costs one person: minutes, or trials where nobody counts minutes."""
+    """A design in closed form."""
 
     kind: str
     design: PowerDesign
@@ -170,27 +167,24 @@ class _Row(NamedTuple):
     ceiling: float
     detectable: float
     width: float
-    minutes: float
-    cost: float
     lack: str
     allowed: bool = True
 
     def is_enough(self) -> bool:
-        """Check for the wanted power in closed form, in a session that can be held with numbers that are allowed."""
-        possible = self.allowed and not math.isnan(self.cost)
-        return possible and self.power >= self.design.wanted
+        """Check for the wanted power in closed form, with numbers that are allowed."""
+        return self.allowed and self.power >= self.design.wanted
 
 
 def _key(design: PowerDesign) -> tuple[int, ...]:
     return tuple(getattr(design, name) for name in SIZES)
 
 
-def _rank(row: _Row, given: PowerDesign) -> tuple[int, float, int]:
-    """Rank by the changes to the given stimuli and repeats, then by the time of all participants together."""
+def _rank(row: _Row, given: PowerDesign) -> tuple[int, int, int]:
+    """Rank by the changes to the given stimuli and repeats, then by the trials of all participants together."""
     changes = sum(
         one != own for one, own in zip(_key(row.design)[1:], _key(given)[1:], strict=True)
     )
-    return changes, row.cost * row.design.participants, row.design.participants
+    return changes, row.design.trials * row.design.participants, row.design.participants
 
 
 def _is_further(one: PowerDesign, given: PowerDesign) -> bool:
@@ -243,17 +237,13 @@ def _list_sizes(name: str, design: PowerDesign, wanted: Sequence[int]) -> list[i
 
 
 def _tabulate(
-    designs: Iterator[tuple[str, PowerDesign]],
-    truth: Truth,
-    *,
-    aim: Aim,
-    minutes: Callable[[PowerDesign], float] | None,
+    designs: Iterator[tuple[str, PowerDesign]], truth: Truth, *, aim: Aim
 ) -> Iterator[_Row]:
     """Compute every design, and with the recordings, reducers and repeats of each the fewest participants."""
     known = set()
     for kind, design in designs:
         form, slope = aim.compute(design, truth)
-        yield _make_row(kind, form, slope, minutes=minutes)
+        yield _make_row(kind, form, slope)
         others = _key(design)[1:]
         number = math.nan
         if others not in known:
@@ -261,21 +251,14 @@ def _tabulate(
         known.add(others)
         if math.isfinite(number) and number != design.participants:
             form, slope = aim.compute(design.change(participants=int(number)), truth)
-            yield _make_row("smallest", form, slope, minutes=minutes)
+            yield _make_row("smallest", form, slope)
 
 
-def _make_row(
-    kind: str,
-    form: closed.ClosedForm,
-    slope: float,
-    *,
-    minutes: Callable[[PowerDesign], float] | None,
-) -> _Row:
+def _make_row(kind: str, form: closed.ClosedForm, slope: float) -> _Row:
     design = form.scenario.design
-    each = float(minutes(design)) if minutes else math.nan
     return _Row(
         kind, design, form.find_power(slope), form.find_ceiling(slope), form.find_detectable(design.wanted),
-        form.find_width(), each, each if minutes else design.trials, form.find_lack(),
+        form.find_width(), form.find_lack(),
     )  # fmt: skip
 
 
@@ -346,9 +329,9 @@ def _list_row(row: _Row, power: Power | None, aim: Aim) -> dict[str, object]:
     sizes = {name: getattr(row.design, name) for name in SIZES}
     closed_form = {name: getattr(row, name) for name in ("power", "ceiling", "detectable", "width")}
     return {
-        **sizes, "trials": row.design.trials, "minutes": row.minutes, "kind": row.kind, **closed_form,
+        **sizes, "trials": row.design.trials, "kind": row.kind, **closed_form,
         **{name: found[name] for name in known},
-        "enough": row.power >= row.design.wanted and not math.isnan(row.cost),
+        "enough": row.power >= row.design.wanted,
         "refuted": bool(power and power.studies and _is_refuted(power, aim)),
     }  # fmt: skip
 
@@ -356,16 +339,13 @@ def _list_row(row: _Row, power: Power | None, aim: Aim) -> dict[str, object]:
 def _recommend(row: _Row, table: DataFrame, aim: Aim) -> str:
     """Describe the recommended design in a sentence."""
     found = table[table["recommended"]].iloc[0]
-    each = f"{row.design.trials} trials"
-    if not math.isnan(row.minutes):
-        each += f", {row.minutes:.0f} minutes"
     power = f"{row.power:.0%}"
     if not math.isnan(found["simulated"]):
         low, high = 100 * found["simulated_low"], 100 * found["simulated_high"]
         power += f" in closed form, {found['simulated']:.0%} simulated ({low:.0f} to {high:.0f} %),"
     return (
-        f"Recommended: {find.describe_design(row.design)} ({each} per participant), with a power of {power} to find "
-        f"the planted slope of {aim.metric} on {aim.attribute}."
+        f"Recommended: {find.describe_design(row.design)} ({row.design.trials} trials per participant), with a power "
+        f"of {power} to find the planted slope of {aim.metric} on {aim.attribute}."
     )
 
 
@@ -398,8 +378,6 @@ def _explain_ceiling(rows: list[_Row], wanted: float) -> str:
     ceiling = np.nanmax([(row.ceiling, row.power) for row in rows])
     if ceiling < wanted:
         return f"even with infinitely many participants their stimuli allow at most {ceiling:.0%}"
-    if any(row.power >= wanted and math.isnan(row.cost) for row in rows):
-        return "no session can hold those that have more in closed form"
     return "in closed form, more participants or recordings than were tried reach it"
 
 

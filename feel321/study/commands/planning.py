@@ -88,8 +88,7 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
 )  # fmt: skip
 @click.option(
     "--pilot", metavar="FILE",
-    help="Ratings to take standard deviations from; 'study': the study's own, 'observers': its simulated observers.  "
-    "[default: published ones]",
+    help="Ratings to take standard deviations from; 'study': the study's own.  [default: published ones]",
 )  # fmt: skip
 @click.option(
     "--manifest", type=shared.FILE, help="The stimuli of the pilot.  [default: the study's]"
@@ -105,10 +104,6 @@ def _numbers_option(name: str, text: str, default: str) -> Callable[[Verb], Verb
 @click.option(
     "--studies", type=shared.WholeNumber(0, MOST_STUDIES), default=1000, show_default=True,
     help="Simulated studies of each checked design; 0: closed form only.",
-)  # fmt: skip
-@click.option(
-    "--full", "whole", type=shared.WholeNumber(0, MOST_STUDIES), default=0, metavar="N",
-    help="Also simulate N complete studies, from sessions to the report's analysis; seconds each.",
 )  # fmt: skip
 @shared.workers_option
 @shared.seed_option(" of all simulations")

@@ -202,9 +202,7 @@ AT_ONCE = 256
 """Percepts whose quadrature is computed at once: 3 MB."""
 
 
-def expect_rating(
-    model: ObserverModel, percepts: Sequence[float], *, sure: float = RATING_RANGE[0]
-) -> list[float]:
+def expect_rating(model: ObserverModel, percepts: Sequence[float]) -> list[float]:
     """Compute the mean rating that careful participants give to percepts in points, without order and fatigue.
 
     Notes
@@ -217,14 +215,14 @@ def expect_rating(
 
     if len(percepts) > AT_ONCE:
         parts = (percepts[start : start + AT_ONCE] for start in range(0, len(percepts), AT_ONCE))
-        return [rating for part in parts for rating in expect_rating(model, part, sure=sure)]
+        return [rating for part in parts for rating in expect_rating(model, part)]
     low, high = RATING_RANGE
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     weights /= weights.sum()
     gain = np.exp(model.gain_sd * nodes)[:, None, None]
     noise = model.noise_sd * np.exp(model.noise_spread * nodes)
     spread = np.hypot(model.bias_sd, noise)[None, :, None] + 1e-12
-    mean = sure + gain * (np.asarray(percepts, dtype=np.float64) - sure)
+    mean = low + gain * (np.asarray(percepts, dtype=np.float64) - low)
     below, above = (low - mean) / spread, (high - mean) / spread
     cut = (
         low * norm.cdf(below)

@@ -45,8 +45,6 @@ class StudyPower(Planned, results.PageResult):
         step), source.
     share : int
         Groups among which the attributes are divided: as many times the participants of the plan take part.
-    whole : DataFrame
-        Whole studies beside the fast simulation, a row per hypothesis; empty if none were run.
     notes : tuple of str
         What was assumed and what is unusual, one sentence each.
     """
@@ -55,7 +53,7 @@ class StudyPower(Planned, results.PageResult):
 
     @property
     def answer(self) -> str:
-        """Which design is enough, its power, interval and minutes, in one sentence; or why none is."""
+        """Which design is enough, its power and interval, in one sentence; or why none is."""
         return words.describe_plan(self)
 
     def to_frame(self) -> DataFrame:
@@ -75,9 +73,9 @@ class StudyPower(Planned, results.PageResult):
         -------
         dict of str to DataFrame
             `designs`: the grid; `hypotheses`, `differences` and `fits`: of every simulated design; `planted`: the
-            slopes; `whole`: whole studies, if any were run.
+            slopes.
         """
-        frames = {"designs": self.to_frame(), "planted": self.effects, "whole": self.whole}
+        frames = {"designs": self.to_frame(), "planted": self.effects}
         for name, column in (("hypotheses", "table"), ("differences",) * 2, ("fits", "counts")):
             frames[name] = self._stack(column)
         return {name: frame for name, frame in frames.items() if len(frame)}
@@ -131,7 +129,7 @@ def build_content(result: Planned) -> dict[str, Any]:
         "designs": result.to_frame().to_dict("records"),
         "powers": [_describe_power(one) for one in plan.powers],
         "planted": result.effects.to_dict("records"), "truth": asdict(result.shown.truth),
-        "seed": result.shown.seed, "whole": result.whole.to_dict("records"),
+        "seed": result.shown.seed,
         "cards": words.list_cards(result), "notes": list_notes(result),
     }  # fmt: skip
 

@@ -21,7 +21,6 @@ class Planned(Result):
     name: str
     effects: DataFrame
     share: int
-    whole: DataFrame
     notes: tuple[str, ...] = ()
 
     @property

@@ -30,7 +30,7 @@ SPREADS = {
 
 DESIGNS = (
     "All designs, for {}. Power: closed form. Simulated: with its 95 % Monte Carlo interval. At most: with "
-    "infinitely many participants. Found: smallest slope found with the target power. Minutes: of one session."
+    "infinitely many participants. Found: smallest slope found with the target power. Trials: of one participant."
 )
 FITS = (
     "What became of the simulated models. Singular fits (a spread estimated as zero) count in every share; those "
@@ -45,10 +45,6 @@ PLANTED = (
     "Planted slopes, within recordings. Left by the scale: what its ends, and people who lapse, leave of them in the "
     "simulation."
 )
-WHOLE = (
-    "Whole studies (plans, session engine, simulated observers, decoding, screening, primary model, Holm's method) "
-    "beside the fast simulation and the closed form of the same observers."
-)
 
 
 def tabulate(result: Planned, frames: Mapping[str, DataFrame]) -> dict[str, PageTable]:
@@ -61,7 +57,6 @@ def tabulate(result: Planned, frames: Mapping[str, DataFrame]) -> dict[str, Page
         "spreads": (f"Standard deviations assumed, from {result.shown.truth.source}.", _list_spreads(result)),
         "errors": (ERRORS, _list_errors(result)),
         "fits": (FITS, _list_fits(frames["fits"]) if "fits" in frames else []),
-        "whole": (WHOLE, _list_whole(result.whole)),
     }  # fmt: skip
     grids = {name: _build(caption, rows) for name, (caption, rows) in made.items()}
     return {name: grid for name, grid in grids.items() if grid.rows}
@@ -82,7 +77,7 @@ def _list_designs(frame: DataFrame, size: float, per: str) -> list[dict[str, str
     return [
         {
             "Participants": str(row["people"]), "Recordings": str(row["recordings"]),
-            "Reducers": str(row["reducers"]), "Repeats": str(row["repeats"]), "Minutes": _write(row["minutes"], ".0f"),
+            "Reducers": str(row["reducers"]), "Repeats": str(row["repeats"]), "Trials": str(row["trials"]),
             "Power": _write(row["power"]), "Simulated": _write(row["simulated"]), "Interval": _span(row, "simulated"),
             "At most": _write(row["ceiling"]), f"Found, points per {per}": _write(size * row["detectable"], ".2g"),
             "Enough": "recommended" if row["recommended"] else "yes" if row["enough"] else "no",
@@ -138,18 +133,6 @@ def _list_fits(fits: DataFrame) -> list[dict[str, str]]:
             "Reason": row["reason"],
         }
         for row in _list(fits)
-    ]  # fmt: skip
-
-
-def _list_whole(whole: DataFrame) -> list[dict[str, str]]:
-    return [
-        {
-            "Hypothesis": name_hypothesis(row), "Whole studies": str(row["studies"]), "Power": _write(row["whole"]),
-            "Interval": _span(row, "whole"), "Fast": _write(row["fast"]), "Interval ": _span(row, "fast"),
-            "Closed form": _write(row["closed"]), "Coverage": _write(row["coverage"], ".3f"),
-            "Interval  ": _span(row, "coverage", ".3f"),
-        }
-        for row in _list(whole)
     ]  # fmt: skip
 
 

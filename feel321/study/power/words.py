@@ -18,7 +18,7 @@ SURE, HOPELESS = 0.99, 0.01
 
 
 def describe_plan(result: Planned) -> str:
-    """Say which design is enough, with its power, interval and minutes; or that none is, and why."""
+    """Say which design is enough, with its power and interval; or that none is, and why."""
     row = result.find_row(result.shown, result.plan.hypothesis)
     if result.plan.recommended is None:
         return _explain_none(result, row)
@@ -66,10 +66,6 @@ def _explain_tried(result: Planned, row: Mapping[str, Any], known: DataFrame) ->
         int(tried["participants"].max()) * result.share,
         format_power(tried["power"].max()),
     )
-    if tried["power"].max() >= wanted:
-        return (
-            f"None of these designs is enough: no session can be made of those that find {slope}."
-        )
     return (
         f"None of these designs is enough: {slope} is found with a power of {power} at most in closed form, "
         f"with up to {format_count(most, 'participant')}; {_advise(result, row)}."
@@ -99,15 +95,11 @@ def describe_units(recordings: int, reducers: int) -> str:
 
 
 def describe_size(result: Planned) -> str:
-    """Describe the design that is shown, and how long a session of it takes."""
+    """Describe the design that is shown."""
     design = result.shown.design
-    row = result.find_row(result.shown, result.plan.hypothesis)
     often = {1: "once", 2: "twice"}.get(design.repeats, f"{design.repeats} times")
     people = format_count(design.participants * result.share, "participant")
-    long = f", sessions of about {row['minutes']:.0f} min" if isfinite(row["minutes"]) else ""
-    return (
-        f"{people}, {describe_units(design.recordings, design.reducers)}, each rated {often}{long}"
-    )
+    return f"{people}, {describe_units(design.recordings, design.reducers)}, each rated {often}"
 
 
 def describe_slope(row: Mapping[str, Any]) -> str:

@@ -210,9 +210,7 @@ class Journal:
             )
         name = event if isinstance(event, str) else event.event
         data = data or {} if isinstance(event, str) else event.to_data()
-        self._keep(Record(len(self.records), utc, name, data))
-
-    def _keep(self, record: Record) -> None:
+        record = Record(len(self.records), utc, name, data)
         line = write_line(record, self.tip)
         self.is_open = False
         with _naming(self.path):

@@ -16,7 +16,6 @@ from feel321.analysis.power.design import SIZES
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from feel321.analysis.power.design import PowerDesign
     from feel321.analysis.power.draw import Scenario
 
     Make = Callable[..., Scenario]
@@ -24,22 +23,17 @@ if TYPE_CHECKING:
 TRY = {"participants": (8, 12, 24, 48), "recordings": (6, 12), "reducers": (6,), "repeats": (1, 2)}
 
 
-def last(design: PowerDesign) -> float:
-    """Minutes of a session: one, and six seconds a trial; many people with few trials take less than few with many."""
-    return 1 + design.trials / 10
-
-
 def test_the_recommended_design_is_the_cheapest_that_is_enough(make_scenario: Make) -> None:
     case = make_scenario(participants=12, slopes={"spectral": 45.0}, recording_slope_points=0.5)
     stimuli = {name: sizes for name, sizes in TRY.items() if name != "participants"}
-    plan = analysis.plan_power(case.design, case.truth, minutes=last, studies=0, **stimuli)
+    plan = analysis.plan_power(case.design, case.truth, studies=0, **stimuli)
     table = plan.table
     assert plan.hypothesis == ("rating", "spectral")
     assert table["power"].between(0, 1).all()
     assert (table["enough"] == (table["power"] >= 0.8)).all()
     # The study's own stimuli are enough, so no others are recommended, whatever they would save.
     own = (table[list(SIZES[1:])] == [getattr(case.design, name) for name in SIZES[1:]]).all(axis=1)
-    cost = (table["minutes"] * table["participants"])[table["enough"] & own]
+    cost = (table["trials"] * table["participants"])[table["enough"] & own]
     chosen = table[table["recommended"]]
     assert len(chosen) == 1
     assert chosen.index[0] == cost.idxmin()
@@ -56,7 +50,7 @@ def test_the_recommended_design_is_the_cheapest_that_is_enough(make_scenario: Ma
     first = plan.summary().splitlines()[0]
     assert first == plan.answer
     assert f"{sizes['participants']} participants, {sizes['recordings']} recordings" in first
-    assert f"{chosen['minutes'].iloc[0]:.0f} minutes" in first
+    assert f"{chosen['trials'].iloc[0]} trials per participant" in first
 
 
 def test_named_numbers_of_participants_are_the_only_ones_recommended(make_scenario: Make) -> None:
@@ -87,7 +81,6 @@ def test_every_design_is_listed_once(make_scenario: Make) -> None:
     }
     assert set(tried["repeats"]) == {1, 2}
     assert tried.iloc[0]["kind"] == "given"
-    assert table["minutes"].isna().all()
 
 
 def test_where_stimuli_set_the_ceiling_the_answer_says_so(make_scenario: Make) -> None:
@@ -162,20 +155,6 @@ def test_a_simulation_without_tests_confirms_nothing(make_scenario: Make) -> Non
     assert plan.table["enough"].any()
     assert plan.recommended is None
     assert any("no test in any simulated study" in note for note in plan.notes)
-
-
-def test_a_design_that_no_session_can_hold_is_not_enough(make_scenario: Make) -> None:
-    case = make_scenario(participants=12, slopes={"spectral": 45.0}, recording_slope_points=0.5)
-    most = case.design.trials
-
-    def hold(design: PowerDesign) -> float:
-        return last(design) if design.trials <= most else float("nan")
-
-    table = analysis.plan_power(case.design, case.truth, minutes=hold, studies=0, **TRY).table
-    never = table["minutes"].isna()
-    assert (table["power"][never] >= 0.8).any()
-    assert not table["enough"][never].any()
-    assert table["enough"].any()
 
 
 def test_what_cannot_be_planned_is_refused(make_scenario: Make) -> None:

@@ -31,7 +31,7 @@ SIZES = (
 
 def start(study: StudyFolder, out: Path, *more: str) -> subprocess.Popen[str]:
     code = "import sys; from feel321.study.cli import main; sys.exit(main())"
-    words = ("power", str(study.path), *SIZES, "--full", "6", "--out", str(out), *more)
+    words = ("power", str(study.path), *SIZES, "--out", str(out), *more)
     return subprocess.Popen([sys.executable, "-c", code, *words], stderr=subprocess.PIPE, text=True)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,15 +13,16 @@ import pytest
 
 from feel321.jobs import ALONE
 from feel321.study import cli
-from feel321.study.folder import create_study
-from feel321.study.power import assume, setup, whole, words
+from feel321.study.folder import StudyFolder, create_study
+from feel321.study.power import assume, setup, words
+from feel321.study.simulation import simulate_study
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.study.folder import StudyFolder
     from feel321.study.power.page import StudyPower
     from feel321.study.power.setup import PowerTask
+    from feel321.study.session.journal import Clock
 
 METRICS = ("spectral_match_bounded", "temporal_match")
 GRID = ["--participants", "6,12", "--recordings", "4,8", "--reducers", "5", "--repeats", "1"]
@@ -105,7 +107,6 @@ def test_strong_slopes_need_few_people(task: PowerTask, tmp_path: Path, seed: in
     assert best is not None
     assert found.answer.startswith(f"Plan {best.participants} participants, ")
     row = found.find_row(found.shown, found.plan.hypothesis)
-    assert f"about {task.find_minutes(best):.0f} min" in found.answer
     assert row["simulated_low"] < 1 >= row["power"] >= found.plan.wanted
 
 
@@ -175,20 +176,20 @@ def test_steep_slopes_are_flatter_after_the_ends_of_the_scale(
     assert "Left by the scale" in (tmp_path / "page" / "index.html").read_text("utf-8")
 
 
-def test_observers_who_feel_built_stimuli_need_them_or_given_slopes(
+def test_observers_who_feel_more_than_the_matches_need_given_slopes(
     built: StudyFolder, tmp_path: Path
 ) -> None:
     study = create_study(tmp_path / "study")
     study.settings.write_text(
         built.settings.read_text("utf-8") + "[observer]\nlevel = 1.0\n", "utf-8"
     )
-    with pytest.raises(ValueError, match="build the set first"):
+    with pytest.raises(ValueError, match=r"more than the two matches, .* give one of every metric"):
         setup.set_up(study)
     given = setup.set_up(study, effects=dict.fromkeys(METRICS, 2.0))
     assert set(given.effects.points.to_numpy().ravel()) == {2.0}
 
 
-@pytest.mark.parametrize("odd", [{"whole": -1}, {"participants": 12.5}, {"recordings": [0]}])
+@pytest.mark.parametrize("odd", [{"studies": -1}, {"participants": 12.5}, {"recordings": [0]}])
 def test_odd_numbers_are_refused(odd: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=f"{next(iter(odd))} must be"):
         setup.Sizes(**odd)
@@ -202,27 +203,14 @@ def test_no_slope_is_called_nothing(task: PowerTask, tmp_path: Path) -> None:
     assert found.plan.recommended is None
 
 
-def test_larger_sessions_take_longer_and_the_own_size_takes_what_check_says(
-    task: PowerTask,
-) -> None:
-    own = task.measure_length(task.design)
-    assert own.trials == 2 * (len(task.design.items) + 4)  # two scales, four hidden references
-    minutes = [task.find_minutes(task.design.change(recordings=number)) for number in (2, 4, 8)]
-    assert minutes[0] < minutes[1] == own.high_min < minutes[2]
-    assert task.find_minutes(task.design.change(repeats=2)) > own.high_min
-
-
-def test_pilot_recovers_the_planted_spreads(
-    task: PowerTask, built: StudyFolder, tmp_path: Path
-) -> None:
-    own = task.paper
-    noisy = own.settings.observer.model_copy(
-        update={"bias_sd": 12.0, "gain_sd": 0.0, "noise_spread": 0.0}
-    )
-    session = own.settings.session.model_copy(update={"repeats": 2})
-    settings = own.settings.model_copy(update={"observer": noisy, "session": session})
-    pilot = whole.PaperStudy.draw(settings, own.folder, own.stimuli, participants=30)
-    pilot.simulate(11).to_csv(tmp_path / "pilot.csv", index=False)
+def test_pilot_recovers_the_planted_spreads(built: StudyFolder, tmp_path: Path, now: Clock) -> None:
+    shutil.copytree(built.path, tmp_path / "pilot")
+    pilot = StudyFolder(tmp_path / "pilot")
+    noisy = "[observer]\nbias_sd = 12.0\ngain_sd = 0.0\nnoise_spread = 0.0\n"
+    text = pilot.settings.read_text("utf-8").replace("[session]\n", "[session]\nrepeats = 2\n")
+    pilot.settings.write_text(text + noisy, "utf-8")
+    simulate_study(pilot, participants=30, seed=11, now=now)
+    shutil.copyfile(pilot.ratings, tmp_path / "pilot.csv")
     found = setup.set_up(built, pilot=tmp_path / "pilot.csv", effects={"temporal_match": 2.0})
     assert found.truth.person_sd == pytest.approx(12.0, rel=0.35)
     assert found.truth.rating_sd == pytest.approx(8.0, rel=0.1)
