@@ -183,6 +183,7 @@ def write_tables(path: Path) -> None:
         title("Tables"),
         "Every column of the CSV files; ``dictionary.csv`` beside the tables of a study has those that occur there."
         " ``low``, ``high``, ``se``, ``df``, ``t`` and ``p`` after a name are its interval, standard error and test;"
-        " a metric is described by what it declares. Flags are ``TRUE`` and ``FALSE``, empty cells are missing values.",
+        " a metric is described by what it declares. Flags are ``TRUE`` and ``FALSE``, in tables"
+        " derived from journals ``true`` and ``false``; empty cells are missing values.",
         *parts,
     )

@@ -33,7 +33,7 @@ def write_settings(path: Path) -> None:
                 for one in listed
                 if one.table == where
             ]
-            header = ("name", "may be", "default", "unit", "meaning")
+            header = ("name", "type", "default", "unit", "meaning")
             parts += [
                 title(where or "At the top", "~"),
                 table(header, rows, widths="18 22 18 8 34"),

@@ -9,13 +9,10 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
-from pydantic_core import PydanticUndefined
 
 from feel321.study.actuator.rig import Rig
 from feel321.study.settings.paper import Condition
@@ -42,8 +39,7 @@ ANYTHING = 1e9
 """Limits of this size only keep numbers finite, so that nobody has to read them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
+class Setting(NamedTuple):
     """A key: its table ([session.breaks], [[recordings]]), what it may be, its default as TOML, unit, meaning."""
 
     table: str
@@ -62,17 +58,18 @@ def read_meanings(file: str) -> dict[str, str]:
 
 
 def list_settings(file: str) -> list[Setting]:
-    """List every key of `study.toml` or `rig.toml`, table by table."""
+    """List every key of `study.toml` or `rig.toml` once, table by table."""
     meanings = read_meanings(file)
-    found = []
+    found: dict[str, Setting] = {}
     for table, key, field in _walk(FILES[file], "", ""):
         place = ".".join(filter(None, (table.strip("[]"), key)))
         unit = next((unit for end, unit in UNITS.items() if key.endswith(f"_{end}")), "")
-        default = show_default(field.get_default(call_default_factory=True))
-        found.append(Setting(table, key, describe(field), default, unit, meanings.get(place, "")))
-    return sorted(
-        dict.fromkeys(found), key=lambda one: [each.table for each in found].index(one.table)
-    )
+        default = field.get_default(call_default_factory=True)
+        shown = "required" if field.is_required() else show_default(default)
+        one = Setting(table, key, describe(field), shown, unit, meanings.get(place, ""))
+        found.setdefault(place, one)
+    tables = list(dict.fromkeys(one.table for one in found.values()))
+    return sorted(found.values(), key=lambda one: tables.index(one.table))
 
 
 def write_list(file: str) -> str:
@@ -112,7 +109,7 @@ def _find_tables(annotation: object) -> tuple[list[type[BaseModel]], str]:
     origin, inside = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _find_tables(inside[0])
-    found = [table for each in inside if each is not NoneType for table in _find_tables(each)[0]]
+    found = [table for each in inside if each is not type(None) for table in _find_tables(each)[0]]
     if origin in {tuple, list}:
         return found, "list"
     return found, "named" if origin is dict else _find_tables(inside[0])[1] if inside else ""
@@ -161,8 +158,6 @@ def _name_kind(schema: dict[str, Any]) -> str:
 
 def show_default(value: object) -> str:
     """Show a default as TOML has it."""
-    if value is PydanticUndefined:
-        return "required"
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
