@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from feel321.analysis.primary.sensitivity import list_changes
 from feel321.analysis.report.front import (
     OPPOSITE,
     QUESTIONS,
@@ -24,7 +25,7 @@ from feel321.analysis.report.front import (
     order_scales,
     write_headline,
 )
-from feel321.analysis.report.raters import _conclude_panels, _describe_changes, list_changes
+from feel321.analysis.report.raters import _conclude_panels, _describe_changes
 from feel321.analysis.report.section import Section
 from feel321.analysis.table.items import Table
 from feel321.analysis.words import Line, keep_together, make_number
@@ -286,3 +287,9 @@ def test_verdicts_without_flagged_raters_are_adjusted_as_the_primary_ones(
     section = Section("raters", "", tables={"slopes_without_hits": found})
     assert {place[2] for place, _ in _list_unflagged([section])} == metrics
     assert ("changes no verdict" in _describe_changes(found)) != changes
+
+
+def test_a_model_that_everyone_lacks_claims_nothing() -> None:
+    row = {"scale": "realism", "level": "as_is", "panel": "any", "metric": "temporal_match"}
+    assert list(list_changes([row | {"verdict": "open", "tenth": 3.0}])) == []
+    assert len(list(list_changes([row | {"verdict": "predicts", "tenth": 3.0}]))) == 1

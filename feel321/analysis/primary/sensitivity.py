@@ -289,7 +289,8 @@ def list_changes(slopes: Iterable[Mapping[Any, Any]]) -> Iterator[Mapping[Any, A
     """List the slopes without flagged raters from which another conclusion follows than from everyone's."""
     slopes = list(slopes)
     whole = {_find_place(row): _find_direction(row) for row in slopes if row["panel"] == "everyone"}
-    yield from (row for row in slopes if _find_direction(row) != whole[_find_place(row)])
+    # Where everyone's model could not be fitted, nothing is claimed of everyone.
+    yield from (row for row in slopes if _find_direction(row) != whole.get(_find_place(row), 0.0))
 
 
 def _find_place(row: Mapping[Any, Any]) -> tuple[str, str, str]:
