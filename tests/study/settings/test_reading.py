@@ -19,6 +19,7 @@ from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.wav import write_wav
 from feel321.study.actuator.rig import read_rig
 from feel321.study.all_settings import FILES, Setting, list_settings, read_meanings, write_list
+from feel321.study.cli import main
 from feel321.study.folder import create_study, read_template, require_study
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.session.plan import Design, Stale
@@ -127,6 +128,12 @@ def test_the_list_of_all_settings_is_toml_once_its_comments_are_taken_away(file:
     assert tomllib.loads(text) == {}
     for one in list_settings(file):
         assert f"\n# {one.key} = " in text
+
+
+def test_the_command_line_prints_both_lists(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["new", "--all-settings"]) == 0
+    out = capsys.readouterr().out
+    assert all(write_list(file).strip() in out for file in FILES)
 
 
 def test_the_defaults_of_the_list_are_those_that_hold(read: Callable[[str], Settings]) -> None:
