@@ -122,6 +122,7 @@ MEASURED = {
     "coherence": 0.9,
     "rms_m_s2": 2.0,
     "is_calibrated": 1.0,
+    "is_measured": 1.0,
 }
 
 
