@@ -210,15 +210,16 @@ def test_a_manifest_is_read_entry_by_entry_as_it_is_as_a_whole(corpus: StudyFold
     path = corpus.stimuli / details.NAME
     text = path.read_text(encoding="utf-8")
     whole = json.loads(text)
-    for layout in (json.dumps(whole, indent=4), text):
-        path.write_text(layout, encoding="utf-8")
-        assert details.read_head(corpus.stimuli) == {
-            name: value for name, value in whole.items() if name not in details.LONG
-        }
-        assert list(details.iterate_rows(corpus.stimuli)) == whole["stimuli"]
-        for name in ("keys", "measured", "conditioning", "sensation_levels_db"):
-            found = details.iterate_tables(corpus.stimuli, name)
-            assert {key: value for _, key, value in found} == whole[name]
+    assert details.read_head(corpus.stimuli) == {
+        name: value for name, value in whole.items() if name not in details.LONG
+    }
+    assert list(details.iterate_rows(corpus.stimuli)) == whole["stimuli"]
+    for name in ("keys", "measured", "conditioning", "sensation_levels_db"):
+        found = details.iterate_tables(corpus.stimuli, name)
+        assert {key: value for _, key, value in found} == whole[name]
+    path.write_text(json.dumps(whole, indent=4), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"manifest\.json"):
+        details.read_head(corpus.stimuli)
     for end in range(1, len(text) - 2, len(text) // 40):
         path.write_text(text[:end], encoding="utf-8")
         with pytest.raises(ValueError):  # noqa: PT011 - of JSON, or of ours

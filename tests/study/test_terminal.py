@@ -126,7 +126,7 @@ def test_h_is_help_everywhere(verb: str, capsys: pytest.CaptureFixture[str]) -> 
 def test_summaries_are_whole_in_a_narrow_terminal() -> None:
     narrow = os.environ | {"COLUMNS": "50"}
     done = subprocess.run([FEEL321, "-h"], capture_output=True, text=True, check=True, env=narrow)
-    listed = " ".join(done.stdout.partition("Commands:")[2].split())
+    listed = " ".join(done.stdout.partition("Design:")[2].split())
     assert "Relate the ratings to the match metrics and write the report." in listed
     assert "..." not in listed
 
