@@ -261,8 +261,8 @@ def _push_all(repo: Repo, branch: bytes, *, new: str) -> dict[str, str]:
     for url in dict.fromkeys([*remotes, *filter(None, [new])]):
         name = remotes.get(url, b"remote%d" % (len(remotes) + 1))
         pushed = set() if url == new else _list_pushed(repo, name)
-        lock = Path(url, f"{(HEADS + branch).decode()}.lock")
-        lock.unlink(missing_ok=True)  # of a push that was killed: nobody else has this branch
+        with suppress(OSError):  # of a push that was killed: nobody else has this branch
+            Path(url, f"{(HEADS + branch).decode()}.lock").unlink()
 
         def choose(refs: Mapping[bytes, bytes], pushed: set[str] = pushed) -> dict[bytes, bytes]:
             if any(HEADS + one.encode() not in refs for one in pushed):
@@ -271,11 +271,10 @@ def _push_all(repo: Repo, branch: bytes, *, new: str) -> dict[str, str]:
                 raise ValueError("it has checkpoints that are not here; see feel321 audit")
             return {HEADS + branch: tip}
 
-        client, path = _find_client(url)
-        send = client.send_pack, path, choose, repo.generate_pack_data
         try:
-            _within(PUSH_S, *send)
-        except OSError as error:
+            client, path = _find_client(url)
+            _within(PUSH_S, client.send_pack, path, choose, repo.generate_pack_data)
+        except (OSError, ValueError) as error:
             done[url] = str(error)
             continue
         done[url] = ""

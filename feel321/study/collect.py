@@ -19,7 +19,7 @@ from feel321.study.auditing.journals import list_files
 from feel321.study.folder import require_study
 from feel321.study.numbers import find_doubles, hold_numbers, read_holder, read_holders
 from feel321.study.persons import withdrawal
-from feel321.study.persons.answers import PERSONAL_FILE
+from feel321.study.persons.answers import PERSONAL_FILE, read_personal
 from feel321.study.session import journal as journals
 from feel321.study.session.identity import find_differences
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan
@@ -143,11 +143,13 @@ def _take_session(
     if is_new or missing or grown:
         with withdrawal.hold_folder(here):
             sweep(here)  # what a kill left
+            _, grown = _compare_journals(here, there)  # something may have been written meanwhile
+            personal = _compare_personal(here, there)
             if is_new:
                 _take_plan(study, there, collected)
             _copy_files(here, there, missing, collected=collected)
-            if grown and (there / PERSONAL_FILE).is_file():
-                _copy(here / PERSONAL_FILE, (there / PERSONAL_FILE).read_bytes(), collected)
+            if grown and personal:
+                _copy(here / PERSONAL_FILE, personal, collected)
             for name, content in grown.items():
                 _copy(here / name, content, collected)
 
@@ -193,6 +195,18 @@ def _compare_journals(here: Path, there: Path) -> tuple[dict[str, str], dict[str
                 f"{here / path.name} and {path}: differ from line {line} on; keep the right one, move the other away"
             )
     return files, grown
+
+
+def _compare_personal(here: Path, there: Path) -> bytes:
+    """Return the personal answers of another folder, which must hold those that are here; none that were removed."""
+    theirs = read_personal(there)
+    if read_personal(here).keys() - theirs.keys():
+        files = f"{here / PERSONAL_FILE} and {there / PERSONAL_FILE}"
+        raise ValueError(f"{files}: differ; keep the one that has all answers")
+    own = [_read_lines(path) for path in journals.list_journals(here)]
+    is_known = any(sha256.encode() in content for content in own for sha256 in theirs)
+    was_removed = is_known and not (here / PERSONAL_FILE).is_file()
+    return b"" if was_removed or not theirs else (there / PERSONAL_FILE).read_bytes()
 
 
 def _list_missing(

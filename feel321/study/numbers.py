@@ -82,9 +82,15 @@ def read_holder(folder: Path) -> Holder | None:
         raise ValueError(
             f"{path}: is missing or damaged, so the participant's number is unknown; restore the file from a copy"
         )
-    if state == PLANNED and journals and _RELEASED in journals[-1].read_bytes():
+    if state == PLANNED and journals and _RELEASED in _read_lines(journals[-1]):
         state = RELEASED
     return Holder(folder.name, int(found[2]), found[3] == b"true", state)
+
+
+def _read_lines(journal: Path) -> bytes:
+    """Read the whole lines of a journal: one that a power cut tore was never acknowledged."""
+    content = journal.read_bytes()
+    return content[: content.rfind(b"\n") + 1]
 
 
 def read_holders(study: StudyFolder) -> list[Holder]:
@@ -121,6 +127,11 @@ def plan_participants(
 ) -> list[Plan]:
     """Store plans under the lowest free numbers; whoever was planned keeps the number and the plan that is stored."""
     study.make_sessions()
+    # Who has a plan waits for nobody, and for no damaged plan of somebody else.
+    folders = {folder.name: folder for folder in study.participants}
+    own = {name: read_holder(folders[name]) if name in folders else None for name in names}
+    if all(own.values()):
+        return [make(name, _keep(one, simulated=simulated)) for name, one in own.items() if one]
     with hold_numbers(study):
         known = {one.participant: one for one in read_holders(study)}
         taken = {

@@ -234,10 +234,20 @@ for line in sys.stdin:
 """What the second process runs. It imports neither the caller's script nor anything of a running session."""
 
 
+METHODS = "methods.md"
+"""The methods section, which the study writes beside a report."""
+
+
+def list_own(target: Path) -> list[str]:
+    """List the files of a folder that have the names of results, even if `results.json` is damaged; it comes last."""
+    found = (path.relative_to(target).as_posix() for path in target.rglob("*") if path.is_file())
+    own = (name for name in found if name == METHODS or OWN.fullmatch(name))
+    return sorted(own, key=lambda name: (name == RESULTS, name))
+
+
 def remove_results(target: Path) -> None:
-    """Remove the files of a former run; what else lies in the folder stays."""
-    # The list goes last: a removal that is interrupted leaves files that the next one knows.
-    for name in sorted(_refuse_foreign(target, ()), key=RESULTS.__eq__):
+    """Remove results of ratings, whatever is left of their list; what else lies in the folder stays."""
+    for name in list_own(target):
         (target / name).unlink(missing_ok=True)
     for folder in (target / "figures", target / "tables", target):
         if folder.is_dir() and not any(folder.iterdir()):

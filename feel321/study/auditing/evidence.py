@@ -64,6 +64,7 @@ def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) 
             branches = fetch_branches(url, history)
         except OSError as error:
             own.remarks.append(f"{url}: could not be looked at ({error})")
+            held.append(f"{url} could not be looked at")
             continue
         for branch in sorted(pushed.get(url, set()) - set(branches)):
             text = f"{url}: had the checkpoints of {branch} and has none now; ask whoever keeps it"

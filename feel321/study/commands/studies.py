@@ -394,8 +394,10 @@ def withdraw(
     removed = withdraw_participant(
         folder, participant, now=study.now, reason=reason, warn=shared.warn
     )
+    place = folder.sessions / participant
+    kept = "; a tombstone keeps the code" if place.exists() else ""
     shared.echo(
-        f"{folder.sessions / participant}: removed {len(removed)} files; a tombstone keeps the code. "
+        f"{folder.path}: removed {len(removed)} files of {participant}{kept}. "
         "Copies that feel321 did not make must be removed by hand"
     )
 

@@ -11,6 +11,7 @@ from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from feel321 import intake
+from feel321.analysis.report.folder import METHODS
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.stimuli.match import HIGHEST_HZ
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
 
-METHODS_FILE = "methods.md"
+METHODS_FILE = METHODS
 
 
 @dataclass(frozen=True, slots=True)

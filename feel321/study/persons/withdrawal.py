@@ -260,7 +260,8 @@ def _clear_results(study: StudyFolder) -> Iterator[str]:
             continue
         remove_results(folder)
         verb = {"report": "analyze", "power": "power"}.get(folder.name, "tradeoff")
-        yield f"{folder}: was removed because it held the participant's data; make it again: feel321 {verb}"
+        again = f"because they held the participant's data; make them again: feel321 {verb}"
+        yield f"{folder}: results were removed {again}"
         if folder.exists():
             yield f"{folder}: holds other files; remove those with the participant's data"
 
@@ -317,14 +318,17 @@ def find_data_left(study: StudyFolder) -> Iterator[str]:
         for table in (study.ratings.name, progress.ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE):
             if name in _list_named(study.path / table):
                 yield f"{study.path / table}: holds rows of {name}, who withdrew; {finish}"
-    newest = _find_newest(stones)
-    for folder in _list_results(study) if newest else ():
-        results = folder / "results.json"
-        if (
-            results.is_file()
-            and results.stat().st_mtime < datetime.fromisoformat(newest).timestamp()
-        ):
-            yield f"{results}: was made before somebody withdrew; remove it, and make it again"
+    if newest := _find_newest(stones):
+        for folder in _list_results(study):
+            yield from _find_old_results(folder, datetime.fromisoformat(newest).timestamp())
+
+
+def _find_old_results(folder: Path, newest: float) -> Iterator[str]:
+    from feel321.analysis.report.folder import list_own
+
+    for path in (folder / name for name in list_own(folder)):
+        if path.stat().st_mtime < newest:
+            yield f"{path}: was made before somebody withdrew; remove it, and make it again"
 
 
 def list_stale(study: StudyFolder) -> Iterator[str]:

@@ -57,10 +57,12 @@ def test_withdraw_says_what_was_removed_and_what_is_left_to_do(begun: Any, say: 
     )
     assert code == 0
     assert out == (
-        f"{begun.study.sessions / 'p01'}: removed 2 files; a tombstone keeps the code. "
+        f"{begun.study.path}: removed 2 files of p01; a tombstone keeps the code. "
         "Copies that feel321 did not make must be removed by hand\n"
     )
-    assert err.startswith(f"feel321: warning: {begun.study.report}: was removed because it held")
+    assert err.startswith(
+        f"feel321: warning: {begun.study.report}: results were removed because they held"
+    )
     assert (
         json.loads((begun.study.sessions / "p01" / "withdrawn.json").read_text())["reason"]
         == "moved away"

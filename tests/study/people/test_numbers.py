@@ -17,11 +17,13 @@ from feel321.study.numbers import (
     Station,
     find_doubles,
     find_station,
+    hold_numbers,
     plan_participants,
     read_holder,
     read_holders,
 )
 from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PLAN_FILE, make_plan, require_plan
 from feel321.study.settings.schema import Settings
 
@@ -170,6 +172,25 @@ def test_a_number_that_cannot_be_read_is_given_to_nobody(
     with pytest.raises(ValueError, match=r"p01/plan\.json: is missing or damaged.*from a copy"):
         plan_here("p02")
     assert read_holder(lab.study.sessions / "nobody") is None
+
+
+def test_who_has_a_plan_waits_for_nobody(lab: Any, plan_here: Any) -> None:
+    plan_here("p01", "p02")
+    (lab.study.sessions / "p02" / PLAN_FILE).write_text("{}")
+    with hold_numbers(lab.study):  # as somebody who plans thousands
+        assert plan_here("p01") == {"p01": 1}
+
+
+def test_a_release_that_a_power_cut_tore_frees_no_number(lab: Any, now: Any) -> None:
+    folder = lab.begin("p01")
+    (journal,) = list_journals(folder)
+    before = journal.read_bytes()
+    release_participant(lab.study, "p01", now=now)
+    whole = journal.read_bytes()
+    assert read_holder(folder).state == "released"
+    journal.write_bytes(whole[: len(whole) - 20])
+    assert whole.startswith(before)
+    assert read_holder(folder).state == PLANNED
 
 
 CLAIM = """

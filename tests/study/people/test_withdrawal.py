@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -13,7 +14,11 @@ import pytest
 from feel321.files import hold_lock
 from feel321.study.numbers import read_holders
 from feel321.study.people import find_leftovers, read_tombstone, write_roster
-from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+from feel321.study.persons.withdrawal import (
+    find_data_left,
+    release_participant,
+    withdraw_participant,
+)
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.plan import PLAN_FILE
 
@@ -211,11 +216,30 @@ def test_derived_tables_are_written_anew_and_the_report_goes(
     with (two.study.path / "participants.csv").open() as file:
         assert [row["participant"] for row in csv.DictReader(file)] == ["p02"]
     assert warnings == [
-        f"{two.study.report}: was removed because it held the participant's data; make it again: feel321 analyze",
+        f"{two.study.report}: results were removed because they held the participant's data; make them again: "
+        "feel321 analyze",
         f"{two.study.report}: holds other files; remove those with the participant's data",
     ]
     assert read_files(two.study.report) == {"mine.csv": b"p01"}
     assert not (two.study.path / "rehearsals" / "p01").exists()
+
+
+@pytest.mark.parametrize("content", [None, "{"])
+def test_a_report_goes_whose_list_is_gone_or_damaged(
+    two: Any, now: Any, content: str | None
+) -> None:
+    write_report_files(two.study.report)
+    (two.study.report / "methods.md").write_text("4 participants")
+    listed = two.study.report / "results.json"
+    listed.unlink() if content is None else listed.write_text(content)
+    withdraw_participant(two.study, "p01", now=now)
+    assert read_files(two.study.report) == {"mine.csv": b"p01"}
+    (two.study.report / "tables").mkdir()
+    (two.study.report / "tables" / "old.csv").write_text("p01")
+    os.utime(two.study.report / "tables" / "old.csv", (0, 0))
+    assert any(
+        "old.csv: was made before somebody withdrew" in one for one in find_data_left(two.study)
+    )
 
 
 def test_a_report_without_the_participant_stays(two: Any, now: Any) -> None:

@@ -23,6 +23,7 @@ from feel321.study.auditing.study import audit_study
 from feel321.study.collect import Collected, collect_sessions
 from feel321.study.folder import StudyFolder, name_delivered
 from feel321.study.numbers import read_holders
+from feel321.study.persons.answers import PERSONAL_FILE, keep_answer
 from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import (
@@ -156,6 +157,29 @@ def test_a_longer_journal_takes_the_place_of_one_that_it_continues(stations: Any
     assert collect(main, one).files == 0
     assert read_files(main) == whole
     assert audit_study(main) == []
+
+
+def test_personal_answers_are_neither_overwritten_nor_brought_back(stations: Any) -> None:
+    one, _, main = stations
+    row = {"session": 1, "question": "age", "occasion": 1, "value": 40}
+    answer = keep_answer(one.sessions / "sim001", row, known=())
+    whole = (one.sessions / "sim001" / "session-01.jsonl").read_bytes()
+    kept = (one.sessions / "sim001" / PERSONAL_FILE).read_bytes()
+    cut(one, "sim001", 4)
+    collect(main, one)
+    here = main.sessions / "sim001" / PERSONAL_FILE
+    assert here.read_bytes() == kept
+    (one.sessions / "sim001" / "session-01.jsonl").write_bytes(whole)
+    (one.sessions / "sim001" / PERSONAL_FILE).write_text("from a bad stick")
+    (problem,) = [line for line in collect(main, one).refused if "sim001" in line]
+    assert "not as feel321 wrote it" in problem
+    assert here.read_bytes() == kept
+    (one.sessions / "sim001" / PERSONAL_FILE).write_text("")
+    (problem,) = [line for line in collect(main, one).refused if "sim001" in line]
+    assert "keep the one that has all answers" in problem
+    (one.sessions / "sim001" / PERSONAL_FILE).write_bytes(kept)
+    assert collect(main, one).refused == []
+    assert answer in here.read_text()
 
 
 def deliver(study: StudyFolder, participant: str) -> list[Path]:
