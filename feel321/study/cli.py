@@ -37,7 +37,10 @@ GROUPS = {
 }  # fmt: skip
 """Group of the help -> its verbs, and the module of `feel321.study.commands` that holds each."""
 
-FORMER = {"advise": "tradeoff", "chart": "tradeoff", "stress": "tradeoff"}
+FORMER = {
+    "advise": "tradeoff", "chart": "tradeoff", "stress": "tradeoff", "texts": "new --texts",
+    "release": "withdraw --keep-data", "monitor": "status --watch",
+}  # fmt: skip
 """Verbs whose work another one does now."""
 
 LONGEST = 1000
@@ -95,7 +98,7 @@ class _Verbs(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find a verb; name the one that took over the work of a former one."""
         if args[0] in FORMER:
-            ctx.fail(f"{args[0]} is part of {FORMER[args[0]]} now")
+            ctx.fail(f"{args[0]} is now: feel321 {FORMER[args[0]]}")
         return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> object:

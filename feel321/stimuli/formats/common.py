@@ -22,7 +22,7 @@ RATE_KEYS = ("rate_hz", "fs", "rate", "sample_rate", "samplerate", "sampling_rat
 UNIT_KEYS = ("unit", "units")
 """What the rate and the unit are called, in archives and sidecars alike."""
 
-NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2 (unit=... says otherwise)"
+NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2; if it is another, name it (unit, --unit)"
 
 ACCELERATION_SPELLINGS = {
     "m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m/s/s": "m/s^2", "m/s**2": "m/s^2",

@@ -73,7 +73,7 @@ def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) 
         there = {one.id for theirs in branches.values() for one in theirs}
         held += [f"{url} has those until {one.utc}" for one in history if one.id in there][-1:]
     if not any(one.id.startswith(expect) for one in history) and expect:
-        text = f"has no checkpoint {expect}; its history was made anew, or turned back"
+        text = f"has no checkpoint {expect}; if the id is right, the history was made anew or turned back"
         own.findings.append(f"{study.path / EVIDENCE}: {text}")
     today = take_marks(study)
     for one in filter(None, binding):
@@ -114,10 +114,13 @@ def _describe(history: Sequence[Checkpoint], held: list[str], today: Mapping[str
     now = {name: mark for name, mark in today.items() if is_journal(name)}
     begun = sum(name not in last.marks for name in now)
     changed = sum(last.marks.get(name, mark) != mark for name, mark in now.items())
-    reach = "; ".join(held) or "no remote has them, so all can be made anew: feel321 seal --to"
+    reach = (
+        "; ".join(held)
+        or "no remote holds them, so the folder could be rewritten unnoticed (feel321 seal --to REMOTE)"
+    )
     return (
         f"compared with {len(history)} checkpoint{'s' * (len(history) > 1)}, the last {last.id[:12]} of {last.utc} on "
-        f"{len(last.marks)} files; {reach}; since then {begun} journals were begun, {changed} continued or changed"
+        f"{len(last.marks)} files; {reach}; since then: new journals {begun}, longer or changed {changed}"
     )
 
 

@@ -117,7 +117,9 @@ def seal(*, study: Study, reason: str, to: str, as_json: bool) -> None:
     if as_json:
         shared.print_json(asdict(found))
         return
-    places = [f"pushed to {place}" for place in found.places] or ["pushed nowhere; see --to"]
+    places = [f"pushed to {place}" for place in found.places] or [
+        "not pushed, because no remote is set: feel321 seal --to REMOTE"
+    ]
     shared.echo("\n".join([f"{study.folder.path}: checkpoint {found.checkpoint}", *places]))
 
 

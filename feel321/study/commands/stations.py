@@ -47,6 +47,8 @@ def collect(
 
 
 def _describe(found: Collected, folder: Path) -> list[str]:
-    who = ", ".join(found.participants) or "nobody: all was here"
-    lines = [f"{folder}: {found.files} files ({found.size / 1e6:.1f} MB) of {who}"]
+    lines = [f"{folder}: nothing to copy"]
+    if found.files:
+        size, who = found.size / 1e6, ", ".join(found.participants)
+        lines = [f"{folder}: {found.files} files ({size:.1f} MB) of {who}"]
     return [*lines, *(f"refused: {line}" for line in found.refused), *found.notes]

@@ -62,11 +62,11 @@ def new(
 
         shared.echo("\n".join(write_list(file) for file in FILES).rstrip("\n"))
         return
+    if texts is not None:
+        _write_texts(require_study(folder or Path()), texts)
+        return
     if folder is None:
         raise click.MissingParameter(ctx=context, param_hint="'DIR'", param_type="argument")
-    if texts is not None:
-        _write_texts(require_study(folder), texts)
-        return
     if bundled and methods:
         raise click.UsageError("--methods adds to a study of your own; leave out --study")
     study = Study.create(folder, like=bundled).folder
@@ -328,11 +328,10 @@ def status(
 @click.command(
     epilog='Example: feel321 note my-study --participant p07 "left coil rattled in block 2"'
 )
-@shared.study_argument
-@click.argument("text")
+@click.argument("places", metavar="[STUDY] TEXT", nargs=-1, required=True)
 @shared.participant_option
 @shared.rehearsals_option
-def note(*, study: Study, text: str, participant: str, rehearsals: bool) -> None:
+def note(places: tuple[str, ...], *, participant: str, rehearsals: bool) -> None:
     """Write an experimenter's note into a participant's journal.
 
     One line between two openings of a session or after its end, never while it runs. It is kept like all that was
@@ -341,6 +340,12 @@ def note(*, study: Study, text: str, participant: str, rehearsals: bool) -> None
     """
     from feel321.study.persons.withdrawal import take_note
 
+    *studies, text = places
+    if len(studies) > 1:
+        raise click.UsageError(
+            f"note takes a study and one text, got {len(places)}; quote the text"
+        )
+    study = shared.open_study(Path(*studies))
     folder = _choose(study, rehearsals=rehearsals).folder
     if notice := take_note(folder, participant, text, now=study.now):
         shared.warn(notice)
@@ -359,7 +364,9 @@ Example: feel321 withdraw my-study --participant p07 --yes
 )
 @shared.study_argument
 @shared.participant_option
-@click.option("--reason", default="", help="The reason, for the tombstone.")
+@click.option(
+    "--reason", default="", help="The reason, kept with the participant's code; write no name."
+)
 @shared.flag("--keep-data", "Keep what was recorded; only free the design slot.")
 @shared.flag("--yes", "Do not ask.", "is_sure")
 @click.pass_context

@@ -108,7 +108,7 @@ def test_what_was_felt_first_is_told_from_the_metrics(plant: Plant) -> None:
     turned = turned.assign(rating=100 - turned["rating"])
     other = analysis.fit_choices(planted._replace(votes=turned).read(), lapse=0.0).fixed
     expected = fixed["estimate"] * [1, 1, -1]
-    assert other["estimate"].tolist() == pytest.approx(expected.tolist(), abs=1e-9)
+    assert other["estimate"].tolist() == pytest.approx(expected.tolist(), rel=1e-6)
 
 
 def test_what_has_no_estimate_is_refused(plant: Plant) -> None:

@@ -191,7 +191,7 @@ def test_bad_use_is_one_line(
 @pytest.mark.parametrize("former", ["advise", "chart", "stress"])
 def test_former_verbs_name_their_successor(former: str, capsys: Capture) -> None:
     assert main([former, "study"]) == 2
-    assert capsys.readouterr().err.startswith(f"feel321: {former} is part of tradeoff now")
+    assert capsys.readouterr().err.startswith(f"feel321: {former} is now: feel321 tradeoff")
 
 
 @pytest.mark.parametrize("name", ["advice", "chart", "stress"])

@@ -101,7 +101,7 @@ def test_bad_values_get_one_line(
 @pytest.mark.parametrize("seed", [3, 1234])
 def test_strong_slopes_need_few_people(task: PowerTask, tmp_path: Path, seed: int) -> None:
     found = plan(
-        task, tmp_path, 9.0, studies=4, seed=seed, recordings=(4,), reducers=(5,), repeats=(1,)
+        task, tmp_path, 15.0, studies=8, seed=seed, recordings=(12,), reducers=(5,), repeats=(1,)
     )
     best = found.plan.recommended
     assert best is not None

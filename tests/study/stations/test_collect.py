@@ -438,5 +438,5 @@ def test_the_verb_says_what_it_did(stations: Any, capsys: pytest.CaptureFixture[
     fork(one, "sim001", 5)
     assert cli.main(command) == 1
     first, second = capsys.readouterr().out.splitlines()
-    assert first == f"{main.path}: 0 files (0.0 MB) of nobody: all was here"
+    assert first == f"{main.path}: nothing to copy"
     assert second.startswith("refused: participant sim001: ")
