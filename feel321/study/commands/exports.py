@@ -39,10 +39,17 @@ def export(places: tuple[Path, ...], *, keep_ids: bool, simulated: bool, for_r: 
     from feel321.study.export.dataset import export_bids
     from feel321.study.folder import require_study
 
+    if not studies and (target / "study.toml").is_file():
+        need = f"name the folder to write, too: feel321 export {target} DIR"
+        raise click.UsageError(f"{target} is a study; {need}")
     study = require_study(studies[0] if studies else Path())
     with shared.recording(study, "export", target):
         if for_r:
             table, seed = read_study_table(study)
+            if "simulated" in table.rows and table.rows["simulated"].any():
+                shared.warn(
+                    "ratings of simulated participants are among these; see the column simulated"
+                )
             export_r(table, target, rng=seed)
             shared.echo(f"{target}: next, in that folder: Rscript model.R")
             return
