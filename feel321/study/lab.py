@@ -87,7 +87,7 @@ def check_lab(rig: Rig, *, screen: int = 0, has_lsl: bool = False) -> None:
         )
     if has_device:
         # Before its name stands in the header of a session that could not go on with another device.
-        from feel321.study.actuator.stream import find_devices
+        from feel321.study.actuator.device import find_devices
 
         find_devices(rig)
     if has_lsl:
@@ -158,7 +158,7 @@ def _open_output(
     )
     rig = lab.certificate.apply(lab.rig) if lab.certificate else lab.rig
     if plan.threshold:
-        from feel321.study.actuator.tone import render_tones
+        from feel321.study.actuator.render import render_tones
 
         sounds |= render_tones(
             plan.threshold, lab.rig, rate_hz=rate_hz, certificate=lab.certificate

@@ -125,7 +125,7 @@ DATA_SHEET = ("sensitivity_mv_per_g", "input_peak_v")
 """What gives the full scale of a sensor."""
 
 ESTIMATED = "latency"
-"""How an onset was got (`dac_source`) where the device gave no time of it: `actuator.stream.FROM_LATENCY`."""
+"""How an onset was got (`dac_source`) where the device gave no time of it: `actuator.device.FROM_LATENCY`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,7 @@ def list_rig_problems(
         certificate=certificate,
     )
     if settings.session.threshold:
-        from feel321.study.actuator.tone import find_tone_problems
+        from feel321.study.actuator.render import find_tone_problems
 
         block = settings.session.threshold.make_block()
         problems += find_tone_problems(block, rig, rate_hz=own.rate_hz, certificate=certificate)

@@ -84,7 +84,7 @@ def load_bridge() -> object:
 
 def measure_plain(folder: Path) -> None:
     """Make plain filters of Welch spectra, play through them, and calibrate; in the environment of the server."""
-    from feel321.study.actuator import calibrate, calibration
+    from feel321.study.actuator import calibrate, response
     from feel321.study.actuator.certificate import write_certificate
     from feel321.study.actuator.duplex import open_session
     from feel321.study.actuator.rig import read_rig
@@ -111,13 +111,13 @@ def measure_plain(folder: Path) -> None:
             fir = signal.firwin2(
                 48001, frequency_hz, np.where(inside, target / gain, 1.0), fs=RATE_HZ
             )
-            asked = calibration.make_sweep(calibrate.make_main(rig, rate_hz=RATE_HZ, peak=peak))
+            asked = response.make_sweep(calibrate.make_main(rig, rate_hz=RATE_HZ, peak=peak))
             filtered = signal.oaconvolve(asked, fir)[: len(asked)]
             scale = min(peak / np.abs(filtered).max(), 0.9 * 100 / target / peak)
-            found = calibration.measure_sweep(
+            found = response.measure_sweep(
                 sweep, session.play(scale * filtered, coil.channel), sent=scale * asked
             )
-            rows[name] = calibration.verify(found, target=target, band_hz=EVIDENCE_HZ).largest_db
+            rows[name] = response.verify(found, target=target, band_hz=EVIDENCE_HZ).largest_db
     (folder / "plain.json").write_text(json.dumps(rows), encoding="utf-8")
 
 
@@ -157,7 +157,7 @@ def report(folder: Path) -> bool:
 
 def find_planted(drive: float, resonance_hz: float, q: float) -> float:
     """Find harmonics 3 and 5 of tanh(drive sin) over the fundamental at 100 Hz, behind the coil."""
-    from feel321.study.actuator.coil import Coil, discretise
+    from feel321.study.actuator.simulated import Coil, discretise
 
     angle = 2 * np.pi * np.arange(4096) / 4096
     lines = np.abs(np.fft.rfft(np.tanh(drive * np.sin(angle))))

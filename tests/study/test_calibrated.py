@@ -13,11 +13,11 @@ import pytest
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.wav import read_wav
 from feel321.study import lab
-from feel321.study.actuator.calibration import Sweep, make_inverse, make_sweep, measure_sweep
 from feel321.study.actuator.certificate import Certificate, make_manual, write_certificate
-from feel321.study.actuator.coil import Coil, SimulatedCoil
 from feel321.study.actuator.render import find_rig_problems, render_stimulus
+from feel321.study.actuator.response import Sweep, make_inverse, make_sweep, measure_sweep
 from feel321.study.actuator.rig import Rig, read_rig, take_device
+from feel321.study.actuator.simulated import Coil, SimulatedCoil
 from feel321.study.auditing.study import audit_study
 from feel321.study.lab import Visit, run_participant
 from feel321.study.session.journal import read_journal

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.study import lab
-from feel321.study.actuator import stream
+from feel321.study.actuator.device import Device
 from feel321.study.actuator.rig import digest, read_rig
-from feel321.study.actuator.stream import Device
 from feel321.study.auditing.entries import list_remarks
 from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
@@ -86,7 +85,7 @@ def test_a_session_runs_to_its_end_and_no_window_opens_for_what_is_finished(
 def devices(monkeypatch: pytest.MonkeyPatch) -> None:
     """The only audio device there is: `other`."""
     only = Device(index=0, name="other", host_api="ALSA", n_outputs=4, n_inputs=0)
-    monkeypatch.setattr(stream, "list_devices", lambda: [only])
+    monkeypatch.setattr("feel321.study.actuator.device.list_devices", lambda: [only])
 
 
 @pytest.mark.usefixtures("devices")

@@ -13,8 +13,7 @@ from typing import cast
 import numpy as np
 from scipy import fft
 
-from feel321.study.actuator import calibration
-from feel321.study.actuator.calibration import Response, Sweep
+from feel321.study.actuator import response as calibration
 from feel321.study.actuator.certificate import (
     MEASURED,
     TYPED,
@@ -23,9 +22,10 @@ from feel321.study.actuator.certificate import (
     CoilCertificate,
     begin_certificate,
 )
-from feel321.study.actuator.duplex import N_TRIES, OnStep, Session, open_session, require_sensor
+from feel321.study.actuator.duplex import N_TRIES, OnStep, Session, open_session
 from feel321.study.actuator.render import find_directions
-from feel321.study.actuator.rig import STANDARD_GRAVITY, ActuatorTable, Rig
+from feel321.study.actuator.response import Response, Sweep
+from feel321.study.actuator.rig import STANDARD_GRAVITY, ActuatorTable, Rig, require_sensor
 from feel321.types import Samples
 
 PROBE = 0.1  # of the level that limits allow: the first sweep of a coil

@@ -23,7 +23,7 @@ from scipy import fft, signal
 
 from feel321.files import create_text, file_named, make_folder, write_bytes
 from feel321.records import to_json_value
-from feel321.study.actuator.calibration import Band, Spectrum
+from feel321.study.actuator.response import Band, Spectrum
 from feel321.study.actuator.rig import ActuatorTable, CalibrationTable, Rig, SensorTable, digest
 from feel321.types import Samples
 

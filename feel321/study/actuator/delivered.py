@@ -36,10 +36,10 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import Reduction, reduce_again
-from feel321.study.actuator.calibration import Band, find_inside
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.render import find_directions, find_mix
+from feel321.study.actuator.response import Band, find_inside
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
 from feel321.types import Samples
 

@@ -13,7 +13,7 @@ from feel321.files import temporary_folder
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import StreamOutput, open_stream
-from feel321.study.actuator.rig import Rig, SensorTable
+from feel321.study.actuator.rig import Rig
 from feel321.types import Samples
 
 OnStep = Callable[[int, int], None]
@@ -91,16 +91,6 @@ class Session:
                 "full_scale_m_s2 under [sensor] with it, or lower level under [calibration]"
             )
         return recorded
-
-
-def require_sensor(rig: Rig) -> SensorTable:
-    """Find the rig's sensor, or refuse a rig without."""
-    if rig.sensor is None:
-        raise ValueError(
-            "rig.toml has no [sensor], which calibrate needs; add one, or type gains: feel321 calibrate --manual "
-            "'NAME=GAIN' (m/s² at full scale)"
-        )
-    return rig.sensor
 
 
 @contextmanager

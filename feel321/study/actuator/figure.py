@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.figures import style
-from feel321.study.actuator.calibration import find_inside
+from feel321.study.actuator.response import find_inside
 
 if TYPE_CHECKING:
     from pathlib import Path

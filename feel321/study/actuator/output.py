@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike
 from feel321.files import make_folder, write_bytes
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.wav import encode_wav
-from feel321.study.actuator import stream as portaudio
+from feel321.study.actuator import device as portaudio
+from feel321.study.actuator.device import BlockTimes, SessionClock, Take
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify
 from feel321.study.actuator.simulated import SIMULATED, SimulatedStream
-from feel321.study.actuator.stream import BlockTimes, SessionClock, Take
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
 from feel321.types import Samples

@@ -263,6 +263,16 @@ def read_rig(path: Path) -> Rig:
     return rig
 
 
+def require_sensor(rig: Rig) -> SensorTable:
+    """Find the rig's sensor, or refuse a rig without."""
+    if rig.sensor is None:
+        raise ValueError(
+            "rig.toml has no [sensor], which calibrate needs; add one, or type gains: feel321 calibrate --manual "
+            "'NAME=GAIN' (m/s² at full scale)"
+        )
+    return rig.sensor
+
+
 def take_device(rig: Rig, name: str) -> Rig:
     """Put a rig on another device, which is searched for in all host interfaces."""
     device = rig.device.model_copy(update={"name": name, "host_api": None})

@@ -17,8 +17,7 @@ from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate, CoilCertificate
-    from feel321.study.actuator.doctor import Examination
-    from feel321.study.actuator.drift import Drift
+    from feel321.study.actuator.doctor import Drift, Examination
     from feel321.study.actuator.rig import Rig
 
 # What the coils make of the samples sent to them.
@@ -86,7 +85,7 @@ def calibrate(
 
 def _flip(rig: Rig, *, rate_hz: float) -> str:
     from feel321.study.actuator.calibrate import measure_rest, scale_by_flip
-    from feel321.study.actuator.duplex import require_sensor
+    from feel321.study.actuator.rig import require_sensor
 
     sensor = require_sensor(rig)
     rests = []
@@ -289,7 +288,7 @@ class _Comparison:
 def _compare_with_certificate(folder: Path, rig: Rig, *, rate_hz: float) -> _Comparison | None:
     """Compare the rig with its newest certificate, if there is any."""
     from feel321.study.actuator.certificate import judge_certificates, list_certificates
-    from feel321.study.actuator.drift import measure_drift
+    from feel321.study.actuator.doctor import measure_drift
 
     if not list_certificates(folder):
         return None

@@ -19,21 +19,20 @@ import numpy as np
 import pytest
 
 from feel321.study.actuator import calibrate as module
-from feel321.study.actuator import doctor, drift
+from feel321.study.actuator import doctor
 from feel321.study.actuator.calibrate import calibrate_rig, find_failures
-from feel321.study.actuator.calibration import Sweep, make_sweep, measure_sweep
 from feel321.study.actuator.certificate import (
     Certificate,
     find_certificate,
     list_certificates,
     write_certificate,
 )
-from feel321.study.actuator.coil import Coil, SimulatedCoil
 from feel321.study.actuator.duplex import SweepStopped
 from feel321.study.actuator.figure import make_figure
 from feel321.study.actuator.output import StreamOutput
+from feel321.study.actuator.response import Sweep, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig
-from feel321.study.actuator.simulated import BLOCK_FRAMES, SimulatedStream
+from feel321.study.actuator.simulated import BLOCK_FRAMES, Coil, SimulatedCoil, SimulatedStream
 from feel321.study.cli import main
 
 RATE_HZ = 8000.0
@@ -381,14 +380,14 @@ def test_rest_is_what_the_sensor_measures_while_nothing_plays(rig: Rig) -> None:
 
 
 def test_tones_are_of_whole_periods() -> None:
-    tones = drift.find_tones((20.0, 1000.0))
+    tones = doctor.find_tones((20.0, 1000.0))
     assert np.allclose(tones % 4, 0)
     assert 15 <= len(tones) <= 18
     assert (tones[0], tones[-1] > 800) == (20.0, True)
 
 
 def test_no_drift_is_found_where_there_is_none(rig: Rig, certificate: Certificate) -> None:
-    for one in drift.measure_drift(rig, certificate):
+    for one in doctor.measure_drift(rig, certificate):
         assert abs(one.median_db) < 0.2  # a coil that saturates is not the same at another level
         assert abs(one.largest_db) < 0.5
         assert one.n_tones > 10
@@ -400,7 +399,7 @@ def test_a_long_latency_is_waited_for(rig: Rig, certificate: Certificate) -> Non
         name: replace(coil, latency=coil.latency + 5000) for name, coil in certificate.coils.items()
     }
     slow = alter(rig, "simulation", latency=5100)
-    for one in drift.measure_drift(slow, replace(certificate, coils=late)):
+    for one in doctor.measure_drift(slow, replace(certificate, coils=late)):
         assert one.find_fault(allowed_db=1.0) == ""
 
 
@@ -417,7 +416,7 @@ def test_a_long_latency_is_waited_for(rig: Rig, certificate: Certificate) -> Non
 def test_drift_is_measured_and_named(
     rig: Rig, certificate: Certificate, changes: Any, median_db: float | None, reason: str
 ) -> None:
-    left, right = drift.measure_drift(plant(rig, 1, **changes), certificate)
+    left, right = doctor.measure_drift(plant(rig, 1, **changes), certificate)
     assert left.find_fault(allowed_db=1.0) == ""
     assert reason in right.find_fault(allowed_db=1.0)
     if median_db is not None:

@@ -20,7 +20,6 @@ from feel321.study.actuator.certificate import (
     read_certificate,
     write_certificate,
 )
-from feel321.study.actuator.coil import Coil, discretise
 from feel321.study.actuator.rig import (
     CalibrationTable,
     LimitsTable,
@@ -29,6 +28,7 @@ from feel321.study.actuator.rig import (
     digest,
     take_device,
 )
+from feel321.study.actuator.simulated import Coil, discretise
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from feel321.study.actuator.device import Device, check_channels, find_device
 from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig, SensorTable
-from feel321.study.actuator.stream import Device, check_channels, find_device
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 
 from feel321.stimuli.wav import read_wav
-from feel321.study.actuator.output import StreamOutput
-from feel321.study.actuator.rig import DeviceTable, LimitsTable, Rig, SensorTable
-from feel321.study.actuator.stream import (
+from feel321.study.actuator.device import (
     STALL_S,
     Device,
     DeviceStream,
@@ -22,11 +20,13 @@ from feel321.study.actuator.stream import (
     list_devices,
     refresh_devices,
 )
+from feel321.study.actuator.output import StreamOutput
+from feel321.study.actuator.rig import DeviceTable, LimitsTable, Rig, SensorTable
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.study.actuator.stream import BlockTimes
+    from feel321.study.actuator.device import BlockTimes
 
 RATE_HZ = 1000
 N = 100
@@ -102,7 +102,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr("feel321.study.actuator.stream.perf_counter", clock)
+    monkeypatch.setattr("feel321.study.actuator.device.perf_counter", clock)
     return clock
 
 
@@ -363,7 +363,7 @@ def test_a_device_that_hangs_does_not_hang_the_session(
     stream.active = False
     answers = Event()
     monkeypatch.setattr("feel321.study.actuator.output.REVIVING_S", 0.05)
-    monkeypatch.setattr("feel321.study.actuator.stream.refresh_devices", answers.wait)
+    monkeypatch.setattr("feel321.study.actuator.device.refresh_devices", answers.wait)
     output.start("a", gap_s=0.0)
     assert not output.is_playing
     assert "does not answer" in output.collect().error
@@ -451,7 +451,7 @@ def test_a_device_that_dies_while_clocks_are_compared_leaves_no_nan(
 ) -> None:
     output, stream = open_output(monkeypatch, tmp_path)
     monkeypatch.setattr(
-        "feel321.study.actuator.stream.DeviceStream.compare_clocks", lambda *_: float("nan")
+        "feel321.study.actuator.device.DeviceStream.compare_clocks", lambda *_: float("nan")
     )
     output.start("a", gap_s=0.0)
     while output.is_playing:

@@ -10,10 +10,9 @@ import pytest
 from scipy import signal
 
 from feel321.stimuli.wav import read_wav
-from feel321.study.actuator.coil import Coil, discretise
 from feel321.study.actuator.output import open_stream
 from feel321.study.actuator.rig import read_rig
-from feel321.study.actuator.simulated import BLOCK_FRAMES, Hardware
+from feel321.study.actuator.simulated import BLOCK_FRAMES, Coil, Hardware, discretise
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from feel321.study.actuator.device import SENSOR_TAIL_S, BlockTimes, Take
 from feel321.study.actuator.mixer import Cue
-from feel321.study.actuator.stream import SENSOR_TAIL_S, BlockTimes, Take
 
 RATE_HZ = 1000.0
 N = 100  # frames of a block, which take 0.1 s

@@ -14,8 +14,8 @@ from feel321.protocols.threshold import USUAL
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.certificate import Certificate, make_manual
 from feel321.study.actuator.output import FileOutput
+from feel321.study.actuator.render import RAMP_S, find_tone_problems, make_tone, render_tones
 from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig, SyncTable
-from feel321.study.actuator.tone import RAMP_S, find_tone_problems, make_tone, render_tones
 from feel321.study.session.ports import Tone
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import signal, special
 
-from feel321.study.actuator.calibration import (
+from feel321.study.actuator.response import (
     Response,
     Sweep,
     make_inverse,
@@ -20,7 +20,7 @@ from feel321.study.actuator.calibration import (
     measure_sweep,
     verify,
 )
-from feel321.study.actuator.coil import Coil, SimulatedCoil, discretise
+from feel321.study.actuator.simulated import Coil, SimulatedCoil, discretise
 
 RATE_HZ = 8000.0
 SWEEP = Sweep(rate_hz=RATE_HZ)
