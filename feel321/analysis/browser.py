@@ -25,8 +25,7 @@ from feel321.analysis.words import MINUS, format_name, format_number
 from feel321.doors import as_path
 from feel321.files import write_text
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, WEBER_FRACTION
-from feel321.stimuli.sets import details
-from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.manifest import read_details, read_stimuli
 from feel321.stimuli.thresholds import CONTACTOR, acceleration_threshold
 from feel321.stimuli.wav import read_wav
 from feel321.types import PathLike, Samples
@@ -207,13 +206,7 @@ def _select(built: StimulusSet) -> StimulusSet:
 
 
 def _read_recipe(folder: Path) -> dict[str, Any]:
-    path = folder / "manifest.json"
-    try:
-        return {"threshold": CONTACTOR, **details.read_head(folder)["recipe"]}
-    except details.MISREAD as error:
-        raise ValueError(
-            f"{path}: is missing or damaged ({type(error).__name__}); restore it from a copy, or build the set again"
-        ) from None
+    return {"threshold": CONTACTOR, **read_details(folder).recipe}
 
 
 def _group(

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import re
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321 import intake
 from feel321.files import create_text, is_of_group, make_folder, write_text
 from feel321.study.session.journal import PARTICIPANT_ID, list_journals
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 SETTINGS_FILE = "study.toml"
 RIG_FILE = "rig.toml"
@@ -208,7 +204,6 @@ def read_bundled(name: str) -> str:
     return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
 
 
-MANIFEST_JSON = "manifest.json"
 METHODS = ("reducers", "metrics")
 """Entries of it on the lab's own methods, and on further metrics; there where there are any."""
 
@@ -227,36 +222,19 @@ class Origin:
 
 def read_origin(folder: Path) -> Origin:
     """Read what a stimulus set was made of."""
-    from feel321.stimuli.sets.details import iterate_rows
+    from feel321.stimuli.sets.manifest import read_details
 
-    with reading_origin(folder) as head:
-        return Origin(
-            dict(head["recipe"]),
-            {row["recording"]: row["recording_sha256"] for row in iterate_rows(folder)},
-            {kind: head[kind] for kind in METHODS if kind in head},
-        )
-
-
-@contextmanager
-def reading_origin(folder: Path) -> Iterator[dict[str, Any]]:
-    """Give what `manifest.json` says of the whole set, and say what to do where it cannot be read."""
-    from feel321.stimuli.sets import details
-
-    try:
-        head = details.read_head(folder)
-        yield head | {"recipe": dict(head["recipe"])}
-    except details.MISREAD as error:
-        raise ValueError(
-            f"{folder / MANIFEST_JSON}: is missing or damaged ({type(error).__name__}); restore it from a copy, or, as "
-            "long as no session was planned with this set, write it anew with: feel321 build"
-        ) from None
+    found = read_details(folder)
+    return Origin(
+        found.recipe,
+        {row.get("recording", ""): row.get("recording_sha256", "") for row in found.stimuli},
+        {kind: entries for kind in METHODS if (entries := getattr(found, kind))},
+    )
 
 
 def read_recipe(folder: Path) -> dict[str, Any]:
     """Read the recipe that a stimulus set was made by."""
-    with reading_origin(folder) as head:
-        recipe: dict[str, Any] = head["recipe"]
-        return recipe
+    return read_origin(folder).recipe
 
 
 def is_in_use(study: StudyFolder, stimuli_sha256: str) -> bool:

@@ -200,7 +200,7 @@ def _examine(
         try:
             if recipe is not None:
                 covariances[source.name] = _try_recording(recording, recipe)
-                known = history.select(source.name).measured
+                known = history[source.name].measured
                 found = survey_recording(recording, known, recipe=recipe)
                 own = found if found.facts else own
                 problems += [found.fault] if found.fault else []

@@ -1,101 +1,105 @@
 """Build a stimulus set: measure in a first pass, write with the gains in a second, remember what was done.
 
-A build runs in two passes over the recordings, each in parallel: *measure* renders what is not remembered and measures
-it at unit gain, *write* gives every stimulus the gain of its level arm. Between them stands the only thing that needs
-the whole set: the gain. Finished files wait in a folder of their own until all are there; then the old manifest goes,
-the files move in, and the new manifest comes last. So a set that has a manifest is complete, and a build that was
-killed, or found the disk full, is continued by the next.
+Both passes go over the recordings in parallel. *Measure* renders what is not remembered at unit gain, keeps it as a
+part in m/s² and measures it; *write* gives every stimulus the gain of its level. Between them stands the only thing
+that needs the whole set: the gain. Finished files wait in a folder of their own until all are there; then the old
+manifest goes, the files move in, and the new manifest comes last. So a set that has a manifest is complete.
+
+What a build remembers is `built.jsonl`, a line per stimulus: in the set, and in the folder of the unfinished parts,
+where a line is added as soon as something is done. A build that was killed, or found the disk full, is continued by
+the next; a damaged line, or one whose file does not hold what it says, is a stimulus that is made again.
 """
 
 import hashlib
+import io
 import json
 import math
+import secrets
 import shutil
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from itertools import count
-from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from feel321 import __version__
 from feel321.doors import announce, as_path, describe, follow
-from feel321.files import hold_lock, make_folder, move_files, replace_bytes, sweep
-from feel321.jobs import Job, Workers, as_workers, run_jobs
+from feel321.files import (  # fmt: skip
+    hold_lock,
+    make_folder,
+    move_files,
+    replace_bytes,
+    sweep,
+    write_bytes,
+    write_text,
+)
+from feel321.jobs import Workers, as_workers, run_jobs
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.recording import Recording, largest
-from feel321.stimuli.sets import details, render
+from feel321.stimuli.sets import render
 from feel321.stimuli.sets.anchors import sensation_level_db, to_db
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, describe_row, write_manifest
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
 from feel321.stimuli.sets.recipe import Recipe, check_names, describe_recipe
 from feel321.stimuli.sets.unread import Unread, read_given
-from feel321.stimuli.wav import read_wav, write_wav
-from feel321.types import PathLike, Progress
+from feel321.stimuli.wav import encode_wav
+from feel321.types import PathLike, Progress, Samples
 
+BUILT = "built.jsonl"
 PARTS = ".parts"
 FINISHED = "finished"
-
-ROUNDS = 5
-"""In which files are written again that another process replaced, before a build gives up."""
 
 THREADS = 2
 """Of a process: transforms release the interpreter, and each file waits for the disk. A lab's own code gets one."""
 
 
 @dataclass(frozen=True, slots=True)
-class History:
-    """Results of an earlier build, from `manifest.json`: they save work and are never trusted further.
+class Built:
+    """A line of `built.jsonl`: what was measured of a draft, the digest of its part, and the row of its file."""
 
-    rows: by stimulus id; keys: stimulus id -> the key it was rendered under; measured: by key; ids: by recording.
-    """
+    recording: str
+    key: str
+    measured: render.Measured
+    part: str = ""
+    row: Stimulus | None = None
 
-    rows: dict[str, Stimulus] = field(default_factory=dict)
-    keys: dict[str, str] = field(default_factory=dict)
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is remembered of a recording's stimuli; parts: key -> digest; rows: id -> key and row."""
+
     measured: dict[str, render.Measured] = field(default_factory=dict)
-    ids: dict[str, list[str]] = field(default_factory=dict)
-
-    def select(self, recording: str) -> "History":
-        """Select what is known of the stimuli of one recording."""
-        ids = self.ids.get(recording, [])
-        keys = {one: self.keys[one] for one in ids if one in self.keys}
-        measured = {key: self.measured[key] for key in keys.values() if key in self.measured}
-        return History({one: self.rows[one] for one in ids}, keys, measured)
+    parts: dict[str, str] = field(default_factory=dict)
+    rows: dict[str, tuple[str, Stimulus]] = field(default_factory=dict)
 
 
-def read_history(folder: Path) -> History:
-    """Read the results of an earlier build; if the manifest is missing or damaged, all is built anew."""
-    from pydantic import TypeAdapter
-
-    found = History()
-    try:
-        further = list(details.read_head(folder).get("metrics", {}))
-        read_row = TypeAdapter(Stimulus).validate_python
-        read_note = TypeAdapter(render.Measured).validate_python
-        for kind, key, value in details.iterate_tables(folder, "keys", "measured", "stimuli"):
-            if kind == "keys":
-                found.keys[key] = str(value)
-            elif kind == "measured":
-                found.measured[key] = read_note(value)
-            else:
-                _keep_row(found, read_row(_fold_row(value, further)))
-    except details.MISREAD:
-        return History()
+def read_history(folder: Path) -> defaultdict[str, Known]:
+    """Read what earlier builds remember, by recording; it saves work and is never trusted further."""
+    found: defaultdict[str, Known] = defaultdict(Known)
+    for path in (folder / BUILT, *sorted(folder.glob(f"{PARTS}*/{BUILT}"))):
+        for one in _read_lines(path):
+            own, row = found[one.recording], one.row
+            own.measured[one.key] = one.measured
+            own.parts[one.key] = one.part
+            if row and row.file == Path(row.file).name == f"{row.stimulus_id}.wav":
+                own.rows[row.stimulus_id] = one.key, row
     return found
 
 
-def _keep_row(history: History, row: Stimulus) -> None:
-    if PurePath(row.file).name == row.file == f"{row.stimulus_id}.wav":
-        history.rows[row.stimulus_id] = row
-        history.ids.setdefault(row.recording, []).append(row.stimulus_id)
+def _read_lines(path: Path) -> Iterator[Built]:
+    """Read the lines that are whole; none of a file that is not there."""
+    from pydantic import TypeAdapter
 
-
-def _fold_row(row: Mapping[str, Any], further: Sequence[str]) -> dict[str, Any]:
-    """Return a row of `manifest.json` as the fields of a Stimulus: what is null is left to their defaults."""
-    metrics = {name: math.nan if row[name] is None else row[name] for name in further}
-    own = {name: cell for name, cell in row.items() if cell is not None and name not in metrics}
-    return own | {"metrics": metrics}
+    read_line = TypeAdapter(Built).validate_json
+    if not path.is_file():
+        return
+    with path.open("rb") as lines:
+        for line in lines:
+            with suppress(ValueError):
+                yield read_line(line)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +148,15 @@ class Facts:
 
 
 class Survey(NamedTuple):
-    """Facts of a recording and the measurements of its stimuli by key, or why it cannot be used."""
+    """Facts of a recording and the measurements of its stimuli by key, or why it cannot be used.
+
+    parts: key -> digest of what was rendered just now.
+    """
 
     facts: Facts | None
     measured: Mapping[str, render.Measured]
     fault: str = ""
+    parts: Mapping[str, str] = {}
 
 
 def build_stimuli(
@@ -219,60 +227,75 @@ def build_set(
 ) -> tuple[list[Facts], StimulusSet]:
     """Build a stimulus set as `build_stimuli` does; also gives the facts of the recordings."""
     check_names([recording.name for recording in recordings])
-    folder = as_path(folder, "folder")
+    folder, workers = as_path(folder, "folder"), as_workers(workers)
     make_folder(folder)
     busy = "another build is running here; let it finish or stop it first"
     with hold_lock(folder / ".lock", busy=busy):
-        crew = _Crew(recipe, folder, read_history(folder), as_workers(workers), move)
-        facts, measured = _survey(recordings, crew)
-        orders = _place({one.name: one.drafts for one in facts}, measured, recipe)
-        given = {one.name: one for one in recordings}
+        parts = _take_over_parts(folder)
+        history = read_history(folder)
+        with (parts / BUILT).open("ab") as log:
+            crew = _Crew(recipe, parts, workers, log, move, total=2 * len(recordings))
+            surveyed = crew.run(
+                ((survey_recording, (one, history[one.name].measured)) for one in recordings),
+                _list_surveyed,
+            )
+            facts, measured = _gather(surveyed)
+            for one, survey in zip(facts, surveyed, strict=True):
+                history[one.name].parts.update(survey.parts)
+            placed = _place({one.name: one.drafts for one in facts}, measured, recipe)
+            jobs = (
+                (_write_recording, ((given, one), placed[one.name], history[one.name]))
+                for given, one in zip(recordings, facts, strict=True)
+            )
+            lines = [line for own in crew.run(jobs, list) for line in own]
+        stale = {row.file for known in history.values() for _, row in known.rows.values()}
+        return facts, _publish(parts, lines, stale=stale, details=_describe(facts, placed, recipe))
 
-        def order(name: str) -> tuple[Recording | Unread, list[Foreseen], History]:
-            return given[name], orders[name], crew.history.select(name)
 
-        jobs = ((_write_recording, order(name)) for name in given)
-        stimuli = [row for rows in crew.run(jobs, len(given), before=1) for row in rows]
-
-        def write_again(name: str) -> None:
-            _write_recording(*order(name), recipe=recipe, parts=_make_parts_folder(folder))
-
-        _move(stimuli, crew, write_again)
-        return facts, _publish(stimuli, crew, _list_details(facts, orders, recipe))
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class _Crew:
-    """What all steps of a build have in common: where, by which recipe, what was there, and who does the work."""
+    """What both passes have in common: the recipe, the folder of the parts, who does the work, where it is noted."""
 
     recipe: Recipe
-    folder: Path
-    history: History
+    parts: Path
     workers: Workers
+    log: BinaryIO
     move: Callable[[int, int], None]
+    total: int
+    done: int = 0
 
-    def run(self, jobs: Iterable[tuple[Any, Any]], n: int, *, before: int) -> list[Any]:
-        """Run n jobs, one per recording, after so many other rounds of two; returns their results in order."""
-        found: list[Any] = [None] * n
-        how = {"recipe": self.recipe, "parts": _make_parts_folder(self.folder)}
-        whole: Iterable[Job] = ((*job, how) for job in jobs)
+    def run(
+        self, jobs: Iterable[tuple[Any, Any]], list_lines: Callable[[Any], Iterable[Built]]
+    ) -> list[Any]:
+        """Run jobs, one per recording, and note what each has done; returns their results in order."""
+        found: dict[int, Any] = {}
+        how = {"recipe": self.recipe, "parts": self.parts}
         threads = 1 if self.recipe.methods else THREADS
-        done = count(before * n + 1)
+        whole = ((*job, how) for job in jobs)
         for place, result in run_jobs(whole, workers=self.workers, threads=threads):
             found[place] = result
-            self.move(next(done), 2 * n)
-        return found
+            for one in list_lines(result):
+                self.log.write(f"\n{_dump(one)}\n".encode())  # what was torn before ends here
+                self.log.flush()
+                if one.row:
+                    _part_path(self.parts, one.key).unlink(missing_ok=True)
+            self.done += 1
+            self.move(self.done, self.total)
+        return [found[place] for place in sorted(found)]
 
 
-def _survey(
-    recordings: Sequence[Recording | Unread], crew: _Crew
-) -> tuple[list[Facts], dict[str, render.Measured]]:
-    """Survey all recordings; refuses with every one that cannot be used."""
-    jobs = ((survey_recording, (one, crew.history.select(one.name).measured)) for one in recordings)
-    return _gather(crew.run(jobs, len(recordings), before=0))
+def _dump(line: Built) -> str:
+    return json.dumps(asdict(line), sort_keys=True)
+
+
+def _list_surveyed(survey: Survey) -> Iterator[Built]:
+    for key, digest in survey.parts.items():
+        name = survey.facts.name if survey.facts else ""
+        yield Built(name, key, survey.measured[key], digest)
 
 
 def _gather(surveyed: Iterable[Survey]) -> tuple[list[Facts], dict[str, render.Measured]]:
+    """Gather the facts of all recordings; refuses with every one that cannot be used."""
     facts: list[Facts] = []
     measured: dict[str, render.Measured] = {}
     faults: list[str] = []
@@ -300,15 +323,20 @@ def survey_recording(
     drafts = render.list_drafts(recording, recipe)
     measured = {one.key: known[one.key] for one in drafts if one.key in known}
     new = [one for one in drafts if one.key not in measured]
+    if new and parts is None:
+        announce(recording.name)
+    digests: dict[str, str] = {}
     try:
-        if parts is not None:
-            measured |= render.render_recording(recording, new, recipe=recipe, parts=parts)
-        elif new:
-            announce(recording.name)
-            measured |= render.measure_recording(recording, new, recipe=recipe)
+        for draft, samples, note in render.render_drafts(recording, new, recipe) if new else ():
+            measured[draft.key] = note
+            if parts is not None:
+                content = io.BytesIO()
+                np.save(content, samples.astype(np.float32))
+                replace_bytes(_part_path(parts, draft.key), content.getvalue())
+                digests[draft.key] = hashlib.sha256(content.getvalue()).hexdigest()
     except ValueError as error:
         return Survey(None, {}, str(error))
-    return Survey(Facts.find(recording, drafts), measured)
+    return Survey(Facts.find(recording, drafts), measured, parts=digests)
 
 
 def foresee_stimuli(
@@ -317,22 +345,9 @@ def foresee_stimuli(
     """Compute how strong the stimuli of a set will be; nothing is written."""
     history = read_history(folder)
     surveyed = (
-        survey_recording(one, history.select(one.name).measured, recipe=recipe)
-        for one in recordings
+        survey_recording(one, history[one.name].measured, recipe=recipe) for one in recordings
     )
     return place_surveyed(surveyed, recipe)
-
-
-def find_copies(facts: Iterable[Facts]) -> list[str]:
-    """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
-    names: dict[str, list[str]] = {}
-    for one in facts:
-        names.setdefault(one.sha256, []).append(one.name)
-    return [
-        f"recordings {' and '.join(same)} hold the same; leave one out, unless that is meant"
-        for sha256, same in names.items()
-        if sha256 and len(same) > 1
-    ]
 
 
 def place_surveyed(surveyed: Iterable[Survey], recipe: Recipe) -> list[Foreseen]:
@@ -340,51 +355,6 @@ def place_surveyed(surveyed: Iterable[Survey], recipe: Recipe) -> list[Foreseen]
     facts, measured = _gather(surveyed)
     wanted = {one.name: one.drafts for one in facts}
     return [one for orders in _place(wanted, measured, recipe).values() for one in orders]
-
-
-def _move(rows: Sequence[Stimulus], crew: _Crew, write_again: Callable[[str], None]) -> None:
-    """Move finished files into the set, without a manifest meanwhile.
-
-    Who was left over from a killed build may have replaced some since they were written: what was moved is looked at,
-    for nobody else writes there.
-    """
-    folder, finished = crew.folder, crew.folder / PARTS / FINISHED
-    for _ in range(ROUNDS):
-        there = {path.name for path in finished.iterdir()}
-        moved = [row for row in rows if row.file in there]
-        if moved:
-            (folder / "manifest.csv").unlink(missing_ok=True)
-        move_files({finished / row.file: folder / row.file for row in moved})
-        changed = {row.recording for row in moved if not _holds(folder / row.file, row.sha256)}
-        if not changed:
-            return
-        for name in sorted(changed):
-            write_again(name)
-    raise BlockingIOError(
-        f"{folder}: a process of an earlier build still writes here; end it and build again"
-    )
-
-
-def _publish(rows: Sequence[Stimulus], crew: _Crew, described: tuple[Any, Any]) -> StimulusSet:
-    """Remove what is no longer wanted, without a manifest meanwhile, and write that of the new set."""
-    folder = crew.folder
-    stale = {row.file for row in crew.history.rows.values()} - {row.file for row in rows}
-    if stale:
-        (folder / "manifest.csv").unlink(missing_ok=True)
-    for name in stale:
-        (folder / name).unlink(missing_ok=True)
-    head, tables = described
-    published = write_manifest(folder, rows, head=head, tables=tables)
-    shutil.rmtree(folder / PARTS, ignore_errors=True)
-    return published
-
-
-def _make_parts_folder(folder: Path) -> Path:
-    """Make the folder of unfinished work; what a killed build had done is kept, half-written files are not."""
-    parts = folder / PARTS
-    make_folder(parts / FINISHED)
-    sweep(folder)
-    return parts
 
 
 def _place(
@@ -405,129 +375,172 @@ def _place(
     }
 
 
+def find_copies(facts: Iterable[Facts]) -> list[str]:
+    """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
+    names: dict[str, list[str]] = {}
+    for one in facts:
+        names.setdefault(one.sha256, []).append(one.name)
+    return [
+        f"recordings {' and '.join(same)} hold the same; leave one out, unless that is meant"
+        for sha256, same in names.items()
+        if sha256 and len(same) > 1
+    ]
+
+
+def _take_over_parts(folder: Path) -> Path:
+    """Make the folder of unfinished work, or take over that of a killed build.
+
+    It gets a name that nobody knows: a process that was left over from that build writes nothing here any more.
+    """
+    parts = folder / f"{PARTS}-{secrets.token_hex(4)}"
+    left = sorted(folder.glob(f"{PARTS}*"))
+    if left:
+        left[0].rename(parts)
+    for one in left[1:]:
+        shutil.rmtree(one, ignore_errors=True)
+    make_folder(parts / FINISHED)
+    sweep(folder)
+    return parts
+
+
+def _part_path(parts: Path, key: str) -> Path:
+    return parts / f"{key}.npy"
+
+
 def _write_recording(
-    given: Recording | Unread,
+    source: tuple[Recording | Unread, Facts],
     orders: Sequence[Foreseen],
-    history: History,
+    known: Known,
     *,
     recipe: Recipe,
     parts: Path,
-) -> list[Stimulus]:
-    """Write the files of one recording that are not there already, and return all their rows.
-
-    A killed build may have written some: a note beside the parts says of each what it holds. Parts that were used go.
-    """
-    known = {one.stimulus_id: _find_written(one, parts, history) for one in orders}
-    changed = [one for one in orders if known[one.stimulus_id] is None]
-    if changed:
-        recording = read_given(given)
-        render.render_recording(recording, changed, recipe=recipe, parts=parts, whole=True)
-        for one in changed:
-            if not render.part_path(
-                parts, one.key
-            ).exists():  # used by a recording that is the same
-                render.render_recording(recording, [one], recipe=recipe, parts=parts, whole=True)
-            row = known[one.stimulus_id] = _write(one, recording, recipe=recipe, parts=parts)
-            note = {"key": one.key, "row": describe_row(row)}
-            replace_bytes(_note_path(parts, one), json.dumps(note).encode())
-    for one in orders:
-        render.part_path(parts, one.key).unlink(missing_ok=True)
-    return [row for row in known.values() if row is not None]
+) -> list[Built]:
+    """Write the files of one recording that are not there already; returns what is to be remembered of all."""
+    given, facts = source
+    rows = {one.stimulus_id: _find_written(one, known, parts) for one in orders}
+    lacking = [one for one in orders if rows[one.stimulus_id] is None]
+    for key, samples in _list_samples(given, lacking, known, recipe=recipe, parts=parts):
+        for order in lacking:
+            if order.key == key:
+                rows[order.stimulus_id] = _write(order, samples, facts, recipe=recipe, parts=parts)
+    return [
+        Built(one.recording, one.key, one.measured, row=rows[one.stimulus_id]) for one in orders
+    ]
 
 
-def _note_path(parts: Path, order: Foreseen) -> Path:
-    return parts / f"{order.stimulus_id}.row"
-
-
-def _find_written(order: Foreseen, parts: Path, history: History) -> Stimulus | None:
+def _find_written(order: Foreseen, known: Known, parts: Path) -> Stimulus | None:
     """Find the row of a stimulus that an earlier build, or this one before it was killed, made just so."""
-    name, folder = f"{order.stimulus_id}.wav", parts.parent
-    row = history.rows.get(order.stimulus_id)
-    is_same = history.keys.get(order.stimulus_id) == order.key
-    if row and is_same and row.gain == order.gain and _holds(folder / name, row.sha256):
-        (parts / FINISHED / name).unlink(missing_ok=True)
-        return row
-    try:
-        note = json.loads(_note_path(parts, order).read_bytes())
-        row = Stimulus(**_fold_row(note["row"], list(order.measured.metrics)))
-    except details.MISREAD:
+    key, row = known.rows.get(order.stimulus_id, ("", None))
+    finished = parts / FINISHED / f"{order.stimulus_id}.wav"
+    if row is None or key != order.key or row.gain != order.gain:
         return None
-    if note["key"] != order.key or row.gain != order.gain:
-        return None
-    if _holds(parts / FINISHED / name, row.sha256):
+    if _holds(finished, row.sha256):
         return row
-    (parts / FINISHED / name).unlink(missing_ok=True)  # older; the right one may have been moved
-    return row if _holds(folder / name, row.sha256) else None
+    finished.unlink(missing_ok=True)  # another one; the right one may have been moved
+    return row if _holds(parts.parent / finished.name, row.sha256) else None
 
 
 def _holds(path: Path, sha256: str) -> bool:
     return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == sha256
 
 
-def _write(order: Foreseen, recording: Recording, *, recipe: Recipe, parts: Path) -> Stimulus:
-    samples, _ = read_wav(render.part_path(parts, order.key))
-    samples *= order.gain / recipe.full_scale_m_s2
+def _list_samples(
+    given: Recording | Unread,
+    wanted: Iterable[Foreseen],
+    known: Known,
+    *,
+    recipe: Recipe,
+    parts: Path,
+) -> Iterator[tuple[str, Samples]]:
+    """Give the samples of drafts by key, one after the other: of their parts, or else rendered again."""
+    missing = []
+    for one in {one.key: one for one in wanted}.values():
+        try:
+            content = _part_path(parts, one.key).read_bytes()
+        except OSError:  # or used by a recording that is the same
+            content = b""
+        if hashlib.sha256(content).hexdigest() == known.parts.get(one.key):
+            yield one.key, np.load(io.BytesIO(content)).astype(np.float64)
+        else:
+            missing.append(one)
+    if missing:
+        for draft, samples, _ in render.render_drafts(read_given(given), missing, recipe):
+            yield draft.key, samples.astype(np.float32).astype(np.float64)
+
+
+def _write(
+    order: Foreseen, rendered: Samples, facts: Facts, *, recipe: Recipe, parts: Path
+) -> Stimulus:
+    samples = rendered * (order.gain / recipe.full_scale_m_s2)
     clipped = int(np.count_nonzero(np.abs(samples) > 1.0))
     np.clip(samples, -1.0, 1.0, out=samples)
-    path = parts / FINISHED / f"{order.stimulus_id}.wav"
-    write_wav(path, samples, recipe.rate_hz)
+    content = encode_wav(samples, recipe.rate_hz)
+    name = f"{order.stimulus_id}.wav"
+    write_bytes(parts / FINISHED / name, content)
     mean_square = np.einsum("...n,...n->...", samples, samples).sum() / samples.shape[-1]
     sensation = order.sensation_levels_db[recipe.threshold]
     if clipped:
         played = samples * recipe.full_scale_m_s2
         sensation = sensation_level_db(played, recipe.rate_hz, threshold=recipe.threshold)
+    measured = order.measured
     return Stimulus(
         stimulus_id=order.stimulus_id,
-        recording=recording.name,
+        recording=order.recording,
         reducer=order.reducer,
         level=order.level,
         role=order.role,
-        file=path.name,
+        file=name,
         rate_hz=recipe.rate_hz,
         n_samples=int(samples.shape[-1]),
         duration_s=samples.shape[-1] / recipe.rate_hz,
         peak=largest(samples),
         rms_m_s2=float(np.sqrt(mean_square)) * recipe.full_scale_m_s2,
         gain=order.gain,
-        spectral_match=order.measured.spectral_match,
-        temporal_match=order.measured.temporal_match,
+        spectral_match=measured.spectral_match,
+        temporal_match=measured.temporal_match,
         clipped=clipped,
-        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
-        recording_sha256=recording.sha256,
-        spectral_match_bounded=order.measured.spectral_match_bounded,
+        sha256=hashlib.sha256(content).hexdigest(),
+        recording_sha256=facts.sha256,
+        spectral_match_bounded=measured.spectral_match_bounded,
         sensation_level_db=sensation if np.isfinite(sensation) else math.nan,
-        temporal_match_windowed=order.measured.temporal_match_windowed,
-        band_high_hz=min(HIGHEST_HZ, recording.rate_hz / 2),
-        metrics={
-            name: math.nan if value is None else value
-            for name, value in order.measured.metrics.items()
-        },
+        temporal_match_windowed=measured.temporal_match_windowed,
+        band_high_hz=min(HIGHEST_HZ, facts.rate_hz / 2),
+        metrics={k: math.nan if v is None else v for k, v in measured.metrics.items()},
     )
 
 
-def _list_details(
-    facts: Sequence[Facts], placed: Mapping[str, Sequence[Foreseen]], recipe: Recipe
-) -> tuple[dict[str, Any], dict[str, Iterator[tuple[str, Any]]]]:
-    """List the other entries of `manifest.json`: enough to rebuild the set and to find what has changed."""
-    orders = [one for own in placed.values() for one in own]
-    by_id = sorted(orders, key=lambda one: one.stimulus_id)
-    by_key = sorted({one.key: one for one in orders}.values(), key=lambda one: one.key)
-    rates = {one.name: one.rate_hz for one in facts}
-    head = {
+def _publish(
+    parts: Path, lines: Sequence[Built], *, stale: Iterable[str], details: Mapping[str, Any]
+) -> StimulusSet:
+    """Move finished files into the set and remove what is no longer wanted, without a manifest meanwhile."""
+    folder, finished = parts.parent, parts / FINISHED
+    rows = [line.row for line in lines if line.row]
+    wanted = {row.file for row in rows}
+    moved = sorted(wanted & {path.name for path in finished.iterdir()})
+    stale = set(stale) - wanted
+    if moved or stale:
+        (folder / "manifest.csv").unlink(missing_ok=True)
+    move_files({finished / name: folder / name for name in moved})
+    for name in stale:
+        (folder / name).unlink(missing_ok=True)
+    write_text(folder / BUILT, "".join(f"{_dump(line)}\n" for line in lines))
+    published = write_manifest(folder, rows, details=details)
+    shutil.rmtree(parts, ignore_errors=True)
+    return published
+
+
+def _describe(
+    facts: Iterable[Facts], placed: Mapping[str, Sequence[Foreseen]], recipe: Recipe
+) -> dict[str, Any]:
+    """Describe what `manifest.json` holds besides the rows: enough to rebuild the set and to find what has changed."""
+    levels = {}
+    for order in (one for orders in placed.values() for one in orders):
+        own = order.sensation_levels_db.items()
+        levels[order.stimulus_id] = {name: v if np.isfinite(v) else None for name, v in own}
+    return {
         "recipe": describe_recipe(recipe),
         **render.list_methods(recipe),
         "versions": {"feel321": __version__, **render.versions()},
+        "conditioning": {one.name: list_steps(recipe.conditioning, one.rate_hz) for one in facts},
+        "sensation_levels_db": levels,
     }
-    return head, {
-        "conditioning": (
-            (name, list_steps(recipe.conditioning, rates[name])) for name in sorted(rates)
-        ),
-        "sensation_levels_db": ((one.stimulus_id, _describe_levels(one)) for one in by_id),
-        "keys": ((one.stimulus_id, one.key) for one in by_id),
-        "measured": ((one.key, asdict(one.measured)) for one in by_key),
-    }
-
-
-def _describe_levels(order: Foreseen) -> dict[str, float | None]:
-    levels = order.sensation_levels_db.items()
-    return {name: value if np.isfinite(value) else None for name, value in levels}

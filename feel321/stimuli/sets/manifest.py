@@ -1,32 +1,34 @@
 """The manifest of a stimulus set: one row per stimulus, the recipe that made it, and a check of the files.
 
 `manifest.csv` holds the rows; `manifest.json` the same, the recipe, the software's versions, and the unit of every
-column. Both are written last, whole or not at all, so a set with a manifest is complete.
+column. Both are written last, whole or not at all, so a set with a manifest is complete. Both are read through one
+model each: one that is damaged is one line that names it.
 """
 
 from __future__ import annotations
 
 import csv
 import hashlib
+import json
 import math
-import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 from feel321 import intake
 from feel321.doors import Registry, as_path
-from feel321.files import digest_file, list_csv, write_chunks
+from feel321.files import digest_file, list_csv, write_text
 from feel321.names import ANCHOR
 from feel321.records import Result
-from feel321.stimuli.sets import details
 from feel321.stimuli.wav import read_wav
 from feel321.types import PathLike, Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+    from pydantic import TypeAdapter
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,8 @@ class Stimulus:
     metrics: Mapping[str, float] = field(default_factory=dict)
 
 
+DETAILS = "manifest.json"
+
 COLUMN_UNITS: dict[str, str] = {
     name: hint.__metadata__[0]
     for name, hint in get_type_hints(Stimulus, include_extras=True).items()
@@ -121,8 +125,6 @@ STRONG_GAIN = 100.0
 
 # The temporal match of an anchor is 0 but for rounding; so may be that of a silent test stimulus.
 _ROUNDING = 1e-9
-_READ_AS = get_type_hints(Stimulus)
-_SHARED = frozenset({"recording", "reducer", "level", "role", "recording_sha256"})
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -190,7 +192,7 @@ class StimulusSet(Result):
         """
         import pandas as pd
 
-        return pd.DataFrame([flatten_row(row) for row in self])
+        return pd.DataFrame([_flatten(row) for row in self])
 
     def read(self, stimulus_id: str) -> tuple[Samples, int]:
         """Read the samples of a stimulus.
@@ -228,62 +230,92 @@ def find_raised(gains: Iterable[tuple[str, str, float]]) -> tuple[str, ...]:
     )
 
 
-def find_methods(folder: Path) -> dict[str, str]:
-    """Find the lab's own reducers and metrics of a set, with the digests of their code; empty where none are known."""
-    try:
-        head = details.read_head(folder)
-        kinds = [head.get(kind, {}) for kind in ("reducers", "metrics")]
-        own = {
-            name: one["sha256"]
-            for kind in kinds
-            for name, one in kind.items()
-            if one["method"] != "feel321"
-        }
-    except details.MISREAD:
-        return {}
-    return own
-
-
 def write_manifest(
-    folder: Path,
-    stimuli: Sequence[Stimulus],
-    *,
-    head: Mapping[str, Any],
-    tables: Mapping[str, Iterable[tuple[str, Any]]],
+    folder: Path, stimuli: Sequence[Stimulus], *, details: Mapping[str, Any]
 ) -> StimulusSet:
-    """Write `manifest.json`, then `manifest.csv`, each whole or not at all; head, tables: what else the first holds."""
-    digest = hashlib.sha256()
-    columns = (*COLUMNS, *stimuli[0].metrics)
-    for line in list_csv(columns, map(describe_row, stimuli)):
-        digest.update(line.encode())
-    built = StimulusSet(folder, tuple(stimuli), digest.hexdigest())
-    warned = {"warnings": built.warnings} if built.warnings else {}
-    own = {name: describe_facts(entry) for name, entry in head.get("metrics", {}).items()}
-    whole = {"columns": COLUMN_UNITS | own, **head, **warned}
-    details.write_details(folder, head=whole, tables=tables, rows=map(describe_row, stimuli))
-    write_chunks(folder / "manifest.csv", list_csv(columns, map(describe_row, stimuli)))
+    """Write `manifest.json`, then `manifest.csv`, each whole or not at all; details: what else the first holds."""
+    rows = [describe_row(one) for one in stimuli]
+    table = "".join(list_csv((*COLUMNS, *stimuli[0].metrics), rows))
+    built = StimulusSet(folder, tuple(stimuli), hashlib.sha256(table.encode()).hexdigest())
+    own = {name: _describe_metric(entry) for name, entry in details.get("metrics", {}).items()}
+    whole = {**details, "columns": COLUMN_UNITS | own, "stimuli": rows}
+    if built.warnings:
+        whole["warnings"] = built.warnings
+    write_text(folder / DETAILS, f"{json.dumps(whole, indent=1, sort_keys=True)}\n")
+    write_text(folder / "manifest.csv", table)
     return built
 
 
-def flatten_row(stimulus: Stimulus) -> dict[str, Any]:
+def describe_row(stimulus: Stimulus) -> dict[str, Any]:
+    """Return a row as CSV and JSON hold it: a number that is not known is an empty cell, or null."""
+    row = _flatten(stimulus)
+    return row | {name: None for name in (*FURTHER, *stimulus.metrics) if math.isnan(row[name])}
+
+
+def _flatten(stimulus: Stimulus) -> dict[str, Any]:
     """Return a row with its further metrics as columns."""
     row = asdict(stimulus)
     del row["metrics"]
     return row | dict(stimulus.metrics)
 
 
-def describe_row(stimulus: Stimulus) -> dict[str, Any]:
-    """Return a row as CSV and JSON hold it: a number that is not known is an empty cell, or null."""
-    row = flatten_row(stimulus)
-    return row | {name: None for name in (*FURTHER, *stimulus.metrics) if math.isnan(row[name])}
-
-
-def describe_facts(facts: Mapping[str, Any]) -> str:
+def _describe_metric(facts: Mapping[str, Any]) -> str:
     """Describe a further metric as the meaning and unit of its column."""
     low, high = (facts.get(end) for end in ("low", "high"))
     ends = f", {'-inf' if low is None else low} to {'inf' if high is None else high}"
     unit = f" in {facts['unit']}" if facts.get("unit") else ""
     return f"{facts['label']}{unit}{ends}; higher is {facts['higher']}"
+
+
+@dataclass(frozen=True, slots=True)
+class Details:
+    """What is read of `manifest.json`; reducers, metrics: the lab's own, and further metrics, by name."""
+
+    recipe: dict[str, Any]
+    stimuli: list[dict[str, Any]]
+    reducers: dict[str, dict[str, Any]] = field(default_factory=dict)
+    metrics: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+def read_details(folder: Path) -> Details:
+    """Read `manifest.json`."""
+    from pydantic import TypeAdapter
+
+    path = folder / DETAILS
+    try:
+        return TypeAdapter(Details).validate_json(intake.read_bytes(path))
+    except (OSError, ValueError) as error:
+        reason = type(error).__name__ if isinstance(error, OSError) else _word(error)
+        raise ValueError(
+            f"{path}: is missing or damaged ({reason}); restore it from a copy, or, as long as no session was planned "
+            "with this set, write it anew with: feel321 build"
+        ) from None
+
+
+def find_methods(folder: Path) -> dict[str, str]:
+    """Find the lab's own reducers and metrics of a set, with the digests of their code; empty where none are known."""
+    try:
+        details = read_details(folder)
+    except ValueError:
+        return {}
+    entries = details.reducers | details.metrics
+    own = {name: one for name, one in entries.items() if one.get("method") != "feel321"}
+    return {name: str(one.get("sha256")) for name, one in own.items()}
+
+
+def _word(error: ValueError) -> str:
+    """Word what is wrong with a file that does not fit its model: the first fault, where it is and what was got."""
+    from pydantic import ValidationError
+
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors(include_url=False)[0]
+    place = ".".join(map(str, first["loc"]))
+    return (
+        f"{place}: {first['msg']}, got {intake.clip(repr(first['input']))}"
+        if place
+        else first["msg"]
+    )
 
 
 def read_stimuli(folder: PathLike) -> StimulusSet:
@@ -321,41 +353,39 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
         raise FileNotFoundError(
             f"{path}: there is no manifest; build the stimulus set first (feel321 build)"
         )
-    sha256 = digest_file(path)
+    sha256, line = digest_file(path), 1
+    stimuli: list[Stimulus] = []
     try:
         with intake.open_text(path) as text:
-            rows = enumerate(csv.DictReader(text, strict=True), start=2)
-            stimuli = tuple(_read_row(row, f"{path}, line {line}") for line, row in rows)
+            for row in csv.DictReader(text, strict=True):
+                line += 1
+                stimuli.append(_read_row(row))
     except csv.Error as error:
         raise ValueError(f"{path}: not a CSV table ({error}); build the set again") from None
+    except UnicodeError:
+        raise
+    except ValueError as error:
+        raise ValueError(f"{path}, line {line}: {_word(error)}; build the set again") from None
     if not stimuli:
         raise ValueError(f"{path}: holds no stimulus; build the set again")
-    return StimulusSet(path.parent, stimuli, sha256)
+    return StimulusSet(path.parent, tuple(stimuli), sha256)
 
 
-def _read_row(row: dict[str, str], place: str) -> Stimulus:
-    wrong = [name for name in COLUMNS if row.get(name) is None]
-    further = {name: cell for name, cell in row.items() if name not in COLUMNS}
-    wrong += [str(name) for name, cell in further.items() if not (name and isinstance(cell, str))]
-    if wrong:
-        raise ValueError(
-            f"{place}: wrong or missing columns {', '.join(wrong)}; they must be {', '.join(COLUMNS)}, and numbers of "
-            "further metrics"
-        )
-    try:
-        values: dict[str, Any] = {
-            name: sys.intern(row[name]) if name in _SHARED else _READ_AS[name](row[name])
-            for name in COLUMNS
-            if row[name] or name not in FURTHER
-        }
-        metrics = {name: float(cell) if cell else math.nan for name, cell in further.items()}
-    except ValueError as error:
-        raise ValueError(f"{place}: {error}; build the set again") from None
-    if Path(values["file"]).name != values["file"]:
-        raise ValueError(
-            f"{place}: file must be a name in the set's own folder, got {values['file']!r}"
-        )
-    return Stimulus(**values, metrics=metrics)
+@cache
+def _find_model() -> TypeAdapter[Stimulus]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(Stimulus)
+
+
+def _read_row(row: dict[str, str]) -> Stimulus:
+    """Read the cells of a line; empty ones of further metrics are not known."""
+    own = {name: row.get(name) for name in COLUMNS if row.get(name) or name not in FURTHER}
+    metrics = {name: cell or math.nan for name, cell in row.items() if name not in COLUMNS}
+    found = _find_model().validate_python(own | {"metrics": metrics})
+    if Path(found.file).name != found.file:
+        raise ValueError(f"file must be a name in the set's own folder, got {found.file!r}")
+    return found
 
 
 def check_stimuli(folder: PathLike) -> list[str]:
@@ -407,7 +437,11 @@ def _check_file(stimulus: Stimulus, folder: Path) -> Iterator[str]:
         return
     if stimulus.clipped:
         yield f"{stimulus.file}: {stimulus.clipped} samples clipped; lower the gain or raise full_scale_m_s2"
-    samples, rate = read_wav(path)
+    try:
+        samples, rate = read_wav(path)
+    except ValueError as error:
+        yield str(error)
+        return
     if samples.shape[-1] != stimulus.n_samples or rate != stimulus.rate_hz:
         yield f"{stimulus.file}: {samples.shape[-1]} samples at {rate} Hz, but the manifest says otherwise; build again"
 

@@ -1,18 +1,16 @@
-"""A recording rendered by a recipe: condition, reduce, match, resample, fade, gain.
+"""A recording rendered by a recipe: condition, reduce, match, resample, fade.
 
-What is rendered is kept in a *parts* folder, one WAV in m/s² and one note of what was measured per stimulus, under a
-key made from everything that went into it. A build that was killed finds its parts again; a finished build throws them
-away.
+What is made of a recording is known before it is made: a draft has a key of everything that goes into it, under which
+a build remembers what it measured.
 """
 
 import hashlib
 import json
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,6 @@ import numpy as np
 from feel321 import __version__
 from feel321.doors import announce, check_name
 from feel321.extensions import Method
-from feel321.files import replace_bytes
 from feel321.names import ANCHOR, METRIC_INFO
 from feel321.stimuli.condition import condition, fade, resample
 from feel321.stimuli.guard import OwnMetric, OwnReducer
@@ -36,8 +33,10 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL, Recipe
 from feel321.stimuli.thresholds import THRESHOLDS
-from feel321.stimuli.wav import encode_wav
 from feel321.types import Metric, Reducer, Samples
+
+ROUNDING = 1e-9
+"""A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
 
 
 def find_reducer(recipe: Recipe, name: str, recording: str = "") -> Reducer:
@@ -65,24 +64,15 @@ def list_methods(recipe: Recipe) -> dict[str, dict[str, dict[str, Any]]]:
     reducers = {one.name: one.to_json() for one in recipe.methods if one.kind == "reducer"}
     metrics: dict[str, dict[str, Any]] = {}
     for name in recipe.metrics:
-        method = _find_method(recipe, "metric", name)
-        source = method.to_json() if method else {"method": "feel321", "sha256": __version__}
-        metrics[name] = {**describe_metric(find_metric(recipe, name), name), **source}
+        metric, source = find_metric(recipe, name), {"method": "feel321", "sha256": __version__}
+        if isinstance(metric, OwnMetric):
+            declared, source = asdict(metric.info), metric.method.to_json()
+        else:
+            declared = asdict(METRIC_INFO[name])
+        ends = {key: None if value in {-math.inf, math.inf} else value for key, value in declared.items()}  # fmt: skip
+        metrics[name] = ends | source
     found = {"reducers": reducers, "metrics": metrics}
     return {kind: entries for kind, entries in found.items() if entries}
-
-
-def describe_metric(metric: Metric, name: str) -> dict[str, Any]:
-    """Return what a metric declares, as JSON: an end that is open is null."""
-    info = metric.info if isinstance(metric, OwnMetric) else METRIC_INFO[name]
-    return {
-        key: None if value in {-math.inf, math.inf} else value
-        for key, value in asdict(info).items()
-    }
-
-
-ROUNDING = 1e-9
-"""A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,16 +102,6 @@ class Measured:
     metrics: dict[str, float | None] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True)
-class _Scale:
-    """The conditioned recording that its stimuli are measured against."""
-
-    recording: Recording
-    spectrum: OriginalSpectrum
-    played: Samples
-    levels: dict[str, float]
-
-
 def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
     """List the stimuli that a recipe makes of one recording: tests, the hidden reference, anchors."""
     wanted = [(name, "test") for name in recipe.reducers]
@@ -130,29 +110,25 @@ def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
     if recipe.anchors:
         wanted += [(name, ANCHOR) for name in ANCHORS]
     # The samples, not the file: the same file read in another unit or at another rate is another recording.
-    basis = {"version": __version__, "recording": digest_samples(recording)}
+    basis: dict[str, Any] = {"version": __version__, "recording": digest_samples(recording)}
     # What determines a file besides its gain; anchors are made as strong as their recording, by the threshold.
     settings = ("rate_hz", "fade_s", "full_scale_m_s2", "threshold")
     basis |= versions() | asdict(recipe.conditioning)
     basis |= {name: getattr(recipe, name) for name in settings}
-    # Sets without a lab's own methods and without further metrics have the keys that they always had.
     methods = list_methods(recipe)
     own = {name: entry["sha256"] for name, entry in methods.get("reducers", {}).items()}
-    metrics = {name: one["sha256"] for name, one in methods.get("metrics", {}).items()}
-    further: dict[str, Any] = {"metrics": metrics} if metrics else {}
-    keys = [
-        json.dumps(
-            {**basis, **further, "reducer": reducer}
-            | ({"method": own[reducer]} if reducer in own else {})
-            | ({"seed": recipe.seed, "name": recording.name} if role == ANCHOR else {}),
-            sort_keys=True,
-        )
-        for reducer, role in wanted
-    ]
-    return tuple(
-        Draft(recording.name, reducer, role, hashlib.sha256(key.encode()).hexdigest())
-        for (reducer, role), key in zip(wanted, keys, strict=True)
-    )
+    if "metrics" in methods:
+        basis["metrics"] = {name: one["sha256"] for name, one in methods["metrics"].items()}
+    drafts = []
+    for reducer, role in wanted:
+        facts = {**basis, "reducer": reducer}
+        if reducer in own:
+            facts["method"] = own[reducer]
+        if role == ANCHOR:
+            facts |= {"seed": recipe.seed, "name": recording.name}
+        key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+        drafts.append(Draft(recording.name, reducer, role, key))
+    return tuple(drafts)
 
 
 @cache
@@ -163,36 +139,28 @@ def versions() -> dict[str, str]:
     return {name: version(name) for name in ("numpy", "scipy", "soxr")}
 
 
-def render_recording(
-    recording: Recording,
-    drafts: Sequence[Draft],
-    *,
-    recipe: Recipe,
-    parts: Path,
-    whole: bool = False,
-) -> dict[str, Measured]:
-    """Render those drafts of one recording that are not in the parts folder yet; key -> measurements.
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """The conditioned recording that its stimuli are measured against."""
 
-    whole: whether the samples are wanted too; a build that goes on after a kill needs those no longer that it used.
-    """
-    known = {c.key: _read_part(parts, c.key, whole=whole) for c in drafts}
-    measured = {key: found for key, found in known.items() if found is not None}
-    new = {c.key: c for c in drafts if c.key not in measured}
-    for draft, samples, note in _render(recording, [*new.values()], recipe):
-        path, content = part_path(parts, draft.key), encode_wav(samples, recipe.rate_hz)
-        text = json.dumps({"sha256": hashlib.sha256(content).hexdigest(), **asdict(note)})
-        # What a power cut lost does not count. But who was left over from a killed build may write the same file.
-        replace_bytes(path, content)
-        replace_bytes(path.with_suffix(".json"), text.encode())
-        measured[draft.key] = note
-    return measured
+    recording: Recording
+    spectrum: OriginalSpectrum
+    played: Samples
+    levels: dict[str, float]
 
 
-def measure_recording(
-    recording: Recording, drafts: Sequence[Draft], *, recipe: Recipe
-) -> dict[str, Measured]:
-    """Measure drafts of one recording as `render_recording` does, without writing anything."""
-    return {draft.key: note for draft, _, note in _render(recording, drafts, recipe)}
+def render_drafts(
+    recording: Recording, wanted: Iterable[Draft], recipe: Recipe
+) -> Iterator[tuple[Draft, Samples, Measured]]:
+    """Make drafts one after the other: each with its samples for the rig in m/s², and what was measured."""
+    try:
+        scale = _make_scale(recording, recipe)
+        for draft in wanted:
+            announce(f"{recording.name}, {draft.reducer}")
+            samples, played = _play(draft.reducer, scale, recipe)
+            yield draft, played, _measure(samples, played, scale=scale, recipe=recipe)
+    except ValueError as error:
+        raise ValueError(f"recording {recording.name!r}: {error}") from None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,7 +181,7 @@ def reduce_again(
     recording: Recording, reducers: Collection[str], recipe: Recipe
 ) -> dict[str, Reduction]:
     """Make again what stimuli of one recording were made from, by reducer; `original` and anchors are among them."""
-    scale = _make_scale(condition(recording, recipe.conditioning), recipe)
+    scale = _make_scale(recording, recipe)
     ready, found = scale.recording, {}
     for name in reducers:
         samples, played = _play(name, scale, recipe)
@@ -225,41 +193,8 @@ def reduce_again(
     return found
 
 
-def part_path(parts: Path, key: str) -> Path:
-    """Path of a rendered stimulus, in m/s², until the set is complete."""
-    return parts / f"{key}.wav"
-
-
-def _read_part(parts: Path, key: str, *, whole: bool) -> Measured | None:
-    """Read a part's note; whole: it counts only if the samples are there, and are those of which it was written."""
-    path = part_path(parts, key)
-    try:
-        note = json.loads(path.with_suffix(".json").read_bytes())
-        digest = note.pop("sha256")
-        if whole and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-            return None
-        return Measured(**note)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
-        return None
-
-
-def _render(
-    recording: Recording, wanted: Sequence[Draft], recipe: Recipe
-) -> Iterator[tuple[Draft, Samples, Measured]]:
-    """Make drafts one after the other: each with its samples for the rig in m/s², and what was measured."""
-    if not wanted:
-        return
-    try:
-        scale = _make_scale(condition(recording, recipe.conditioning), recipe)
-        for draft in wanted:
-            announce(f"{recording.name}, {draft.reducer}")
-            samples, played = _play(draft.reducer, scale, recipe)
-            yield draft, played, _measure(samples, played, scale=scale, recipe=recipe)
-    except ValueError as error:
-        raise ValueError(f"recording {recording.name!r}: {error}") from None
-
-
-def _make_scale(conditioned: Recording, recipe: Recipe) -> _Scale:
+def _make_scale(recording: Recording, recipe: Recipe) -> _Scale:
+    conditioned = condition(recording, recipe.conditioning)
     spectrum = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
     if spectrum.reason:
         raise ValueError(f"{spectrum.reason}; nothing can be felt or matched, leave it out")
@@ -294,35 +229,31 @@ def _for_the_rig(samples: Samples, rate_hz: float, recipe: Recipe) -> Samples:
 
 def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, recipe: Recipe) -> Measured:
     # The level is that of what is played: fades and a removed offset change it. The metrics are those of the reduction.
+    peak = largest(rendered)
+    if not peak <= float(np.finfo(np.float32).max):
+        raise ValueError(f"a peak of {peak:g} m/s^2 does not fit into float32; is its unit right?")
     levels = {
         name: level if level > ROUNDING * scale.levels[name] else 0.0
         for name, level in loudest_levels(rendered, recipe.rate_hz, THRESHOLDS).items()
     }
-    further = _compute_metrics(samples, scale.recording, recipe)
-    if samples.ndim > 1:  # the original itself, matched channel by channel
-        return Measured(largest(rendered), levels, 1.0, 1.0, 1.0, 1.0, further)
-    spectral, bounded = scale.spectrum.match_both(samples)
-    acceleration = scale.recording.acceleration
-    temporal = mean_over_axes(axis_correlations(acceleration, samples))
-    windowed = match_in_windows(acceleration, samples, scale.recording.rate_hz)
-    matches = float(spectral), float(temporal), float(bounded), float(windowed)
-    return Measured(largest(rendered), levels, *matches, further)
-
-
-def _compute_metrics(
-    samples: Samples, recording: Recording, recipe: Recipe
-) -> dict[str, float | None]:
-    """Compute the further metrics; of the original itself, the mean over its channels, each compared with itself."""
-    acceleration, rate_hz = recording.acceleration, recording.rate_hz
+    acceleration, rate_hz = scale.recording.acceleration, scale.recording.rate_hz
     pairs = [(acceleration, samples)]
-    if samples.ndim > 1:
+    if (
+        samples.ndim > 1
+    ):  # the original itself, matched channel by channel: each is compared with itself
         pairs = [(np.array([axis] * 3), axis) for axis in acceleration if axis.any()]
-    found: dict[str, float | None] = {}
+    further: dict[str, float | None] = {}
     for name in recipe.metrics:
         metric = find_metric(recipe, name)
         value = float(np.mean([metric(*pair, rate_hz) for pair in pairs]))
-        found[name] = None if math.isnan(value) else value
-    return found
+        further[name] = None if math.isnan(value) else value
+    if samples.ndim > 1:
+        return Measured(peak, levels, 1.0, 1.0, 1.0, 1.0, further)
+    spectral, bounded = scale.spectrum.match_both(samples)
+    temporal = mean_over_axes(axis_correlations(acceleration, samples))
+    windowed = match_in_windows(acceleration, samples, rate_hz)
+    matches = float(spectral), float(temporal), float(bounded), float(windowed)
+    return Measured(peak, levels, *matches, further)
 
 
 def choose_gains(
@@ -347,12 +278,6 @@ def choose_gains(
     return gains
 
 
-def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
-    """Find the recording with the highest peak, and by how many dB a common gain is lower for it."""
-    first, *others = sorted(peaks, key=lambda name: -peaks[name])
-    return first, to_db(peaks[first] / peaks[others[0]]) if others and peaks[others[0]] else 0.0
-
-
 def _keep_levels(
     notes: Mapping[str, Measured], recipe: Recipe, deciding: Collection[str]
 ) -> dict[str, float]:
@@ -374,3 +299,9 @@ def _equalise_levels(
     room = recipe.headroom * recipe.full_scale_m_s2
     common = room / max(notes[key].peak / levels[key] for key in deciding)
     return {key: common / level for key, level in levels.items()}
+
+
+def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
+    """Find the recording with the highest peak, and by how many dB a common gain is lower for it."""
+    first, *others = sorted(peaks, key=lambda name: -peaks[name])
+    return first, to_db(peaks[first] / peaks[others[0]]) if others and peaks[others[0]] else 0.0

@@ -13,13 +13,12 @@ from itertools import zip_longest
 from pathlib import Path
 
 from feel321.doors import announce
-from feel321.stimuli.sets.details import iterate_rows
-from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_stimuli
+from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study.auditing.entries import list_remarks
 from feel321.study.auditing.evidence import weigh
 from feel321.study.auditing.journals import audit_journals
 from feel321.study.auditing.tables import audit_tables
-from feel321.study.folder import StudyFolder, reading_origin
+from feel321.study.folder import StudyFolder
 from feel321.study.numbers import Holder, find_doubles, read_holder
 from feel321.study.people import find_leftovers
 from feel321.study.persons.withdrawal import find_data_left, list_stale
@@ -89,9 +88,8 @@ def _audit_stimuli(folder: Path) -> tuple[list[str], str | None]:
     except (OSError, ValueError):
         return findings, None  # Among the findings already.
     try:
-        with reading_origin(folder):
-            pairs = zip_longest(iterate_rows(folder), map(describe_row, stimuli))
-            is_same = all(_digest_row(one) == _digest_row(other) for one, other in pairs)
+        pairs = zip_longest(read_details(folder).stimuli, map(describe_row, stimuli))
+        is_same = all(_digest_row(one) == _digest_row(other) for one, other in pairs)
     except ValueError as error:
         return [*findings, str(error)], stimuli.sha256
     if not is_same:
