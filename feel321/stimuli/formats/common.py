@@ -1,6 +1,7 @@
-"""Shared by all readers of recordings: decoded samples, units, keywords, errors.
+"""Shared by all readers of recordings: what is decoded, which columns are meant, their units, and foreign errors.
 
-A reader raises ValueError with a bare sentence; `read_recording` adds the file's name.
+A reader raises ValueError with a bare sentence; `read_recording` adds the file's name. Which columns hold x, y, z and
+time is settled by name or by number, never by guess.
 """
 
 import re
@@ -40,6 +41,12 @@ TIME_SPELLINGS = {
 }  # fmt: skip
 """Accepted spellings of a unit of time and its size in s."""
 
+SENSOR = r"(?:a|acc|accel|acceleration|accelerometer)"
+AXIS = re.compile(
+    rf"(?:linear[\s_.-]*)?{SENSOR}?[\s_.-]*([xyz])[\s_.-]*(?:{SENSOR}|axis)?", re.IGNORECASE
+)
+TIME = re.compile(r"t|time|times|time[\s_]?stamps?", re.IGNORECASE)
+
 
 @dataclass(frozen=True, slots=True)
 class ReadingOptions:
@@ -67,6 +74,21 @@ class Decoded:
     name: str = ""
 
 
+@contextmanager
+def foreign_errors(what: str) -> Iterator[None]:
+    """Translate whatever a library raises at a damaged file."""
+    try:
+        yield
+    except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
+        # The system's own; libraries raise theirs without a number.
+        if isinstance(error, intake.TooLargeError) or (isinstance(error, OSError) and error.errno):
+            raise
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise ValueError(
+            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
+        ) from error
+
+
 def stack_axes(axes: Mapping[str, Samples]) -> Samples:
     """Stack three axes of equal length, (n,) each, to (3, n); never shorten one to fit."""
     if len(axes) < AXES:
@@ -74,9 +96,8 @@ def stack_axes(axes: Mapping[str, Samples]) -> Samples:
         raise ValueError(
             f"the file must hold three axes x, y, z, got {got}; a reduction needs all three"
         )
-    lengths = {axis: axes[axis].size for axis in "xyz"}
-    if len(set(lengths.values())) > 1:
-        counts = ", ".join(f"{axis} {n}" for axis, n in lengths.items())
+    if len({axis.size for axis in axes.values()}) > 1:
+        counts = ", ".join(f"{axis} {axes[axis].size}" for axis in "xyz")
         raise ValueError(f"the axes must be of equal length, got {counts} samples; cut them alike")
     return np.stack([axes[axis] for axis in "xyz"])
 
@@ -104,21 +125,6 @@ def refuse_reduced(got: str) -> ValueError:
     )
 
 
-@contextmanager
-def foreign_errors(what: str) -> Iterator[None]:
-    """Translate whatever a library raises at a damaged file."""
-    try:
-        yield
-    except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
-        # The system's own; libraries raise theirs without a number.
-        if isinstance(error, intake.TooLargeError) or (isinstance(error, OSError) and error.errno):
-            raise
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise ValueError(
-            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
-        ) from error
-
-
 def normalise(text: str) -> str:
     """Strip case, blanks and underscores, and make both micro signs one."""
     return re.sub(r"[\s_]+", "", text).casefold()
@@ -129,15 +135,7 @@ LONGEST_LABEL = 1000
 
 
 def split_unit(label: str, spellings: Container[str]) -> tuple[str, str | None]:
-    """Split a column's label, such as ``x_g``, ``acc x (m/s²)`` or ``time [µs]``, into its bare name and its unit.
-
-    Examples
-    --------
-    >>> split_unit("acc_x_m_s2", ACCELERATION_SPELLINGS)
-    ('acc_x', 'ms2')
-    >>> split_unit("x [V]", ACCELERATION_SPELLINGS)
-    ('x', 'v')
-    """
+    """Split a column's label, such as ``x_g``, ``acc x (m/s²)`` or ``time [µs]``, into its bare name and its unit."""
     label = label.strip()
     if len(label) > LONGEST_LABEL:
         return label, None
@@ -169,13 +167,7 @@ def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str,
 def one_value(
     found: Mapping[str, Value], *, argument: str, requested: Value | None
 ) -> Value | None:
-    """Return the value that all names agree on; where they differ, the one that the caller chooses.
-
-    Examples
-    --------
-    >>> one_value({"fs": 100.0, "rate": 200.0}, argument="rate_hz", requested=200.0)
-    200.0
-    """
+    """Return the value that all names agree on; where they differ, the one that the caller chooses."""
     values = set(found.values())
     if len(values) <= 1:
         return next(iter(values), None)
@@ -185,3 +177,110 @@ def one_value(
     raise ValueError(
         f"the file gives several values that differ ({said}); choose one of them by {argument}=..."
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Column numbers, from 0, of x, y, z (or of all three together) and the time stamps, and their units."""
+
+    axes: tuple[int, ...]
+    time: int | None = None
+    unit: str | None = None
+    time_unit_s: float | None = None
+
+
+def find_columns(labels: Sequence[str], *, wholes: Sequence[str] = ()) -> Columns:
+    """Find x, y, z and time by their labels; wholes: what an array of all three axes is called."""
+    found = _sort_labels(labels, wholes)
+    axes, whole = [found[axis][0] for axis in "xyz" if found[axis]], found["whole"]
+    if whole and len(candidates := [*whole, *(axes if len(axes) == AXES else ())]) > 1:
+        several = ", ".join(labels[i] for i in candidates)
+        raise ValueError(
+            f"several arrays may be the acceleration ({several}); "
+            f"say which, e.g. columns=({labels[whole[0]]!r},) or columns=(x, y, z)"
+        )
+    for what in ("time",) if whole else ("time", "x", "y", "z"):
+        if len(found[what]) > 1:
+            both = ", ".join(labels[i] for i in found[what])
+            raise ValueError(
+                f"several columns may be {what} ({both}); say which, columns=(time, x, y, z)"
+            )
+    if not whole and len(axes) < AXES:
+        raise _refuse_labels(labels, found)
+    for i in whole or axes:
+        if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
+            parse_unit(
+                unit
+            )  # a bracket that is no unit may say volts: only columns=... overrules it
+    return _with_units(labels, tuple(whole or axes), next(iter(found["time"]), None))
+
+
+def _sort_labels(labels: Sequence[str], wholes: Sequence[str]) -> dict[str, list[int]]:
+    """Sort labels by what they name."""
+    found: dict[str, list[int]] = {"x": [], "y": [], "z": [], "time": [], "whole": []}
+    for i, label in enumerate(labels):
+        name = split_unit(label, ACCELERATION_SPELLINGS)[0]
+        if name.casefold() in wholes:
+            found["whole"].append(i)
+        elif match := AXIS.fullmatch(name):
+            found[match[1].lower()].append(i)
+        elif TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0]):
+            found["time"].append(i)
+    return found
+
+
+def _refuse_labels(labels: Sequence[str], found: Mapping[str, Sequence[int]]) -> ValueError:
+    header = intake.clip(", ".join(labels), 200)
+    if len(labels) - len(found["time"]) == 1:
+        return refuse_reduced(f"a table with the columns {header}")
+    present = ", ".join(axis for axis in "xyz" if found[axis])
+    got = f"only the axes {present}" if present else "no columns named x, y, z"
+    return ValueError(
+        f"the header must name three axes, e.g. x, acc_y, az (m/s^2), got {got} ({header}); "
+        "or say columns=(time, x, y, z)"
+    )
+
+
+def pick_columns(
+    wanted: Sequence[str | int],
+    *,
+    labels: Sequence[str] | None,
+    n_columns: int,
+    whole: bool = False,
+) -> Columns:
+    """Take the columns that the caller names: (x, y, z) or (time, x, y, z), by label or by number from 0."""
+    counts = {1, 2, AXES, AXES + 1} if whole else {AXES, AXES + 1}
+    if isinstance(wanted, str) or not isinstance(wanted, Sequence) or len(wanted) not in counts:
+        more = "(acceleration,), (time, acceleration), " if whole else ""
+        raise ValueError(f"columns must be {more}(x, y, z) or (time, x, y, z), got {wanted!r}")
+    names = [label.strip().casefold() for label in labels or ()]
+    places: list[int] = []
+    for column in wanted:
+        if isinstance(column, str) and names.count(column.strip().casefold()) == 1:
+            places.append(names.index(column.strip().casefold()))
+        elif (
+            str(column).isdecimal() and int(column) < n_columns
+        ):  # the command line knows text only
+            places.append(int(column))
+        else:
+            known = f"{intake.clip(', '.join(labels), 200)}, or " if labels else ""
+            raise ValueError(
+                f"a column must be {known}a number from 0 to {n_columns - 1}, got {column!r}"
+            )
+    if len(set(places)) < len(places):
+        raise ValueError(f"columns must name each column once, got {tuple(wanted)!r}")
+    time = places.pop(0) if len(places) in {2, AXES + 1} else None
+    return _with_units(labels, tuple(places), time) if labels else Columns(tuple(places), time)
+
+
+def _with_units(labels: Sequence[str], axes: tuple[int, ...], time: int | None) -> Columns:
+    """Add the units that the labels of the chosen columns name."""
+    units = {split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes}
+    named = {ACCELERATION_SPELLINGS.get(unit or "") for unit in units}
+    if len(named) > 1:
+        header = ", ".join(labels[i] for i in axes)
+        raise ValueError(f"the axes must be in one unit, got {header}")
+    second = None if time is None else split_unit(labels[time], TIME_SPELLINGS)[1]
+    if second is not None and second not in TIME_SPELLINGS:
+        raise ValueError(f"the time column must be in s, ms, us or ns, got {labels[time or 0]!r}")
+    return Columns(axes, time, named.pop(), None if second is None else TIME_SPELLINGS[second])

@@ -8,82 +8,118 @@
 """
 
 import io
+import json
 import logging
 import re
+import tomllib
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from feel321 import intake
 from feel321.stimuli.formats import common, tables
-from feel321.stimuli.formats.arrays import Sidecar, read_sidecar
 from feel321.stimuli.recording import AXES, check_rate
-from feel321.stimuli.wav import WavHeader, read_wav, read_wav_header
+from feel321.stimuli.wav import read_wav, read_wav_header
 from feel321.types import Samples
 
 FULL_SCALE_NOTE = "integer WAV without full_scale: full scale taken as 1.0 in the unit"
 
 
 def read_wav_recording(path: Path, request: common.ReadingOptions) -> common.Decoded:
-    """Read three channels of a WAV file."""
+    """Read three channels of a WAV file, with what the JSON or TOML file of the same name says of them."""
     header = read_wav_header(path)
-    sidecar = read_sidecar(path)
-    channels = _channels(header.channels, sidecar)
-    full_scale = _full_scale(header, sidecar, requested=request.full_scale)
-    assumed = not (full_scale or header.is_float)
-    samples, _ = read_wav(path)
-    return common.Decoded(
-        samples[channels] * (full_scale or 1.0),
-        sidecar.unit,
-        _true_rate(header.rate_hz, sidecar),
-        notes=(FULL_SCALE_NOTE,) if assumed else (),
-        sources=(path,) if sidecar.path is None else (path, sidecar.path),
-    )
-
-
-def _channels(n_channels: int, sidecar: Sidecar) -> list[int]:
-    if n_channels == 1:
+    beside = [one for suffix in (".json", ".toml") if (one := path.with_suffix(suffix)).is_file()]
+    said = _read_sidecar(beside)
+    axes = said.get("axes", ("x", "y", "z"))
+    if header.channels == 1:
         raise common.refuse_reduced("a WAV file with 1 channel")
-    if n_channels < AXES:
-        raise ValueError(f"there must be 3 channels, one per axis x, y, z; got {n_channels}")
-    axes = sidecar.axes or ("x", "y", "z")
-    if len(axes) != n_channels:
+    if header.channels < AXES:
+        raise ValueError(f"there must be 3 channels, one per axis x, y, z; got {header.channels}")
+    if len(axes) != header.channels:
         raise ValueError(
             f"there must be 3 channels, or a sidecar whose axes name every channel; "
-            f"got {n_channels} for {len(axes)} axes"
+            f"got {header.channels} for {len(axes)} axes"
         )
-    return [axes.index(axis) for axis in "xyz"]
-
-
-def _true_rate(header_hz: int, sidecar: Sidecar) -> float:
-    rate_hz = sidecar.rate_hz
-    if rate_hz is None:
-        return float(header_hz)
-    if abs(rate_hz - header_hz) > max(1.0, 0.001 * header_hz):
+    rate_hz = said.get("rate_hz", float(header.rate_hz))
+    if abs(rate_hz - header.rate_hz) > max(1.0, 0.001 * header.rate_hz):
         raise ValueError(
-            f"the header says {header_hz} Hz and the sidecar {rate_hz:g} Hz, which differ by more than 1 Hz or 0.1 %; "
-            "correct the one that is wrong"
+            f"the header says {header.rate_hz} Hz and the sidecar {rate_hz:g} Hz, which differ by more than 1 Hz or "
+            "0.1 %; correct the one that is wrong"
         )
-    return rate_hz
-
-
-def _full_scale(header: WavHeader, sidecar: Sidecar, *, requested: float | None) -> float | None:
-    requested = None if requested is None else check_rate(requested, "full_scale", "")
-    if requested and sidecar.full_scale and requested != sidecar.full_scale:
-        raise ValueError(
-            f"full_scale={requested:g}, but the sidecar says {sidecar.full_scale:g}; leave one out"
-        )
-    full_scale = requested or sidecar.full_scale
+    own, asked = said.get("full_scale"), request.full_scale
+    asked = None if asked is None else check_rate(asked, "full_scale", "")
+    if asked and own and asked != own:
+        raise ValueError(f"full_scale={asked:g}, but the sidecar says {own:g}; leave one out")
+    full_scale = asked or own
     if full_scale and header.is_float:
         raise ValueError(
             "full_scale is for integer samples, these are float and in the unit already; leave it out"
         )
-    return full_scale
+    samples, _ = read_wav(path)
+    return common.Decoded(
+        samples[[axes.index(axis) for axis in "xyz"]] * (full_scale or 1.0),
+        said.get("unit"),
+        rate_hz,
+        notes=() if full_scale or header.is_float else (FULL_SCALE_NOTE,),
+        sources=(path, *beside),
+    )
+
+
+def _read_sidecar(beside: Sequence[Path]) -> dict[str, Any]:
+    """Read what a sidecar says, by its first spelling."""
+    if not beside:
+        return {}
+    if len(beside) > 1:
+        names = " and ".join(one.name for one in beside)
+        raise ValueError(f"there must be one sidecar, got {names}; remove one of them")
+    path = beside[0]
+    try:
+        text = intake.read_small(path)
+        with common.foreign_errors(path.suffix[1:].upper()):
+            entries: Any = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        return _parse_entries(entries)
+    except ValueError as error:
+        said = str(error).removeprefix(f"{path.name}: ")
+        raise ValueError(f"sidecar {path.name}: {said}") from None
+
+
+def _parse_axes(axes: Any) -> list[str]:  # noqa: ANN401 - whatever stands there
+    names = [str(axis).lower() for axis in axes] if isinstance(axes, list | str) else []
+    if sorted(name for name in names if name in {"x", "y", "z"}) != ["x", "y", "z"]:
+        raise ValueError(f'axes must be a list with "x", "y" and "z" once each, got {axes!r}')
+    return names
+
+
+ENTRIES: Mapping[str, tuple[Sequence[str], Callable[[Any], Any]]] = {
+    "unit": (common.UNIT_KEYS, common.parse_unit),
+    "rate_hz": (common.RATE_KEYS, check_rate),
+    "axes": (("axes",), _parse_axes),
+    "full_scale": (("full_scale",), partial(check_rate, what="full_scale", unit="")),
+}
+KEYS = list(dict.fromkeys([*ENTRIES, *common.UNIT_KEYS, *common.RATE_KEYS]))
+"""Entries of a sidecar. Others are refused: a misspelt unit is worth a factor of 9.8."""
+
+
+def _parse_entries(entries: Any) -> dict[str, Any]:  # noqa: ANN401 - whatever stands there
+    allowed = ", ".join(KEYS)
+    if not isinstance(entries, dict):
+        raise ValueError(f"must be a table with {allowed}, got a {type(entries).__name__}")  # noqa: TRY004 - a file's fault, not a caller's
+    if unknown := [key for key in entries if key not in KEYS]:
+        raise ValueError(
+            f"entries must be {allowed}, got {', '.join(map(repr, unknown))}; correct or remove it"
+        )
+    found = {}
+    for name, (keys, parse) in ENTRIES.items():
+        present = [key for key in keys if entries.get(key) is not None]
+        if len(present) > 1:
+            raise ValueError(f"{' and '.join(present)} mean the same; remove all but one")
+        if present:
+            found[name] = parse(entries[present[0]])
+    return found
 
 
 SENSOR = r"accel(?:eration)?"
@@ -92,11 +128,9 @@ UNIT = re.compile(rf"{SENSOR}_?units?")
 RATE = re.compile(rf"(?:{SENSOR}_?)?sampl(?:e|ing)_?(?:rate|frequency)")
 RATE_VALUE = re.compile(r"(\d+\.?\d*(?:e\+?\d+)?)\s*(k?)(?:hz)?", re.IGNORECASE | re.ASCII)
 
-DEEPEST, MOST_TAGS = 64, 10_000
-"""So deep may tags be nested, and so many be there."""
-
+MOST_TAGS = 10_000
 LARGER = 8
-"""So many times the text of an XML file takes in memory."""
+"""So many tags may an XML file hold, and so many times its text takes in memory."""
 
 
 def read_hatt(path: Path, _: common.ReadingOptions) -> common.Decoded:
@@ -107,7 +141,9 @@ def read_hatt(path: Path, _: common.ReadingOptions) -> common.Decoded:
         raise ValueError(
             "the XML declares a document type or entities, which are not read; remove them"
         )
-    tags = _collect_tags(_parse(content))
+    if content.count(b"<") > 2 * MOST_TAGS:
+        raise ValueError(f"there are more than {MOST_TAGS} tags")
+    tags = _collect_tags(content)
     axes = {tag[-1]: _only(found, tag) for tag, found in tags.items() if AXIS.fullmatch(tag)}
     if not axes and re.search(rf"\b{SENSOR}\b", " ".join(tags)):
         raise common.refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
@@ -124,38 +160,24 @@ def read_hatt(path: Path, _: common.ReadingOptions) -> common.Decoded:
     )
 
 
-def _parse(content: bytes) -> Element:
+def _collect_tags(content: bytes) -> Mapping[str, list[str]]:
+    """Map each tag, small, without namespace, and once more with its parent's before it, to its texts."""
     from xml.etree import ElementTree as ET
 
     with common.foreign_errors("XML"):
-        steps = ET.iterparse(io.BytesIO(content), events=("start", "end"))  # noqa: S314 - entities were refused before
-        root: Element = next(steps)[1]
-        depth = count = 1
-        for event, _ in steps:
-            depth, count = (depth + 1, count + 1) if event == "start" else (depth - 1, count)
-            if depth > DEEPEST:
-                raise ValueError(f"tags are nested deeper than {DEEPEST}")
-            if count > MOST_TAGS:
-                raise ValueError(f"there are more than {MOST_TAGS} tags")
-    return root
-
-
-def _collect_tags(root: Element) -> Mapping[str, list[str]]:
-    """Map each tag, small, without namespace, and once more with its parent's before it, to its texts."""
+        root = ET.fromstring(content)  # noqa: S314 - entities were refused before
     tags: dict[str, list[str]] = defaultdict(list)
     collected = 0
     for parent in root.iter():
+        above = parent.tag.rpartition("}")[2].casefold()
         for child in parent:
             text = " ".join(child.itertext()).strip()
             collected += len(text)  # once per depth, so that deep ones cost the square
             intake.check_bytes(collected, "texts nested in each other")
-            tags[_local(child)].append(text)
-            tags[_local(parent) + _local(child)].append(text)
+            own = child.tag.rpartition("}")[2].casefold()
+            tags[own].append(text)
+            tags[above + own].append(text)
     return tags
-
-
-def _local(element: Element) -> str:
-    return element.tag.rpartition("}")[2].casefold()
 
 
 def _only(texts: list[str], tag: str) -> str:
@@ -207,62 +229,40 @@ def is_lmt(path: Path) -> bool:
     return path.suffix.lower() == ".txt" and bool(NAME.fullmatch(path.stem) or _is_reduced(path))
 
 
-def read_lmt(path: Path, request: common.ReadingOptions) -> common.Decoded:
-    """Read one axis of a triple and its two sisters beside it.
-
-    request: the rate, where it is not the documented 10 kHz.
-    """
-    match = NAME.fullmatch(path.stem)
-    if match is None or _is_reduced(path):
-        raise common.refuse_reduced("a file of the folder AccelScansDFT321")
-    head, axis, tail = match.groups()
-    letters = "XYZ" if axis.isupper() else "xyz"
-    sisters = {
-        letter.lower(): path.with_name(f"{head}_{letter}_{tail}{path.suffix}") for letter in letters
-    }
-    if missing := [sister.name for sister in sisters.values() if not sister.is_file()]:
-        raise ValueError(
-            f"there must be one file per axis x, y, z beside it, got no {' and no '.join(missing)}"
-        )
-    known = request.rate_hz is not None
-    return common.Decoded(
-        common.stack_axes({axis: _read_axis(sister) for axis, sister in sisters.items()}),
-        rate_hz=None if known else RATE_HZ,
-        notes=() if known else (RATE_NOTE,),
-        sources=tuple(sisters.values()),
-        name=f"{head}_{tail}",
-    )
-
-
 def _is_reduced(path: Path) -> bool:
     return any(part.lower() == REDUCED_FOLDER for part in path.absolute().parts[:-1])
 
 
-def _read_axis(path: Path) -> Samples:
-    table = tables.split_table(tables.read_text(path))
-    if table.n_columns != 1:
-        raise ValueError(f"{path.name} must hold one value per line, got {table.n_columns} columns")
-    return tables.read_numbers(table, (0,)).ravel()
-
-
-class _Content(io.BytesIO):
-    """What a file holds: idelib asks for as many bytes as the file promises, of a file they would be allocated."""
-
-    def __init__(self, path: Path) -> None:
-        """Read the file."""
-        super().__init__(intake.read_bytes(path))
-        self.name = str(path)
-
-
-@contextmanager
-def _silence() -> Iterator[None]:
-    """Keep idelib from logging what is wrong with a file, which is raised anyway."""
-    before = logging.root.manager.disable
-    logging.disable()
-    try:
-        yield
-    finally:
-        logging.disable(before)
+def read_lmt(path: Path, request: common.ReadingOptions) -> common.Decoded:
+    """Read one axis of a triple and its two sisters beside it."""
+    match = NAME.fullmatch(path.stem)
+    if match is None or _is_reduced(path):
+        raise common.refuse_reduced("a file of the folder AccelScansDFT321")
+    head, axis, tail = match.groups()
+    sisters = [
+        path.with_name(f"{head}_{letter}_{tail}{path.suffix}")
+        for letter in ("XYZ" if axis.isupper() else "xyz")
+    ]
+    if missing := [sister.name for sister in sisters if not sister.is_file()]:
+        raise ValueError(
+            f"there must be one file per axis x, y, z beside it, got no {' and no '.join(missing)}"
+        )
+    axes: dict[str, Samples] = {}
+    for name, sister in zip("xyz", sisters, strict=True):
+        table = tables.split_table(sister)
+        if table.n_columns != 1:
+            raise ValueError(
+                f"{sister.name} must hold one value per line, got {table.n_columns} columns"
+            )
+        axes[name] = tables.read_numbers(table, (0,)).ravel()
+    known = request.rate_hz is not None
+    return common.Decoded(
+        common.stack_axes(axes),
+        rate_hz=None if known else RATE_HZ,
+        notes=() if known else (RATE_NOTE,),
+        sources=tuple(sisters),
+        name=f"{head}_{tail}",
+    )
 
 
 LOST_SAMPLE = 1.5
@@ -276,23 +276,28 @@ def read_ide(path: Path, _: common.ReadingOptions) -> common.Decoded:
     except ImportError:
         how = "install it from feel321's source folder: pip install -c constraints.txt '.[ide]'"
         raise ValueError(f"an enDAQ recording is read by idelib, which is missing; {how}") from None
+    # In memory: idelib asks for as many bytes as the file promises, of a file they would be allocated.
+    stream = io.BytesIO(intake.read_bytes(path))
+    stream.name = str(path)  # idelib asks for it
     intake.check_bytes(4 * path.stat().st_size, "its samples")  # of two bytes each
-    with common.foreign_errors("an enDAQ recording"), _silence(), _Content(path) as stream:
-        dataset = importer.openFile(stream, quiet=True)
-        importer.readData(dataset)
-        triaxial = [c for c in dataset.channels.values() if c.sessions and len(_axes(c)) == AXES]
-        found = [_read_channel(channel) for channel in triaxial]
+    before = logging.root.manager.disable
+    logging.disable()  # what is wrong with a file is raised anyway
+    try:
+        with common.foreign_errors("an enDAQ recording"):
+            dataset = importer.openFile(stream, quiet=True)
+            importer.readData(dataset)
+            channels = [one for one in dataset.channels.values() if one.sessions]
+            found = [_read_channel(one) for one in channels if len(_axes(one)) == AXES]
+    finally:
+        logging.disable(before)
     measured = [(samples, unit) for samples, unit in found if samples.shape[1] > 1]
     if not measured:
         raise ValueError("there must be an accelerometer with three axes and samples, got none")
     samples, unit = max(measured, key=lambda pair: _rate_hz(pair[0][0]))
     time_s = samples[0] - samples[0, 0]
-    even = bool(np.diff(time_s).max() * _rate_hz(time_s) < LOST_SAMPLE)
-    return (
-        common.Decoded(samples[1:], unit, _rate_hz(time_s))
-        if even
-        else common.Decoded(samples[1:], unit, time_s=time_s)
-    )
+    if np.diff(time_s).max() * _rate_hz(time_s) < LOST_SAMPLE:
+        return common.Decoded(samples[1:], unit, _rate_hz(time_s))
+    return common.Decoded(samples[1:], unit, time_s=time_s)
 
 
 def _axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed

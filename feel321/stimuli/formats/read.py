@@ -103,20 +103,9 @@ class Runs(NamedTuple):
 def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
     """Report saturated runs, constant axes and axes that stand still, in samples (3, n) as recorded, not resampled.
 
-    Notes
-    -----
-    A run is *saturated* if three or more equal samples stand at the axis's minimum or maximum and the
-    signal came or went by more than twice the smallest difference between its values: the smooth crest of a
-    slow, quantised signal is entered and left one step at a time and is not reported.
-    An axis *stands still* if it holds one value for 50 ms while another axis moves; where none moves it is
-    silence.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> wave = np.sin(np.arange(1000) / 9)
-    >>> inspect_samples(np.stack([wave, np.minimum(wave, 0.5), 0 * wave]), 1000.0)[0]
-    'axis y: saturated at 0.5 m/s^2 in 18 runs (339 samples), the first at 0.005 s'
+    A run is *saturated* if three or more equal samples stand at the axis's minimum or maximum and the signal came or
+    went by more than twice the smallest difference between its values: the smooth crest of a slow, quantised signal is
+    not reported. An axis *stands still* if it holds one value for 50 ms while another axis moves.
     """
     runs = [find_runs(axis) for axis in acceleration]
     held = [_held(axis_runs, rate_hz) for axis_runs in runs]
@@ -346,12 +335,15 @@ def read_recording(
         check_finite(acceleration, "acceleration")
         samples, rate, notes = settle_sampling(replace(decoded, acceleration=acceleration), request)
         found = inspect_samples(acceleration, rate)
+        digest = hashlib.sha256()
+        for one in decoded.sources or (source,):
+            digest.update(intake.read_bytes(one))
         return Recording(
             samples,
             rate,
             name=decoded.name or source.stem,
             warnings=(*unit_notes, *decoded.notes, *notes, *found),
-            sha256=_digest(decoded.sources or (source,)),
+            sha256=digest.hexdigest(),
         )
 
 
@@ -389,11 +381,13 @@ def read_recordings(
     ...     [recording.name for recording in stimuli.read_recordings(folder, unit="m/s^2")]
     ['bumps', 'hard_taps']
     """
-    files = (
-        _list_files(as_path(paths))
-        if isinstance(paths, str | os.PathLike)
-        else [*map(as_path, paths)]
-    )
+    files = [as_path(paths)] if isinstance(paths, str | os.PathLike) else [*map(as_path, paths)]
+    if isinstance(paths, str | os.PathLike) and (folder := files[0]).is_dir():
+        files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+        if not files:
+            raise ValueError(
+                f"{folder}: holds no recording; the suffix must be one of {' '.join(SUFFIXES)}"
+            )
     read: dict[tuple[str, str], Recording] = {}
     problems = []
     for file in files:
@@ -406,17 +400,6 @@ def read_recordings(
     if problems:
         raise ValueError("\n".join(problems))
     return list(read.values())
-
-
-def _list_files(folder: Path) -> list[Path]:
-    if not folder.is_dir():
-        return [folder]
-    found = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
-    if not found:
-        raise ValueError(
-            f"{folder}: holds no recording; the suffix must be one of {' '.join(SUFFIXES)}"
-        )
-    return found
 
 
 def _decode(path: Path, request: ReadingOptions) -> Decoded:
@@ -432,10 +415,3 @@ def _decode(path: Path, request: ReadingOptions) -> Decoded:
     if request.full_scale is not None and kind != "wav":
         raise ValueError(f"full_scale is for integer WAV, got a {kind} file; leave it out")
     return READERS[kind](path, request)
-
-
-def _digest(paths: Iterable[Path]) -> str:
-    digest = hashlib.sha256()
-    for path in paths:
-        digest.update(intake.read_bytes(path))
-    return digest.hexdigest()

@@ -338,7 +338,7 @@ def test_hatt_rate_is_the_accelerometers(
         ),
         ("<R><AccelX>1", "cannot be read as XML"),
         ("<R><SampleRate>1.2.3</SampleRate>" + "<AccelX/><AccelY/><AccelZ/></R>", "not a number"),
-        ("<a>" * 20000 + "</a>" * 20000, "cannot be read as XML .*tags are nested deeper than 64"),
+        pytest.param("<a>" * 20000 + "</a>" * 20000, "more than 10000 tags", id="deep"),
         (
             '<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>',
             "declares a document type or entities",
