@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from feel321.study.auditing.steps import MALFORMED
+from feel321.study.auditing.replay import MALFORMED
 from feel321.study.folder import StudyFolder
 from feel321.study.people import describe_rigs, find_rig_use
 from feel321.study.session.journal import list_journals, read_journal

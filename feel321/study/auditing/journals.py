@@ -6,7 +6,7 @@ from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 
-from feel321.study.auditing.steps import audit_steps
+from feel321.study.auditing.replay import audit_steps
 from feel321.study.folder import DELIVERED, name_delivered
 from feel321.study.persons.answers import audit_personal
 from feel321.study.ratings import find_misplaced

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.detection import INTERVALS, THRESHOLD, Detection
 from feel321.protocols.matching import ATTENUATION_DB, FIRST, MIDDLE, SECOND, Matching
 from feel321.protocols.questions import Question, find_question
+from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import FREE, MATCHING, RATING_RANGE, Flow, Page, Part, Scale, Trial
 from feel321.records import Result
@@ -132,17 +133,22 @@ def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
     Outcome
         Whether it came to its end; if not, the same call goes on.
     """
-    by_code = list_by_code(stimuli, seed=plan.seed)
-    scales = read_scales() if scales is None else scales
-    detection = recall_detection(plan, journal.records)
-    matching = Matching(plan.matching, plan.trials) if plan.matching else None
     setup = Setup(
-        presenter, by_code, scales, journal, plan.flow, detection, matching, plan.questions,
-        Schedule({task.protocol: task for task in plan.tasks}), keep,
-    )  # fmt: skip
+        presenter,
+        list_by_code(stimuli, seed=plan.seed),
+        read_scales() if scales is None else scales,
+        journal,
+        plan.flow,
+        recall_detection(plan, journal.records),
+        Matching(plan.matching, plan.trials) if plan.matching else None,
+        plan.questions,
+        Schedule({task.protocol: task for task in plan.tasks}),
+        keep,
+    )
     agenda = replay(plan, journal.records)
     try:
-        _Lead(setup, agenda, {trial.number: trial for trial in plan.trials}).run(on_step)
+        trials = {trial.number: trial for trial in plan.trials}
+        follow_agenda(setup, agenda, trials, on_step=on_step or (lambda _: None))
     except Stopped as stop:
         reason, time_s = stop.args
         journal.write(events.SessionAborted(reason, time_s))
@@ -152,71 +158,47 @@ def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
             words = f"{type(error).__name__}: {error}".removesuffix(": ")
             journal.write(events.SessionAborted(words, journal.records.find_elapsed()))
         raise
-    if not journal.records.has(events.SessionFinished):
-        journal.write(events.SessionFinished(agenda.done, agenda.given_up))
     return Outcome(agenda.done, agenda.total)
 
 
-@dataclass(slots=True)
-class _Lead:
-    """Leads a participant from step to step; some pages come in between, aside from the agenda."""
-
-    setup: Setup
-    agenda: Agenda
-    trials: Mapping[int, Trial]
-    failures: int = 0
-    aside: Page | None = None
-    fault: str = ""
-
-    def run(self, on_step: Callable[[Place], None] | None) -> None:
-        agenda, records = self.agenda, self.setup.journal.records
-        if isinstance(agenda.ask(), Trial) and _is_back(records):
-            self.aside = Page("ready")
-        while True:
-            if on_step is not None:
-                on_step(Place(agenda.done, agenda.total, fault=self.fault))
-            if (step := self.aside or agenda.ask()) is None:
-                return
-            self.take(step)
-            # The agenda is told what is on the disk, by the same words as when a session is resumed.
-            event = records[-1].content
-            advance(agenda, event, self.trials, detection=self.setup.detection)
-            if isinstance(step, Trial):
-                flags = getattr(event, "flags", ())
-                self.setup.pace.timed_out = TIMED_OUT in flags
-                if TIMED_OUT in flags and not self.setup.pace.is_fixed(step):
-                    self.aside = Page(TIMED_OUT, TOLD_S)
-                self.look_after_device(flags)
-
-    def take(self, step: Page | Trial) -> None:
-        place = Place(self.agenda.done, self.agenda.total)
+def follow_agenda(
+    setup: Setup,
+    agenda: Agenda,
+    trials: Mapping[int, Trial],
+    *,
+    on_step: Callable[[Place], None] = lambda _: None,
+) -> None:
+    """Lead a participant from step to step to the end; some pages come in between, aside from the agenda."""
+    journal, pace = setup.journal, setup.pace
+    aside = Page("ready") if isinstance(agenda.ask(), Trial) and _is_back(journal.records) else None
+    fault, failures = "", 0
+    while True:
+        place = Place(agenda.done, agenda.total, fault=fault)
+        on_step(place)
+        if (step := aside or agenda.ask()) is None:
+            break
         if isinstance(step, Trial):
-            place = replace(place, attempt=self.agenda.attempt(step.number))
-            conduct_trial(step, place, self.setup)
-            return
-        self.setup.pace.restart()
-        try:
-            if question := find_question(self.setup.questions, step):
-                conduct_question(question, place, self.setup)
-            else:
-                conduct_page(step, place, self.setup)
-        except Stopped as stop:
-            if self.fault:
-                raise Stopped(BROKEN, stop.args[1]) from None
-            raise
-        self.aside, self.fault = None, ""
-
-    def look_after_device(self, flags: Iterable[str]) -> None:
-        """Call the experimenter after failures in a row; once called, after each one more."""
-        self.failures = 0 if DEVICE_FLAGS.isdisjoint(flags) else self.failures + 1
-        if self.failures >= DEVICE_ERRORS:
-            journal = self.setup.journal
-            played = list(journal.records.find(events.PartPlayed))
-            last = played[-1] if played else None
-            found = last and (last.error or events.find_loss(last.delivered, self.setup.flow))
-            self.fault = found or ", ".join(flags)
-            self.aside = Page("call_us", by="experimenter")
-            journal.write(events.DeviceFailed(self.fault, journal.records.find_elapsed()))
+            place = replace(place, attempt=agenda.attempt(step.number), fault="")
+            conduct_trial(step, place, setup)
+        else:
+            pace.restart()
+            _conduct_page_or_question(step, replace(place, fault=""), setup, fault=fault)
+            aside, fault = None, ""
+        # The agenda is told what is on the disk, by the same words as when a session is resumed.
+        event = journal.records[-1].content
+        advance(agenda, event, trials, detection=setup.detection)
+        if not isinstance(step, Trial):
+            continue
+        flags: Sequence[str] = getattr(event, "flags", ())
+        pace.timed_out = TIMED_OUT in flags
+        if pace.timed_out and not pace.is_fixed(step):
+            aside = Page(TIMED_OUT, TOLD_S)
+        failures = 0 if DEVICE_FLAGS.isdisjoint(flags) else failures + 1
+        if failures >= DEVICE_ERRORS:  # once called, the experimenter is called after each one more
+            aside, fault = Page("call_us", by="experimenter"), _find_device_fault(setup, flags)
+            journal.write(events.DeviceFailed(fault, journal.records.find_elapsed()))
+    if not journal.records.has(events.SessionFinished):
+        journal.write(events.SessionFinished(agenda.done, agenda.given_up))
 
 
 def _is_back(records: Records) -> bool:
@@ -224,6 +206,26 @@ def _is_back(records: Records) -> bool:
     opening = {kind.event for kind in (*events.OPENING, events.WarmUpBegun)}
     recent = takewhile(lambda record: record.event in opening, reversed(records))
     return any(record.event == events.SessionResumed.event for record in recent)
+
+
+def _find_device_fault(setup: Setup, flags: Iterable[str]) -> str:
+    """Find what was wrong with the last playback."""
+    played = list(setup.journal.records.find(events.PartPlayed))
+    last = played[-1] if played else None
+    found = last and (last.error or events.find_loss(last.delivered, setup.flow))
+    return found or ", ".join(flags)
+
+
+def _conduct_page_or_question(page: Page, place: Place, setup: Setup, *, fault: str) -> None:
+    try:
+        if question := find_question(setup.questions, page):
+            conduct_question(question, place, setup)
+        else:
+            conduct_page(page, place, setup)
+    except Stopped as stop:
+        if fault:
+            raise Stopped(BROKEN, stop.args[1]) from None
+        raise
 
 
 def conduct_page(page: Page, place: Place, setup: Setup) -> None:
@@ -292,6 +294,12 @@ def conduct_trial(trial: Trial, place: Place, setup: Setup) -> None:
             return
 
 
+def find_choices(protocol: str) -> tuple[str, ...]:
+    """Find what can be chosen in a trial; nothing where there is a slider."""
+    own = {THRESHOLD: INTERVALS, MATCHING: ()}
+    return own[protocol] if protocol in own else PROTOCOLS[protocol].choices
+
+
 def find_scale(trial: Trial, scales: Mapping[str, Scale]) -> Scale:
     """Find the scale of a trial, with the others that it asks for."""
     further = tuple(scales[j.scale] for j in trial.judgements if j.scale)
@@ -337,7 +345,7 @@ class _Attempt(events.Attempt):
                 due = {}
             played = kind(*self.key, part.name, **_describe_playback(playback))
             self._setup.journal.write(played)
-            self.take(played)
+            self.follow(played)
             self._time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
             _stop_or_pause(playback.act)
             is_lost = events.find_loss(played.delivered, self._setup.flow)
@@ -440,7 +448,7 @@ class _Attempt(events.Attempt):
         return True
 
     def _find_valid(self, values: Mapping[str, float | str]) -> set[str]:
-        choices, (low, high) = self._setup.scales[self.trial.scale].choices, RATING_RANGE
+        choices, (low, high) = find_choices(self.trial.protocol), RATING_RANGE
         return {
             part
             for part, value in values.items()

@@ -12,9 +12,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 from feel321.protocols.trial import MATCHING
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from pydantic import TypeAdapter
+    from collections.abc import Callable, Mapping
 
     from feel321.protocols.trial import Flow, Trial
 
@@ -61,6 +59,25 @@ class SessionBegun(SessionEvent, event="begun"):
     versions: dict[str, str]
     system: str
     clock: dict[str, float]
+
+    def __post_init__(self) -> None:
+        """Refuse what would be no presenter, rig or certificate to whoever reads it."""
+        presenter = _check_object(self.identity, "presenter")
+        if presenter.get("simulated", False) not in {True, False}:
+            raise ValueError(f"presenter.simulated must be true or false, got {presenter!r}")
+        _check_object(_check_object(presenter, "rig"), "sensor")
+        if not isinstance(self.identity.get("calibration"), str):
+            certificate = _check_object(self.identity, "calibration")
+            if certificate and not isinstance(certificate.get("id"), str):
+                raise ValueError(f"calibration must have a text as its id, got {certificate!r}")
+
+
+def _check_object(entry: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    """Return what stands under a name, which must be an object, or not there."""
+    value = entry.get(name)
+    if value is None or isinstance(value, dict):
+        return value or {}
+    raise ValueError(f"{name} must be an object, got {value!r}")
 
 
 class SessionResumed(SessionEvent, event="resumed"):
@@ -310,30 +327,32 @@ def find_kind(name: str) -> type[SessionEvent]:
 
 def read_event(name: str, data: Mapping[str, Any]) -> SessionEvent:
     """Read the data of a record; fields of later versions are left out."""
-    from pydantic import ValidationError
-    from pydantic_core import to_json
-
-    kind = find_kind(name)
-    known = [entry.name for entry in fields(kind)]
     try:
-        if "identity" in known:
-            data = {**data, "identity": {k: v for k, v in data.items() if k not in known}}
-        # JSON's own strictness: a list may fill a tuple and 1 a float, "1" or true may not.
-        event: SessionEvent = _make_adapter(name).validate_json(to_json(data), strict=True)
-    except (ValidationError, TypeError, ValueError) as error:
-        reason = str(error)
-        if isinstance(error, ValidationError):
-            fault = error.errors()[0]
-            reason = ": ".join(filter(None, (".".join(map(str, fault["loc"])), fault["msg"])))
+        event: SessionEvent = _make_reader(find_kind(name).event)(data)
+    except (TypeError, ValueError) as error:
+        listed: Any = getattr(error, "errors", list)()  # pydantic's own
+        faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in listed]
+        reason = [*faults, error][0]
         raise ValueError(f"is not a {name!r} record as feel321 writes it ({reason})") from None
     return event
 
 
 @cache
-def _make_adapter(name: str) -> TypeAdapter[Any]:
+def _make_reader(name: str) -> Callable[[Mapping[str, Any]], Any]:
     from pydantic import TypeAdapter
+    from pydantic_core import to_json
 
-    return TypeAdapter(EVENTS[name])
+    kind = EVENTS[name]
+    known = [entry.name for entry in fields(kind)]
+    validate = TypeAdapter(kind).validate_json
+
+    def read(data: Mapping[str, Any]) -> Any:  # noqa: ANN401 - an event of that kind
+        if "identity" in known:
+            data = {**data, "identity": {k: v for k, v in data.items() if k not in known}}
+        # JSON's own strictness: a list may fill a tuple and 1 a float, "1" or true may not.
+        return validate(to_json(data), strict=True)
+
+    return read
 
 
 @dataclass(slots=True)

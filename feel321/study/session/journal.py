@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")
 _FIELDS = {"sequence": int, "previous": str, "utc": str, "event": str, "data": dict}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Record:
     """One line of a journal; sequence: its place, from 0."""
 
@@ -48,9 +49,9 @@ class Record:
     event: str
     data: Mapping[str, Any]
 
-    @property
+    @cached_property
     def content(self) -> SessionEvent:
-        """The event, checked."""
+        """The event, checked once."""
         try:
             return events.read_event(self.event, self.data)
         except ValueError as error:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.auditing.steps import audit_steps
+from feel321.study.auditing.replay import audit_steps
 from feel321.study.session.plan import make_plan
 
 if TYPE_CHECKING:

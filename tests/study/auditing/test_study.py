@@ -213,15 +213,15 @@ def test_a_changed_manifest_is_found(copy: StudyFolder) -> None:
         ([("page", {"key": "welcome", "time_s": 0.0, "stood_s": 0.0})], ": has no header"),
         (
             [("begun", None), ("shown", {"trial": 1, "attempt": 1})],
-            ", line 2: shows trial 1, attempt 1, which was not next",
+            ", line 2: holds 'shown' where page 'welcome' is due",
         ),
         (
             [("begun", None), ("page", {"key": "end", "time_s": 0.0, "stood_s": 0.0})],
-            ", line 2: got page 'end', expected page 'welcome'",
+            ", line 2: 'page' has key 'end', by the plan and what came before it is 'welcome'",
         ),
         (
             [("begun", None), ("finished", {"trials": 0, "given_up": 0})],
-            ", line 2: finished after 0 of 5 trials",
+            ", line 2: holds 'finished' where page 'welcome' is due",
         ),
     ],
 )
@@ -242,10 +242,7 @@ def test_a_rating_given_twice_in_a_chain_that_holds_is_found(copy: StudyFolder) 
     records = list(read_journal(path).records)
     place = find_rated(path.read_bytes().splitlines())
     path.write_bytes(chain_anew([*records[: place + 1], *records[place:]]))
-    assert (
-        find_only(copy)
-        == f"{path}, line {place + 2}: 'rated' of trial 1, attempt 1, which was not shown"
-    )
+    assert find_only(copy).startswith(f"{path}, line {place + 2}: holds 'rated', by ")
 
 
 def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) -> None:

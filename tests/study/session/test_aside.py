@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.study.auditing.steps import audit_steps
+from feel321.study.auditing.replay import audit_steps
 from feel321.study.session.plan import replay
 from feel321.study.session.ports import Abort, Confirm, Pause, Playback
 

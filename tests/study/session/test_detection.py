@@ -15,7 +15,7 @@ from feel321.protocols.detection import THRESHOLD, ThresholdBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL
 from feel321.protocols.trial import Flow, Page
-from feel321.study.auditing.steps import audit_steps
+from feel321.study.auditing.replay import audit_steps
 from feel321.study.observer.participant import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
@@ -178,8 +178,7 @@ def test_audit_finds_another_level(tmp_path: Path, stimuli: StimulusSet, now: An
     place = next(n for n in tones[2:] if records[n].data["level_db"] is not None)
     for name, value in (("level_db", -3.5), ("interval", 3 - records[place].data["interval"])):
         changed = replace(records[place], data={**records[place].data, name: value})
-        found = list(audit_steps([*records[:place], changed, *records[place + 1 :]], plan))
-        assert len(found) == 1
-        assert "by the answers before it" in found[0]
+        (found,) = audit_steps([*records[:place], changed, *records[place + 1 :]], plan)
+        assert found.startswith(f", line {place + 1}: ")
     (missing,) = audit_steps([*records[:place], *records[place + 1 :]], plan)
-    assert "no level was presented" in missing
+    assert missing.startswith(f", line {place + 1}: ")

@@ -9,7 +9,7 @@ import pytest
 
 from feel321.protocols.questions import Question, label_points
 from feel321.protocols.tasks import make_task
-from feel321.study.auditing.steps import audit_steps
+from feel321.study.auditing.replay import audit_steps
 from feel321.study.persons.answers import read_answers
 from feel321.study.session.plan import create_plan, make_plan, require_plan
 from feel321.study.session.ports import Abort, Confirm, Pause
@@ -111,26 +111,22 @@ def test_what_is_no_answer_is_refused_and_asked_again(
 
 
 @pytest.mark.parametrize(
-    ("forged", "finding"),
+    "forged",
     [
-        ({"value": 17.0}, "answers 'age' against the plan"),
-        ({"personal": False}, "marked personal = True"),
-        ({"occasion": 2}, "answers 'age' as occasion 2, it is 1"),
-        ({"question": "name"}, "answers 'name', which the plan does not ask"),
-        ({"question": "hand", "value": "left", "personal": False}, "got page 'question.hand'"),
+        {"value": 17.0},
+        {"personal": False},
+        {"occasion": 2},
+        {"question": "name"},
+        {"question": "hand", "value": "left", "personal": False},
     ],
 )
 def test_the_audit_finds_a_forged_answer(
-    present: Callable[..., list[Any]],
-    scripted: type,
-    asking: Plan,
-    forged: dict[str, Any],
-    finding: str,
+    present: Callable[..., list[Any]], scripted: type, asking: Plan, forged: dict[str, Any]
 ) -> None:
     records = present(scripted(), plan=asking)
     place = next(n for n, record in enumerate(records) if record.event == "answered")
     records[place] = replace(records[place], data={**records[place].data, **forged})
-    assert finding in next(audit_steps(records, asking), "")
+    assert next(audit_steps(records, asking), "").startswith(f", line {place + 1}: ")
 
 
 def test_a_plan_holds_its_questions(tmp_path: Path, asking: Plan) -> None:

@@ -10,7 +10,7 @@ import pytest
 from feel321.protocols.options import refine_task
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import make_scales, read_texts
-from feel321.study.auditing.steps import audit_steps
+from feel321.study.auditing.replay import audit_steps
 from feel321.study.ratings import _judge
 from feel321.study.session.engine import find_scale
 from feel321.study.session.events import TrialRated
@@ -116,11 +116,11 @@ def test_a_row_per_scale(threefold: Plan) -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "finding"),
+    "values",
     [
-        (dict.fromkeys(KEYS[:2], 5.0), "asks for test, test:roughness, test:hardness"),
-        (dict.fromkeys([*KEYS, "test:x"], 5.0), "asks for test, test:roughness, test:hardness"),
-        (dict.fromkeys(KEYS, 500.0), "has 500.0 for test, which must be 0 to 100 points"),
+        dict.fromkeys(KEYS[:2], 5.0),
+        dict.fromkeys([*KEYS, "test:x"], 5.0),
+        dict.fromkeys(KEYS, 500.0),
     ],
 )
 def test_the_audit_finds_a_forged_rating(
@@ -129,12 +129,11 @@ def test_the_audit_finds_a_forged_rating(
     threefold: Plan,
     scales: dict[str, Scale],
     values: dict[str, float],
-    finding: str,
 ) -> None:
     records = present(scripted(), plan=threefold, scales=scales)
     place = next(n for n, record in enumerate(records) if record.event == "rated")
     records[place] = replace(records[place], data={**records[place].data, "values": values})
-    assert finding in next(audit_steps(records, threefold), "")
+    assert next(audit_steps(records, threefold), "").startswith(f", line {place + 1}: ")
 
 
 def test_a_plan_holds_the_scales_of_its_tasks(tmp_path: Path, threefold: Plan) -> None:

@@ -1,0 +1,317 @@
+"""The engine, run on what a journal says was done: where it would write something else, the journal is untrue."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import fields, replace
+from itertools import takewhile
+from math import isclose, nan
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from feel321.protocols.agenda import Agenda
+from feel321.protocols.matching import Matching
+from feel321.protocols.trial import Scale
+from feel321.study.session import events, ports
+from feel321.study.session.engine import Setup, find_choices, follow_agenda
+from feel321.study.session.journal import Journal, Record, utc_now
+from feel321.study.session.pace import Schedule
+from feel321.study.session.plan import Plan, advance, recall_detection
+
+if TYPE_CHECKING:
+    from feel321.protocols.questions import Question
+    from feel321.protocols.trial import Page, Part, Trial
+
+MALFORMED = (AttributeError, LookupError, TypeError, RecursionError, ArithmeticError)
+"""Errors of reading a plan or record that holds other fields, or other types, than feel321 writes."""
+
+_ANY = (
+    events.SessionResumed, events.DeviceOpened, events.NoteTaken, events.RigAccepted, events.WarmUpBegun,
+    events.SessionSuperseded, events.SessionReleased, events.SessionAborted,
+)  # fmt: skip
+"""Events that the engine does not decide on: one may come anywhere, and whatever was going on is over."""
+
+_AFTER: Mapping[str, tuple[type[events.SessionEvent], ...]] = {
+    # A session whose header a crash prevented may be given up.
+    "": (events.SessionBegun, events.SessionReleased),
+    # Simulated participants who finished may be led once more, and Ctrl-C may come.
+    events.SessionFinished.event: (events.SessionAborted, events.DeviceOpened, events.NoteTaken),
+    # A crash may come before the next session is begun, and nobody come back.
+    events.SessionSuperseded.event: (events.SessionReleased, events.NoteTaken),
+    # What becomes known later of a session is noted in its journal.
+    events.SessionReleased.event: (events.NoteTaken,),
+}
+"""The events that may follow at the start, and after each event that ends a session."""
+
+
+def audit_steps(records: Sequence[Record], plan: Plan) -> Iterator[str]:
+    """Run a session again as its journal tells it; the first line that cannot have been is given."""
+    try:
+        rerun = _Rerun(records, plan)
+    except (*MALFORMED, ValueError) as error:
+        yield f": its plan cannot be worked through ({error!r})"
+        return
+    paper = rerun.paper
+    try:
+        rerun.follow()
+    except ValueError as error:
+        place = "" if str(error).startswith("line ") else f"line {len(paper.records) + 1}: "
+        yield f", {place}{error}"
+    except MALFORMED as error:
+        yield f", line {len(paper.records) + 1}: is not a record as feel321 writes it ({error!r})"
+
+
+class _Over(Exception):  # noqa: N818 - nothing went wrong
+    """The session was broken off here, as it may be anywhere."""
+
+
+class _Paper(Journal):
+    """A journal in memory that takes only what the real one, `truth`, holds in that place."""
+
+    __slots__ = ("truth",)
+
+    def __init__(self, truth: Sequence[Record]) -> None:
+        super().__init__(Path(), utc_now)
+        self.truth = truth
+
+    @property
+    def is_left(self) -> bool:
+        """Whether there are further records."""
+        return len(self.records) < len(self.truth)
+
+    def take(self) -> None:
+        """Take the next record as it is."""
+        self.records.append(self.truth[len(self.records)])
+
+    def look(self) -> events.SessionEvent:
+        """Look at what comes next, unless the session was broken off here."""
+        while self.is_left:
+            event = self.truth[len(self.records)].content
+            if isinstance(event, _ANY):
+                break
+            if not isinstance(event, events.REPAIRS):
+                return event
+            self.take()
+        raise _Over
+
+    def write(
+        self, event: events.SessionEvent | str, data: Mapping[str, Any] | None = None
+    ) -> None:
+        """Compare what the engine writes with what stands there."""
+        told = self.look()
+        if isinstance(event, str) or data:
+            raise TypeError(f"must be an event, got {event!r}")
+        if told != event:
+            self._compare(told, event)
+        self.take()
+
+    def _compare(self, told: events.SessionEvent, event: events.SessionEvent) -> None:
+        if type(told) is not type(event):
+            due = repr(event.event)
+            if isinstance(event, events.ActRefused):
+                due = " ".join([f"{due}, for it is", event.reason, *event.parts])
+            raise ValueError(f"holds {told.event!r}, by what came before it is {due}")
+        if isinstance(event, events.DeviceFailed) and isinstance(told, events.DeviceFailed):
+            event = replace(event, reason=told.reason)  # words for people
+        for one in fields(told):
+            got, due = getattr(told, one.name), getattr(event, one.name)
+            if got != due and not (one.name == "level_db" and _is_close(got, due)):
+                place = f"{told.event!r} has {one.name} {got!r}"
+                raise ValueError(f"{place}, by the plan and what came before it is {due!r}")
+
+
+def _is_close(one: float | None, other: float | None) -> bool:
+    """Whether two levels are the same but for the processor's rounding."""
+    return one is not None and other is not None and isclose(one, other, abs_tol=1e-6)
+
+
+class _Tape:
+    """A presenter that does what the journal says was done next."""
+
+    def __init__(self, paper: _Paper) -> None:
+        self._paper = paper
+        self._page = ""
+        self._attempt: events.Attempt
+        self._played = set[tuple[str, float, float | None]]()
+
+    def _expect(self, kind: type[events.E], due: str) -> events.E:
+        told = self._paper.look()
+        if isinstance(told, kind):
+            return told
+        raise ValueError(f"holds {told.event!r} where {due} is due")
+
+    def show_page(self, page: Page, place: ports.Place) -> ports.Confirm:  # noqa: ARG002 - the port
+        """Leave a page when it was left."""
+        self._page = f"page {page.key!r}"
+        if page.key == "pause":
+            return ports.Confirm(self._expect(events.TrialContinued, self._page).time_s, {})
+        told = self._expect(events.PageRead, self._page)
+        return ports.Confirm(told.time_s, {}, told.stood_s)
+
+    def show_question(self, question: Question, place: ports.Place) -> ports.Confirm:  # noqa: ARG002 - the port
+        """Give the answer that was given; of one that is kept apart, any that could be."""
+        self._page = f"question {question.name!r}"
+        told = self._expect(events.QuestionAnswered, self._page)
+        value = told.value
+        if told.sha256:
+            ends = (question.low, question.high, 0.0)
+            number = next(end for end in ends if end is not None)
+            value = next(iter(question.choices), "x" if question.kind == "text" else number)
+        answer: Any = {question.name: value}
+        return ports.Confirm(told.time_s, answer, told.stood_s)
+
+    def keep(self, *_: object) -> str:
+        """Return the digest of an answer that was kept apart."""
+        return str(getattr(self._paper.look(), "sha256", ""))
+
+    def show_trial(self, trial: Trial, scale: Scale, place: ports.Place) -> None:  # noqa: ARG002 - the port
+        """Begin an attempt."""
+        self._page, self._attempt = "", events.Attempt(trial, place.attempt)
+        self._played.clear()
+
+    def play(self, part: Part, *_: object, **__: object) -> ports.Playback:
+        """Play as it was played, each time once."""
+        told = self._expect(events.PartPlayed, f"part {part.name!r}")
+        key = told.part, told.requested_s, told.onset_s
+        if key in self._played:
+            raise ValueError(f"{told.event} part {told.part!r} twice at the same time")
+        self._played.add(key)
+        self._attempt.follow(told)
+        known: dict[str, Any] = {
+            one.name: getattr(told, one.name) for one in fields(ports.Playback) if one.name != "act"
+        }
+        return ports.Playback(**known, act=self._find_pause())
+
+    def prompt(self, part: Part) -> ports.Playback:
+        """Stroke the surface as it was stroked."""
+        return self.play(part)
+
+    def _find_pause(self) -> ports.Pause | None:
+        """Find whether the participant paused after the playback that comes next."""
+        later = self._list_coming()
+        paused = later[1] if len(later) > 1 else None
+        return ports.Pause(paused.time_s) if isinstance(paused, events.TrialPaused) else None
+
+    def _list_coming(self) -> list[events.SessionEvent]:
+        """List the playbacks that come next, and what follows on them."""
+        coming: list[events.SessionEvent] = []
+        for record in self._paper.truth[len(self._paper.records) :]:
+            if record.event not in _REPAIRS:
+                coming.append(record.content)
+                if not isinstance(coming[-1], events.PartPlayed):
+                    break
+        return coming
+
+    def wait(self, limit_s: float | None = None) -> ports.Act:
+        """Act as the participant did."""
+        act: ports.Act | None = None
+        match told := self._paper.look():
+            case events.PartPlayed() | events.PartReplayed():
+                act = self._feel(told)
+            case events.MarkerMoved():
+                self._attempt.follow(told)
+                act = ports.Move(told.time_s, told.part, told.value)
+            case events.TrialPaused():
+                act = ports.Pause(told.time_s)
+            case events.TrialSpoiled() if limit_s is not None:
+                act = ports.TimedOut(told.time_s)
+            case events.TrialRated():
+                act = ports.Confirm(told.time_s, told.values, told.response_time_s)
+            case events.ActRefused():
+                act = self._refused(told)
+        if act is None:
+            raise ValueError(f"holds {told.event!r} where an answer is due")
+        return act
+
+    def _feel(self, told: events.PartPlayed | events.PartReplayed) -> ports.Feel:
+        """Ask for the part that was asked for, or for all, where the journal may only name those that were played."""
+        if isinstance(told, events.PartReplayed):
+            return ports.Feel(told.time_s, told.part)
+        names = [part.name for part in self._attempt.trial.parts]
+        coming = [one.part for one in self._list_coming() if isinstance(one, events.PartPlayed)]
+        pairs = takewhile(lambda pair: pair[0] == pair[1], zip(coming, names, strict=False))
+        unfelt = self._attempt.list_unfelt()
+        is_all = any(name not in unfelt for name, _ in pairs)
+        return ports.Feel(told.requested_s, "" if is_all else told.part)
+
+    def _refused(self, told: events.ActRefused) -> ports.Act:
+        """Do what is refused for the reason that stands there."""
+        trial = self._attempt.trial
+        if told.reason == "no_replay":
+            return ports.Feel(told.time_s)
+        if told.reason == "unknown_part":
+            return ports.Move(told.time_s, next(iter(told.parts), ""), nan)
+        sure = next(iter(find_choices(trial.protocol)), 50.0)
+        given = {part: sure for part in trial.judged if part not in told.parts}
+        return ports.Confirm(told.time_s, given)
+
+    def refuse(self, reason: str, parts: Iterable[str]) -> None:  # noqa: ARG002 - the port
+        """Hear that an act is refused: what stands in the journal was taken."""
+        if self._page:
+            raise ValueError(f"leaves {self._page}, which is not left so ({reason})")
+
+
+_REPAIRS = {kind.event for kind in events.REPAIRS}
+
+
+class _Rerun:
+    """A session, run again: what the engine leads through, and where others act."""
+
+    def __init__(self, records: Sequence[Record], plan: Plan) -> None:
+        self.paper = _Paper(records)
+        self._plan = plan
+        self._trials = {trial.number: trial for trial in plan.trials}
+        self._agenda = Agenda(plan.trials, plan.flow, plan.questions)
+        self._detection = recall_detection(plan, ())
+        self._matching = Matching(plan.matching, plan.trials) if plan.matching else None
+        answered = [one for one in records if one.event == events.QuestionAnswered.event]
+        self._is_apart = any(one.data.get("sha256") for one in answered)
+
+    def follow(self) -> None:
+        """Follow the journal to its end."""
+        paper, state, is_open = self.paper, "", False
+        while paper.is_left:
+            kind = events.find_kind(paper.truth[len(paper.records)].event)
+            if not issubclass(kind, events.REPAIRS):
+                _check_place(kind, state)
+            if not issubclass(kind, (events.SessionBegun, *_ANY, *events.REPAIRS)):
+                if not is_open:
+                    raise ValueError(f"holds {kind.event!r}, and the session was not opened again")
+                kind, is_open = self._lead(), False
+            else:
+                event = paper.truth[len(paper.records)].content
+                paper.take()
+                advance(self._agenda, event, self._trials)
+                is_open = issubclass(kind, _OPENING) or (is_open and issubclass(kind, _KEEPING))
+            if kind.event in _AFTER or kind is events.SessionBegun:
+                state = kind.event
+
+    def _lead(self) -> type[events.SessionEvent]:
+        """Lead the participant as far as the journal goes."""
+        tape: Any = _Tape(self.paper)
+        stimuli: Any = defaultdict(lambda: None)
+        scales: Any = defaultdict(lambda: Scale("", "", "", ""))
+        tasks = {task.protocol: task for task in self._plan.tasks}
+        setup = Setup(
+            tape, stimuli, scales, self.paper, self._plan.flow, self._detection, self._matching,
+            self._plan.questions, Schedule(tasks), tape.keep if self._is_apart else None,
+        )  # fmt: skip
+        with suppress(_Over):
+            follow_agenda(setup, self._agenda, self._trials)
+        return events.find_kind(self.paper.records[-1].event)
+
+
+def _check_place(kind: type[events.SessionEvent], state: str) -> None:
+    allowed = _AFTER.get(state)
+    if (kind is events.SessionBegun) if allowed is None else not issubclass(kind, allowed):
+        place = f"after {state!r}" if state else "first"
+        raise ValueError(f"holds {kind.event!r}, which cannot come {place}")
+
+
+_OPENING = (events.SessionBegun, events.SessionResumed)
+_KEEPING = (
+    *events.REPAIRS, events.DeviceOpened, events.NoteTaken, events.RigAccepted, events.WarmUpBegun,
+)  # fmt: skip
+"""Events that begin the opening of a session, and that belong to it."""
