@@ -6,7 +6,7 @@ different for other reasons by 0, 3 or 8 points (SD). Adding a slope to such rat
 share of false positives is also that of intervals that miss a planted slope, and power follows for any slope.
 
 First the power of studies planned for 80 %; then whole studies through `fit_primary`, half of them with planted slopes
-and ratings cut at the ends of the scale, and their agreement with the models' small matrices (`Balanced`); then many
+and ratings cut at the ends of the scale, and their agreement with the same models on one design; then many
 more by these directly. Each condition and study has its own seed.
 """
 
@@ -16,22 +16,14 @@ import sys
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
 from feel321.analysis.mixed.design import build_design
-from feel321.analysis.mixed.model import Estimate, estimate_sum, find_uncertainty
-from feel321.analysis.mixed.optimum import (
-    Balanced,
-    find_balance,
-    find_coefficients,
-    find_optimum,
-    find_sigma,
-    find_spreads,
-)
+from feel321.analysis.mixed.model import Estimate, Solved, list_spreads, solve_design
+from feel321.analysis.mixed.optimum import find_sigma
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import Terms, centre_twice, make_cells, plan_terms
 from feel321.analysis.primary.precision import SlopePrecision, find_own, find_variances
@@ -39,9 +31,6 @@ from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.synthesis import SCENES, make_scene
-
-if TYPE_CHECKING:
-    from feel321.analysis.mixed.optimum import State
 
 USED = ["spectral_match_bounded", "temporal_match"]
 SIX = ("sax321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321")
@@ -133,7 +122,6 @@ class Quick:
             plan, table = Terms((*plan.fixed, "reducer"), random, ()), centre_twice(table, within)
         self.penalty = () if model == "without penalty" else plan.penalty
         self.design = build_design(plan.formula, table)
-        self.balance = find_balance(self.design)
         pairs = table[["participant", "item"]].itertuples(index=False, name=None)
         place = {pair: row for row, pair in enumerate(pairs)}
         self.rows = np.array([
@@ -144,24 +132,16 @@ class Quick:
     def fit(self, ratings: np.ndarray) -> list[Estimate]:
         response = np.empty(ratings[..., 0].size)
         response[self.rows] = ratings.mean(axis=-1)
-        profile = Balanced(
-            replace(self.design, response=response), self.balance, reml=True, penalty=self.penalty
-        )
-        best = find_optimum(profile)
-        self.spreads = self._read_spreads(profile, best)
-        uncertainty, (effects, _) = (
-            find_uncertainty(profile, best),
-            find_coefficients(profile, best),
-        )
-        return [estimate_sum(effects, row, uncertainty) for row in np.eye(len(effects))[self.terms]]
+        solved = solve_design(replace(self.design, response=response), penalty=self.penalty)
+        self.spreads = self._read_spreads(solved)
+        return [solved.estimate({self.design.names[term]: 1.0}) for term in self.terms]
 
-    def _read_spreads(self, profile: Balanced, best: State) -> dict[str, float]:
-        sigma = find_sigma(profile, best)
-        found = {"reducer": 0.0, "participant:reducer": 0.0, "residual": sigma}
-        for block, covariance in zip(profile.blocks, find_spreads(profile, best), strict=True):
-            names = [name for term in block.factor.terms for name in term.names]
-            for name, sd in zip(names, sigma * np.sqrt(np.diag(covariance)), strict=True):
-                found[block.factor.name if name == "(Intercept)" else name] = float(sd)
+    def _read_spreads(self, solved: Solved) -> dict[str, float]:
+        found = {"reducer": 0.0, "participant:reducer": 0.0}
+        found["residual"] = find_sigma(solved.profile, solved.best)
+        for group, names, covariance in list_spreads(solved.profile, solved.best):
+            for name, sd in zip(names, np.sqrt(np.diag(covariance)), strict=True):
+                found[group if name == "(Intercept)" else name] = float(sd)
         return found
 
 

@@ -9,23 +9,22 @@ from __future__ import annotations
 
 import re
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
     from pandas import DataFrame
-    from scipy.sparse import csr_array
 
     Matrix = NDArray[np.float64]
 
 NAME = r"(?:`[^`]+`|[^\W\d][\w.]*)"
 GROUP = re.compile(rf"\s*{NAME}\s*(?:[:/]\s*{NAME}\s*)*")
-FORBIDDEN = re.compile(r"\b(offset|weights)\s*\(")
+WRITE_SO = "write 'response ~ fixed + (effects | group)', groups such as a, a:b or a/b"
 
 DEPENDENT = 1e-9
 """Share of a column's length left over beside the others, below which it is their sum but for rounding."""
@@ -34,9 +33,8 @@ FLAT = 1e-12
 """Share of a response's size below which what the fixed effects leave over is rounding."""
 
 
-@dataclass(frozen=True, slots=True)
-class RandomTerm:
-    """One bracket of a formula: what varies, over which groups."""
+class RandomTerm(NamedTuple):
+    """One bracket of a formula: what varies, over which groups, and whether independently."""
 
     effects: str
     group: tuple[str, ...]
@@ -48,8 +46,7 @@ class RandomTerm:
         return ":".join(self.group)
 
 
-@dataclass(frozen=True, slots=True)
-class Formula:
+class Formula(NamedTuple):
     """A formula taken apart."""
 
     response: str
@@ -61,32 +58,28 @@ def parse_formula(text: str) -> Formula:
     """Take a formula apart."""
     sides = [side.strip() for side in text.split("~")] if isinstance(text, str) else []
     if len(sides) != 2 or not all(sides):  # noqa: PLR2004 - left and right
-        raise ValueError(
-            f"formula must be 'response ~ fixed + (effects | group)', got {text!r}; write it so"
-        )
-    if found := FORBIDDEN.search(text):
+        raise ValueError(f"formula must have one ~ between two sides, got {text!r}; {WRITE_SO}")
+    if found := re.search(r"\b(offset|weights)\s*\(", text):
         raise ValueError(
             f"formula must be without {found[1]}(...), every row counts the same; leave it out"
         )
-    pieces = list(_split_sum(sides[1]))
-    random = [term for sign, piece in pieces if _is_bar(piece) for term in _read_bar(sign, piece)]
-    fixed = [(sign, piece) for sign, piece in pieces if not _is_bar(piece)]
-    for _, piece in fixed:
-        if piece == ".":
-            raise ValueError(
-                "formula must name its terms, got '.'; write out which columns predict"
-            )
-        if "|" in piece:
-            raise ValueError(
-                f"formula must have each bar in brackets of its own, got {piece!r}; write + (effects | group)"
-            )
+    fixed, random = "", list[RandomTerm]()
+    for sign, piece in _split_sum(sides[1]):
+        depths = np.cumsum([(letter == "(") - (letter == ")") for letter in piece])
+        # One pair of brackets around a bar, as in (1 | a), not (1 | a):(1 | b).
+        if piece.startswith("(") and "|" in piece and int(depths.argmin()) == len(piece) - 1:
+            random += _read_bar(sign, piece)
+        elif "|" in piece or piece == ".":
+            why = "each bar in brackets of its own" if "|" in piece else "its terms by name"
+            raise ValueError(f"formula must have {why}, got {piece!r}; {WRITE_SO}")
+        else:
+            fixed += f"{sign} {piece} "
     if not random:
         raise ValueError(
             f"formula must have a random term such as (1 | group), got {text!r} without; "
             "for none, use ordinary regression"
         )
-    joined = " ".join(f"{sign} {piece}" for sign, piece in fixed).removeprefix("+ ")
-    return Formula(sides[0], joined or "1", tuple(random))
+    return Formula(sides[0], fixed.strip().removeprefix("+ ") or "1", tuple(random))
 
 
 def _split_sum(text: str) -> Iterator[tuple[str, str]]:
@@ -104,14 +97,8 @@ def _split_sum(text: str) -> Iterator[tuple[str, str]]:
             piece += letter
     if depth or not piece.strip():
         what = "brackets that do not match" if depth else "a sign with nothing after it"
-        raise ValueError(f"formula must be 'fixed + (effects | group)', got {what} in {text!r}")
+        raise ValueError(f"formula must be complete, got {what} in {text!r}; {WRITE_SO}")
     yield sign, piece.strip()
-
-
-def _is_bar(piece: str) -> bool:
-    """Check for one pair of brackets around a bar, as in (1 | a), not (1 | a):(1 | b)."""
-    depths = np.cumsum([(letter == "(") - (letter == ")") for letter in piece])
-    return piece.startswith("(") and "|" in piece and int(depths.argmin()) == len(piece) - 1
 
 
 def _read_bar(sign: str, piece: str) -> Iterator[RandomTerm]:
@@ -120,9 +107,7 @@ def _read_bar(sign: str, piece: str) -> Iterator[RandomTerm]:
     effects, _, group = piece[1:-1].partition(bar)
     group = re.sub(r"^\s*\((.*)\)\s*$", r"\1", group)
     if sign == "-" or not effects.strip() or not GROUP.fullmatch(group):
-        raise ValueError(
-            f"formula must have + (effects | group) with a group such as a, a:b or a/b, got {sign} {piece}"
-        )
+        raise ValueError(f"formula must have + (effects | group), got {sign} {piece}; {WRITE_SO}")
     steps = [[name.strip().strip("`") for name in step.split(":")] for step in group.split("/")]
     for depth in range(len(steps)):
         levels = tuple(name for step in steps[depth::-1] for name in step)
@@ -240,41 +225,33 @@ class Expanded(NamedTuple):
 
 
 def _expand(text: str, data: DataFrame, what: str) -> Expanded:
-    return _read_plain(text, data) or _run_formulaic(text, data, what)
-
-
-def _read_plain(text: str, data: DataFrame) -> Expanded | None:
-    """Read a sum of columns of numbers without formulaic, which takes a tenth of a fit; None for all else."""
+    """Write out a sum of columns of numbers without formulaic, which takes a tenth of a fit; all else with it."""
     first, *rest = text.split(" + ")
     pieces = rest if first in {"0", "1"} else [first, *rest]
     names = [piece.strip("`") for piece in pieces if re.fullmatch(NAME, piece)]
     numbers = [name for name in names if name in data and data[name].dtype in (float, int)]
-    if len(set(numbers)) < len(pieces) or text == "0":
-        return None
-    ones = () if first == "0" else ("(Intercept)",)
-    values = np.ones((len(data), len(ones)))
-    if numbers:
-        values = np.column_stack([values, data[numbers].to_numpy(np.float64)])
-    return Expanded((*ones, *numbers), values) if np.isfinite(values).all() else None
+    if len(set(numbers)) == len(pieces) and text != "0":
+        ones = () if first == "0" else ("(Intercept)",)
+        values = np.ones((len(data), len(ones)))
+        if numbers:
+            values = np.column_stack([values, data[numbers].to_numpy(np.float64)])
+        if np.isfinite(values).all():
+            return Expanded((*ones, *numbers), values)
+    return _run_formulaic(text, data, what)
 
 
 def _run_formulaic(text: str, data: DataFrame, what: str) -> Expanded:
     from formulaic import model_matrix
     from formulaic.errors import FormulaicError
 
+    known = (FormulaicError, SyntaxError, TypeError, ValueError, LookupError, AttributeError)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            python, known = _write_python(text), _list_functions()
-            matrix = model_matrix(python, data, context=known, na_action="ignore")
-    except (
-        FormulaicError,
-        SyntaxError,
-        TypeError,
-        ValueError,
-        LookupError,
-        AttributeError,
-    ) as error:
+            matrix = model_matrix(
+                _write_python(text), data, context=_list_functions(), na_action="ignore"
+            )
+    except known as error:
         raise ValueError(
             f"formula must be made of columns of the table ({', '.join(map(str, data.columns))}) and functions of "
             f"them; cannot read {what}, {text!r}: {str(error).splitlines()[0]}"
@@ -320,8 +297,6 @@ def _write_python(text: str) -> str:
 def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
     """Build one factor per group, holding all its terms, because their levels are the same."""
     merged: dict[str, Factor] = {}
-    groups = dict.fromkeys(name for one in parsed.random for name in one.group)
-    known = {name: _number_levels(data, name) for name in groups}
     for bracket in parsed.random:
         name, what = bracket.name, f"the random effects over {bracket.name}"
         parts = _split_effects(bracket.effects) if bracket.independent else [bracket.effects]
@@ -330,11 +305,8 @@ def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
             raise ValueError(
                 f"formula must have an effect such as 1, x or 0 + x in ({bracket.effects} | {name}), got none"
             )
-        if name in merged:
-            before = merged[name]
-            merged[name] = Factor(name, before.levels, before.index, (*before.terms, *terms))
-        else:
-            merged[name] = Factor(name, *_read_levels(bracket, known), terms)
+        before = merged.get(name) or Factor(name, *_read_levels(bracket, data), ())
+        merged[name] = replace(before, terms=(*before.terms, *terms))
     for factor in merged.values():
         _check_factor(factor)
     return tuple(merged.values())
@@ -358,30 +330,23 @@ def _split_effects(effects: str) -> list[str]:
     return [term if term == "1" else f"0 + {term}" for term in terms]
 
 
-def _number_levels(data: DataFrame, name: str) -> tuple[NDArray[np.intp], NDArray[np.object_]]:
-    """Give a number to every row's value of a column, -1 where it is missing, and a name to every number."""
+def _read_levels(bracket: RandomTerm, data: DataFrame) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+    """Name the observed combinations of a bracket's columns, in their order, and number every row's."""
     import pandas as pd
 
-    if name not in data:
-        raise ValueError(
-            f"formula must group by columns of the table ({', '.join(map(str, data.columns))}), got {name!r}"
-        )
-    codes, values = pd.factorize(data[name], sort=True)
-    return codes, pd.Index(values).astype(str).to_numpy(object)
-
-
-def _read_levels(
-    bracket: RandomTerm, known: Mapping[str, tuple[NDArray[np.intp], NDArray[np.object_]]]
-) -> tuple[tuple[str, ...], NDArray[np.intp]]:
-    """Give a number to the observed combinations of a bracket's columns, in their order."""
-    columns = [known[name] for name in bracket.group]
-    combined = np.zeros(len(columns[0][0]), dtype=np.intp)
-    for codes, names in columns:
+    columns, combined = [], np.zeros(len(data), dtype=np.intp)
+    for name in bracket.group:
+        if name not in data:
+            raise ValueError(
+                f"formula must group by columns of the table ({', '.join(map(str, data.columns))}), got {name!r}"
+            )
+        codes, values = pd.factorize(data[name], sort=True)
         if (codes < 0).any():
             raise ValueError(
                 f"data must have a level of {bracket.name} in every row, got rows without; leave them out"
             )
-        combined = combined * len(names) + codes
+        combined = combined * len(values) + codes
+        columns.append((codes, pd.Index(values).astype(str).to_numpy(object)))
     _, first, index = np.unique(combined, return_index=True, return_inverse=True)
     parts = [names[codes[first]] for codes, names in columns]
     return tuple(":".join(level) for level in zip(*parts, strict=True)), index
@@ -432,90 +397,3 @@ def _check_fixed(design: MixedDesign) -> None:
         raise ValueError(
             "data must have a response with scatter, got one that is constant, or that the fixed effects give exactly"
         )
-
-
-@dataclass(frozen=True)
-class Block:
-    """A grouping factor's place in the equations, and the scale of its columns of Z; scale: (width,)."""
-
-    factor: Factor
-    scale: Matrix
-    theta: slice
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
-
-    @property
-    def n_levels(self) -> int:
-        """Number of levels."""
-        return len(self.factor.levels)
-
-    @property
-    def width(self) -> int:
-        """Effects per level."""
-        return len(self.scale)
-
-    def triangle(self, theta: Matrix) -> Matrix:
-        """Write a factor's parameters, of all (n_theta,), as a triangle of shape (width, width)."""
-        lower = np.zeros((self.width, self.width))
-        lower[self.rows, self.columns] = theta[self.theta]
-        return lower
-
-
-def place_factors(factors: tuple[Factor, ...]) -> Iterator[Block]:
-    """Place the factors, most effects first; parameters follow term by term, each a lower triangle."""
-    start = 0
-    for factor in sorted(factors, key=lambda factor: -len(factor.levels) * factor.width):
-        sizes = np.array([len(term.names) for term in factor.terms])
-        corners = np.cumsum(sizes) - sizes
-        places = [
-            np.array(np.tril_indices(n)) + corner for n, corner in zip(sizes, corners, strict=True)
-        ]
-        rows, columns = np.hstack(places)
-        scale = np.sqrt(np.mean(factor.columns**2, axis=0))
-        yield Block(factor, scale, slice(start, start + len(rows)), rows, columns)
-        start += len(rows)
-
-
-def find_penalised(blocks: Sequence[Block], names: Sequence[str]) -> NDArray[np.bool_]:
-    """Mark the parameters, (n_theta,), whose logarithm is penalised: the spreads of the factors named."""
-    known = [block.factor.name for block in blocks]
-    if strangers := [name for name in names if name not in known]:
-        raise ValueError(
-            f"penalty must name groups of the formula ({', '.join(known)}), got {strangers[0]!r}"
-        )
-    if any((block.rows != block.columns).any() for block in blocks if block.factor.name in names):
-        raise ValueError(
-            "penalty must name groups with uncorrelated effects, got correlated ones; write (1 + x || g)"
-        )
-    return np.concatenate([
-        np.full(len(block.rows), block.factor.name in names) for block in blocks
-    ])
-
-
-def spread_columns(block: Block) -> csr_array:
-    """Build a factor's columns of Z, level by level: (n_rows, n_levels * width)."""
-    from scipy.sparse import csr_array
-
-    values, width = block.factor.columns / block.scale, block.width
-    places = block.factor.index[:, None] * width + np.arange(width)
-    starts = np.arange(len(values) + 1) * width
-    return csr_array(
-        (values.ravel(), places.ravel(), starts), shape=(len(values), block.n_levels * width)
-    )
-
-
-def pick_blocks(first: csr_array, block: Block) -> Matrix:
-    """Pick the blocks on the diagonal of a factor's cross products: (n_levels, width, width)."""
-    products = (first.T @ first).tocsr()
-    starts = np.arange(block.n_levels) * block.width
-    blocks = np.empty((block.n_levels, block.width, block.width))
-    for row, column in np.ndindex(block.width, block.width):
-        blocks[:, row, column] = products[starts + row, starts + column]
-    return blocks
-
-
-def scale_columns(matrix: Matrix, lower: Matrix) -> Matrix:
-    """Multiply every level's columns of a matrix, (n, n_levels * width), by a triangle, (width, width)."""
-    levels = matrix.reshape(len(matrix), -1, len(lower))
-    scaled: Matrix = levels * lower[0, 0] if len(lower) == 1 else levels @ lower
-    return scaled.reshape(matrix.shape)

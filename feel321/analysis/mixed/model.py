@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from feel321.analysis.mixed import optimum
-from feel321.analysis.mixed.design import Block, MixedDesign, build_design, read_new_rows
+from feel321.analysis.mixed.design import MixedDesign, build_design, read_new_rows
 from feel321.records import Result
 
 if TYPE_CHECKING:
@@ -88,16 +88,12 @@ def find_uncertainty(
     hessian = np.zeros((size + 1, size + 1))
     slopes = np.empty((size + 1, *covariance.shape))
     for place, shift in enumerate(np.diag(STEP * unit)):
-        above, below = profile.evaluate(best.theta + shift), profile.evaluate(best.theta - shift)
-        rise = optimum.find_slope(profile, above, above.rss / sigma**2) - optimum.find_slope(
-            profile, below, below.rss / sigma**2
-        )
+        ends = [profile.evaluate(best.theta + sign * shift) for sign in (1, -1)]
+        rise = np.subtract(*(profile.find_slope(end, end.rss / sigma**2) for end in ends))
         hessian[place, :size] = rise * unit / (2 * STEP)
-        hessian[place, size] = hessian[size, place] = -(above.rss - below.rss) / STEP / sigma**2
-        wider = (
-            optimum.find_coefficients(profile, above)[1]
-            - optimum.find_coefficients(profile, below)[1]
-        )
+        more = -(ends[0].rss - ends[1].rss) / STEP / sigma**2
+        hessian[place, size] = hessian[size, place] = more
+        wider = np.subtract(*(optimum.find_coefficients(profile, end)[1] for end in ends))
         slopes[place] = wider * sigma**2 / (2 * STEP)
     held = np.flatnonzero(profile.penalised)
     hessian[held, held] += 2 * (unit[held] / best.theta[held]) ** 2
@@ -119,29 +115,18 @@ def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -
     Notes
     -----
     With v = w' C w and g its derivatives with respect to the spreads, whose covariance is A, the degrees of
-    freedom are 2 v² / g' A g.
-
-    References
-    ----------
-    Satterthwaite (1946), doi 10.2307/3002019; Kuznetsova, Brockhoff & Christensen (2017), lmerTest, Journal
-    of Statistical Software 82(13), doi 10.18637/jss.v082.i13.
+    freedom are 2 v² / g' A g (Satterthwaite 1946, doi 10.2307/3002019; lmerTest, doi 10.18637/jss.v082.i13).
     """
     from scipy.stats import t as student
 
-    value, se, df = measure_sum(effects, weights, uncertainty)
-    margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
-    p = float(2 * student.sf(abs(value / se), df))
-    return Estimate(value, se, df, value / se, p, value - margin, value + margin)
-
-
-def measure_sum(
-    effects: Samples, weights: Samples, uncertainty: Uncertainty
-) -> tuple[float, float, float]:
-    """Compute a weighted sum of fixed effects, its standard error and its degrees of freedom."""
     variance = float(weights @ uncertainty.covariance @ weights)
     slope = np.einsum("i,kij,j->k", weights, uncertainty.slopes, weights)
     df = float(2 * variance**2 / (slope @ uncertainty.parameters @ slope))
-    return float(weights @ effects), float(np.sqrt(variance)), min(df, uncertainty.most_df)
+    df = min(df, uncertainty.most_df)
+    value, se = float(weights @ effects), float(np.sqrt(variance))
+    margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
+    p = float(2 * student.sf(abs(value / se), df))
+    return Estimate(value, se, df, value / se, p, value - margin, value + margin)
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -290,8 +275,7 @@ def fit_mixed(
     for grouping factors of two or three levels if their spread is the question, nor for ratings piled up at
     the ends of the scale.
 
-    The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope; where every
-    participant rated every stimulus equally often, it is the same function of two small matrices (`Balanced`);
+    The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope;
     degrees of freedom are Satterthwaite's, as in lmerTest. With few levels a spread is often estimated as zero when it
     is only unknown; for the factors named in `penalty`, -2 log of the spread is added to the deviance,
     which is the mode under a gamma(2, λ) prior with λ -> 0 (Chung et al. 2013). It enters the degrees of freedom too,
@@ -350,17 +334,12 @@ class Solved(NamedTuple):
 def solve_design(
     design: MixedDesign, *, reml: bool = True, penalty: Sequence[str] = (), most_df: float = np.inf
 ) -> Solved:
-    """Minimise a design's deviance, by the shortcut where it is balanced."""
-    balance = optimum.find_balance(design)
-    if balance:
-        profile: optimum.Profile = optimum.Balanced(design, balance, reml=reml, penalty=penalty)
-    else:
-        profile = optimum.Profile(design, reml=reml, penalty=penalty)
+    """Minimise a design's deviance."""
+    profile = optimum.Profile(design, reml=reml, penalty=penalty)
     with optimum.hold_threads(profile.n_random):
         best = optimum.find_optimum(profile)
         coefficients, _ = optimum.find_coefficients(profile, best)
-        uncertainty = find_uncertainty(profile, best, most_df=most_df)
-        return Solved(profile, best, coefficients, uncertainty)
+        return Solved(profile, best, coefficients, find_uncertainty(profile, best, most_df=most_df))
 
 
 def report_fit(formula: str, solved: Solved) -> MixedFit:
@@ -368,24 +347,30 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     import pandas as pd
 
     profile, best, design = solved.profile, solved.best, solved.profile.design
-    if isinstance(profile, optimum.Balanced):  # which knows no random effects of rows
-        held = [one.factor.name for one in profile.blocks if profile.penalised[one.theta].any()]
-        profile = optimum.Profile(design, reml=profile.reml, penalty=held)
-        with optimum.hold_threads(profile.n_random):
-            best = profile.evaluate(best.theta)
-    coefficients, _ = optimum.find_coefficients(profile, best)
-    weights = np.eye(profile.n_fixed)
-    rows = [asdict(estimate_sum(coefficients, row, solved.uncertainty)) for row in weights]
+    rows = [asdict(solved.estimate({name: 1.0})) for name in design.names]
     variances, correlations = _tabulate_spreads(profile, best)
-    fitted, effects = _predict(profile, best)
-    zero = note_zeros(solved)
-    marginal, conditional = _explain_variance(profile, best)
+    predicted = design.fixed @ solved.coefficients
+    fitted, effects = _predict(profile, best, predicted)
+    notes = note_zeros(solved)
+    residual_sd = optimum.find_sigma(profile, best)
+    random = sum(
+        float(np.einsum("ni,ij,nj->", block.factor.columns, covariance, block.factor.columns))
+        for block, covariance in zip(
+            profile.blocks, optimum.find_spreads(profile, best), strict=True
+        )
+    )
+    # Nakagawa's R².
+    parts = [
+        float(np.var(predicted, ddof=1)),
+        random / profile.n_rows * residual_sd**2,
+        residual_sd**2,
+    ]
     return MixedFit(
         formula=formula, reml=profile.reml, fixed=pd.DataFrame(rows, index=pd.Index(design.names, name="term")),
-        variances=variances, correlations=correlations, residual_sd=optimum.find_sigma(profile, best),
-        criterion=profile.deviance(best), singular=bool(zero), marginal_r2=marginal, conditional_r2=conditional,
+        variances=variances, correlations=correlations, residual_sd=residual_sd, criterion=profile.deviance(best),
+        singular=bool(notes), marginal_r2=parts[0] / sum(parts), conditional_r2=sum(parts[:2]) / sum(parts),
         effects=effects, fitted=fitted, residuals=design.response - fitted, uncertainty=solved.uncertainty,
-        n_rows=profile.n_rows, n_levels={factor.name: len(factor.levels) for factor in design.factors}, notes=zero,
+        n_rows=profile.n_rows, n_levels={factor.name: len(factor.levels) for factor in design.factors}, notes=notes,
         coding=design.coding,
     )  # fmt: skip
 
@@ -482,50 +467,28 @@ def list_spreads(
 ) -> Iterator[tuple[str, tuple[str, ...], Samples]]:
     """List group, effects and covariance of what varies together, in the order of the formula."""
     sigma = optimum.find_sigma(profile, best)
-    for block, covariance in _in_order(profile, optimum.find_spreads(profile, best)):
+    for block, covariance in zip(profile.blocks, optimum.find_spreads(profile, best), strict=True):
         start = 0
         for term in block.factor.terms:
             place = slice(start, start := start + len(term.names))
             yield block.factor.name, term.names, covariance[place, place] * sigma**2
 
 
-def _in_order(profile: optimum.Profile, values: list[Samples]) -> Iterator[tuple[Block, Samples]]:
-    """Pair blocks with what belongs to them, in the order of the formula."""
-    names = [factor.name for factor in profile.design.factors]
-    pairs = zip(profile.blocks, values, strict=True)
-    return iter(sorted(pairs, key=lambda pair: names.index(pair[0].factor.name)))
-
-
-def _predict(profile: optimum.Profile, best: optimum.State) -> tuple[Samples, DataFrame]:
+def _predict(
+    profile: optimum.Profile, best: optimum.State, fitted: Samples
+) -> tuple[Samples, DataFrame]:
+    """Add the predicted random effects to what the fixed effects predict, and tabulate them."""
     import pandas as pd
 
-    fitted = profile.design.fixed @ optimum.find_coefficients(profile, best)[0]
     tables = []
-    for block, values in _in_order(profile, optimum.find_modes(profile, best)):
-        fitted = fitted + np.sum(block.factor.columns * values[block.factor.index], axis=1)
-        names = [name for term in block.factor.terms for name in term.names]
-        effects = {
-            "level": np.tile(block.factor.levels, len(names)),
-            "term": np.repeat(names, block.n_levels),
-        }
-        tables.append(
-            pd.DataFrame({"group": block.factor.name, **effects, "value": values.T.ravel()})
-        )
+    for block, values in zip(profile.blocks, optimum.find_modes(profile, best), strict=True):
+        factor = block.factor
+        fitted = fitted + np.sum(factor.columns * values[factor.index], axis=1)
+        names = [name for term in factor.terms for name in term.names]
+        levels, terms = np.tile(factor.levels, len(names)), np.repeat(names, len(factor.levels))
+        columns = {"group": factor.name, "level": levels, "term": terms, "value": values.T.ravel()}
+        tables.append(pd.DataFrame(columns))
     return fitted, pd.concat(tables, ignore_index=True)
-
-
-def _explain_variance(profile: optimum.Profile, best: optimum.State) -> tuple[float, float]:
-    """Nakagawa's marginal and conditional R²."""
-    residual = optimum.find_sigma(profile, best) ** 2
-    fixed = float(
-        np.var(profile.design.fixed @ optimum.find_coefficients(profile, best)[0], ddof=1)
-    )
-    random = 0.0
-    for block, covariance in zip(profile.blocks, optimum.find_spreads(profile, best), strict=True):
-        values = block.factor.columns
-        random += residual * float(np.mean(np.einsum("ni,ij,nj->n", values, covariance, values)))
-    total = fixed + random + residual
-    return fixed / total, (fixed + random) / total
 
 
 def note_zeros(solved: Solved) -> tuple[str, ...]:
@@ -535,18 +498,15 @@ def note_zeros(solved: Solved) -> tuple[str, ...]:
     for group, names, covariance in list_spreads(profile, solved.best):
         sd = np.sqrt(np.diag(covariance))
         zero += [f"{name} over {group}" for name in np.array(names)[sd == 0]]
-        bound = np.abs(covariance) > BOUND * np.outer(sd, sd)
-        for j, i in np.argwhere(np.tril(bound & (np.outer(sd, sd) > 0), -1)):
+        size = np.outer(sd, sd)
+        bound = (np.abs(covariance) > BOUND * size) & (size > 0)
+        for j, i in np.argwhere(np.tril(bound, -1)):
             tied.append(f"{names[i]} and {names[j]} over {group}")
-    notes = []
+    lead, notes = "Singular fit:", list[str]()
     if zero:
-        notes.append(
-            f"Singular fit: the spread of {'; '.join(zero)} is estimated as zero, and kept."
-        )
+        notes.append(f"{lead} the spread of {'; '.join(zero)} is estimated as zero, and kept.")
     if tied:
-        notes.append(
-            f"Singular fit: the effects {'; '.join(tied)} are estimated as perfectly correlated."
-        )
+        notes.append(f"{lead} the effects {'; '.join(tied)} are estimated as perfectly correlated.")
     if (theta[profile.diagonal] == 0).any() and not notes:
-        notes.append("Singular fit: some random effects are estimated as weighted sums of others.")
+        notes.append(f"{lead} some random effects are estimated as weighted sums of others.")
     return tuple(notes)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from feel321.analysis.mixed import design as matrices
-from feel321.analysis.mixed import model, optimum
+from feel321.analysis.mixed import model
 from feel321.analysis.power.draw import Stimuli, tabulate_ratings
 from feel321.analysis.primary.model import FEWEST, FEWEST_DF
 from feel321.analysis.primary.plan import DEPENDENT, ITEM, WHO, Terms, make_cells, plan_terms
@@ -41,7 +41,6 @@ class Structure(NamedTuple):
     """A model for one number of people and one arrangement of stimuli; rows: (people, n_items), where each stands."""
 
     design: matrices.MixedDesign
-    balance: optimum.BalancedRows | None
     terms: Terms
     rows: NDArray[np.intp]
 
@@ -106,7 +105,7 @@ class Engine:
         ]  # fmt: skip
         tests = np.array([
             (np.nan,) * 3 if weights is None
-            else model.measure_sum(solved.coefficients, weights, solved.uncertainty)
+            else _measure(solved, weights)
             for weights in (*slopes, *pairs)
         ])  # fmt: skip
         units = people, len(np.unique(stimuli.source)), len(np.unique(stimuli.kind))
@@ -114,18 +113,16 @@ class Engine:
         return _name_outcome(structure, solved, tests)
 
 
+def _measure(solved: model.Solved, weights: Samples) -> tuple[float, float, float]:
+    found = model.estimate_sum(solved.coefficients, weights, solved.uncertainty)
+    return found.estimate, found.se, found.df
+
+
 def _solve(structure: Structure, ratings: Samples) -> model.Solved:
     response = np.empty(structure.rows.size)
     response[structure.rows] = ratings
     design, penalty = replace(structure.design, response=response), structure.terms.penalty
-    most_df = structure.terms.most_df
-    if structure.balance is None:
-        return model.solve_design(design, penalty=penalty, most_df=most_df)
-    profile = optimum.Balanced(design, structure.balance, reml=True, penalty=penalty)
-    best = optimum.find_optimum(profile)
-    coefficients, _ = optimum.find_coefficients(profile, best)
-    uncertainty = model.find_uncertainty(profile, best, most_df=most_df)
-    return model.Solved(profile, best, coefficients, uncertainty)
+    return model.solve_design(design, penalty=penalty, most_df=structure.terms.most_df)
 
 
 def _name_outcome(structure: Structure, solved: model.Solved, tests: Samples) -> Fit:
@@ -165,7 +162,7 @@ def _build_structure(stimuli: Stimuli, people: int, metrics: tuple[str, ...]) ->
     design = matrices.build_design(terms.formula, cells.table)
     rows = np.empty((people, len(stimuli.scene)), np.intp)
     rows[cells.table[WHO].to_numpy(), cells.table[ITEM].to_numpy()] = np.arange(len(cells.table))
-    return Structure(design, optimum.find_balance(design), terms, rows)
+    return Structure(design, terms, rows)
 
 
 def _put_metrics(structure: Structure, stimuli: Stimuli, metrics: tuple[str, ...]) -> Structure:
@@ -175,16 +172,10 @@ def _put_metrics(structure: Structure, stimuli: Stimuli, metrics: tuple[str, ...
     values = {"(Intercept)": np.ones(len(item))}
     for part, table in (("_w", stimuli.within), ("_b", stimuli.between)):
         values |= {f"{name}{part}": table[item, place] for place, name in enumerate(metrics)}
-    old, balance = structure.design, structure.balance
+    old = structure.design
     fixed = np.column_stack([values[name.strip("`")] for name in old.names])
     factors = tuple(_put_effects(factor, values) for factor in old.factors)
-    if balance is not None:
-        stands = dict(balance.stands)
-        for factor in factors:
-            stand = optimum.find_stand(factor, balance.order) if factor.width > 1 else None
-            stands |= {} if stand is None else {factor.name: stand}
-        balance = replace(balance, stands=stands)
-    return structure._replace(design=replace(old, fixed=fixed, factors=factors), balance=balance)
+    return structure._replace(design=replace(old, fixed=fixed, factors=factors))
 
 
 def _put_effects(factor: matrices.Factor, values: dict[str, Samples]) -> matrices.Factor:
