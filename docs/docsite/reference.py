@@ -17,7 +17,7 @@ from sphinx.pycode import ModuleAnalyzer
 
 from docsite.text import block, quiet, table, title, write
 from feel321.analysis.table.dictionary import read_dictionary
-from feel321.study.cli import feel321, main
+from feel321.study.cli import VERBS, main
 
 PAGES = (
     "quickstart", "tutorial", "study", "sessions", "calibration", "reading-the-report", "tradeoff", "planning",
@@ -155,13 +155,12 @@ def ask_for_help(*words: str) -> str:
 
 def write_verbs(path: Path) -> None:
     """Write the page of the command line."""
-    verbs = list(feel321.commands)
     write(
         path,
         title("Verbs"),
         "The study is a folder, by default the current one.\n",
         block("text", ask_for_help()),
-        *(f"{title(verb, '-')}\n{block('text', ask_for_help(verb))}" for verb in verbs),
+        *(f"{title(verb, '-')}\n{block('text', ask_for_help(verb))}" for verb in VERBS),
     )
 
 

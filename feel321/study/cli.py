@@ -5,37 +5,41 @@ An error is one line on stderr.
 """
 
 import errno
+import os
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from importlib import import_module
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
-import click
+from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+from cyclopts.exceptions import MissingArgumentError
 
-from feel321 import intake
+from feel321 import __version__, intake
 from feel321.doors import clean_text
-from feel321.study.commands.shared import add_loudness, cap, echo, warn
+from feel321.study.commands import shared
+from feel321.study.commands.help import describe_program, describe_verb, find_example
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
 GROUPS = {
     "Design": {
-        "new": "studies", "check": "studies", "build": "studies", "power": "planning", "freeze": "evidence",
+        "new": "design", "check": "design", "build": "design", "power": "design", "freeze": "design",
         "tradeoff": "tradeoff",
     },
     "Lab": {
-        "calibrate": "rig", "doctor": "rig", "run": "lab", "simulate": "studies", "status": "studies",
-        "note": "studies", "collect": "stations", "withdraw": "studies",
+        "calibrate": "rig", "doctor": "rig", "run": "lab", "simulate": "lab", "status": "lab", "note": "lab",
+        "collect": "lab", "withdraw": "lab",
     },
-    "Results": {"analyze": "studies", "audit": "evidence", "seal": "evidence", "export": "exports"},
+    "Results": {"analyze": "results", "audit": "results", "seal": "results", "export": "results"},
     "Signals": {"reduce": "signals", "match": "signals"},
-    "Example": {"demo": "studies"},
+    "Example": {"demo": "design"},
 }  # fmt: skip
 """Group of the help -> its verbs, and the module of `feel321.study.commands` that holds each."""
+
+VERBS = {verb: module for verbs in GROUPS.values() for verb, module in verbs.items()}
 
 FORMER = {
     "advise": "tradeoff", "chart": "tradeoff", "stress": "tradeoff", "texts": "new --texts",
@@ -43,15 +47,39 @@ FORMER = {
 }  # fmt: skip
 """Verbs whose work another one does now."""
 
-LONGEST = 1000
-"""Letters of a line of an error."""
-
 RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
+LONGEST = 1000
+"""Letters of a line of an error."""
 
-class Interrupted(Exception):  # noqa: N818 - nothing went wrong
-    """Ctrl-C or a signal to end came while a verb ran; its name and what came are the arguments."""
+
+ABOUT = (
+    "Find out whether match metrics of three-to-one vibration reduction predict what people feel."
+)
+
+APP = App(
+    "feel321",
+    help_flags=(),
+    version_flags=(),
+    default_parameter=Parameter(negative=()),
+    result_action="return_value",
+    exit_on_error=False,
+    print_error=False,
+    suppress_keyboard_interrupt=False,
+)
+"""The verbs; the module of each is imported when it is called."""
+
+for _verb, _module in VERBS.items():
+    APP.command(f"feel321.study.commands.{_module}:{_verb}", name=_verb)
+APP.register_install_completion_command(show=False)
+
+
+def find_verb(name: str) -> Callable[..., object]:
+    """Find the function that does what a verb says."""
+    if (verb := APP[name].default_command) is None:
+        raise KeyError(name)
+    return verb
 
 
 class Terminated(KeyboardInterrupt):
@@ -79,103 +107,65 @@ def heed_signals() -> Iterator[None]:
             signal.signal(one, signal.SIG_DFL)
 
 
-class _Verbs(click.Group):
-    """The verbs; what click says about Ctrl-C takes two lines, and it cannot know what continues."""
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the verbs by group, with their whole summaries: click cuts those that do not fit into a line."""
-        for group, verbs in GROUPS.items():
-            rows = [
-                (name, (verb.help or "").partition("\n\n")[0].replace("\n", " "))
-                for name in verbs
-                if (verb := self.get_command(ctx, name))
-            ]
-            with formatter.section(group):
-                formatter.write_dl(rows)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find a verb; name the one that took over the work of a former one."""
-        if args[0] in FORMER:
-            ctx.fail(f"{args[0]} is now: feel321 {FORMER[args[0]]}")
-        return super().resolve_command(ctx, args)
-
-    def invoke(self, ctx: click.Context) -> object:
-        try:
-            with warnings.catch_warnings():
-                warnings.showwarning = _tell
-                return super().invoke(ctx)
-        except KeyboardInterrupt as stop:
-            raise Interrupted(ctx.invoked_subcommand, *stop.args) from None
-
-
-@click.group(
-    cls=_Verbs,
-    epilog="Begin with: feel321 demo",
-    commands=[
-        add_loudness(getattr(import_module(f"feel321.study.commands.{module}"), verb))
-        for verbs in GROUPS.values()
-        for verb, module in verbs.items()
-    ],
-    no_args_is_help=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
-@click.version_option(package_name="feel321", prog_name="feel321")
-@click.option(
-    "--traceback",
-    is_flag=True,
-    hidden=True,
-    expose_value=False,
-    help="Show where an error comes from.",
-)
-def feel321() -> None:
-    """Find out whether match metrics of three-to-one vibration reduction predict what people feel."""
-
-
-add_loudness(feel321)
-
-
-def _tell(message: object, *_: object, **__: object) -> None:
-    """Print what Python warns of as every other warning."""
-    warn(str(message))
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb."""
-    with heed_signals():
-        return _run_verb(sys.argv[1:] if arguments is None else list(arguments))
+    call = shared.read_call(sys.argv[1:] if arguments is None else arguments)
+    with heed_signals(), shared.calling(call):
+        return _run_verb(call)
 
 
-def _run_verb(arguments: Sequence[str]) -> int:
+def _run_verb(call: shared.Call) -> int:
+    verb = call.words[0] if call.words else ""
     try:
-        code = feel321.main(args=[*arguments], prog_name="feel321", standalone_mode=False)
-    except click.UsageError as error:
-        return _complain(_hint(error, arguments), code=WRONG_USE)
-    except (Interrupted, click.Abort) as stop:
-        kept = "; what is done is kept, the same command continues"
-        resumed = RESUMED.intersection(map(str, stop.args))
-        asked = [one for one in stop.args if isinstance(one, signal.Signals)]
-        what = f"ended by {asked[0].name}" if asked else "interrupted"
-        code = SIGNALLED + asked[0] if asked else INTERRUPTED
-        return _complain(f"{what}{kept if resumed else ''}", code=code)
+        with warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_, **__: shared.warn(str(message))
+            return _call(call.words)
+    except CycloptsError as error:
+        return _complain(_hint(error, verb), code=WRONG_USE)
+    except KeyboardInterrupt as stop:
+        kept = "; what is done is kept, the same command continues" if verb in RESUMED else ""
+        if asked := [one for one in stop.args if isinstance(one, signal.Signals)]:
+            return _complain(f"ended by {asked[0].name}{kept}", code=SIGNALLED + asked[0])
+        return _complain(f"interrupted{kept}", code=INTERRUPTED)
+    except BrokenPipeError:  # whoever read our output went away, and has to be told nothing
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return COULD_NOT
     except Exception as error:  # the last door: whatever it is, it is one line
-        if "--traceback" in arguments:
+        if call.traceback:
             raise
         return _complain(_describe(error), code=COULD_NOT)
-    return int(code or DONE)
 
 
-def _hint(error: click.UsageError, arguments: Sequence[str]) -> str:
+def _call(words: Sequence[str]) -> int:
+    if not words:
+        shared.refuse_use("Missing command")
+    if words[0] in FORMER:
+        shared.refuse_use(f"{words[0]} is now: feel321 {FORMER[words[0]]}")
+    if words[0] == "--version":
+        shared.echo(f"feel321, version {__version__}")
+    elif words[0] == "--help":
+        groups = {
+            title: {name: find_verb(name) for name in names} for title, names in GROUPS.items()
+        }
+        shared.echo(describe_program(ABOUT, groups))
+    elif words[0] in VERBS and "--help" in words:
+        shared.echo(describe_verb(words[0], APP[words[0]], find_verb(words[0])))
+    else:
+        return int(APP(words) or DONE)
+    return DONE
+
+
+def _hint(error: CycloptsError, verb: str) -> str:
     """Say what was wrong, where to look, and, where something is missing, what a whole call looks like."""
-    verbs = [one for one in arguments if one in feel321.commands]
-    path = " ".join(["feel321", *verbs[:1]])
-    hint = f"{error.format_message().rstrip('.')}; see: {path} --help"
-    if verbs and isinstance(error, click.MissingParameter | click.BadOptionUsage):
-        epilog = feel321.commands[verbs[0]].epilog or ""
-        hint += (
-            ", for example: " + epilog.partition("Example: ")[2].splitlines()[0].partition(";")[0]
-        )
+    said = str(error).partition(" Available commands: ")[0].rstrip(".")
+    if isinstance(error, UnusedCliTokensError):
+        said = f"got {' '.join(error.unused_tokens or ())!r}, which is one argument too many"
+    if verb not in VERBS:
+        return f"{said}; see: feel321 --help"
+    hint = f"{said}; see: feel321 {verb} --help"
+    if isinstance(error, MissingArgumentError):
+        hint += f", for example: {find_example(find_verb(verb)).partition(';')[0]}"
     return hint
 
 
@@ -196,6 +186,6 @@ def _describe(error: Exception) -> str:
 
 
 def _complain(message: str, *, code: int) -> int:
-    for line in cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
-        echo(f"feel321: {intake.clip(clean_text(line), LONGEST)}", err=True)
+    for line in shared.cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
+        shared.echo(f"feel321: {intake.clip(clean_text(line), LONGEST)}", err=True)
     return code

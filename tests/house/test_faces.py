@@ -113,7 +113,7 @@ PUBLIC = {
     name
     for face in (*ROOMS, "feel321.types", "feel321.results", "feel321.jobs")
     for name in importlib.import_module(face).__all__
-} | {"np", "pd", "click"}
+} | {"np", "pd"}
 
 
 @pytest.mark.parametrize(("name", "thing"), list(shown()))

@@ -149,7 +149,7 @@ def test_the_terminal_shows_what_is_left(
 ) -> None:
     monkeypatch.setattr(shared, "is_terminal", lambda: True)
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    log = lab._Log("p07", "feel321 run", tmp_path / "rig.toml")
+    log = lab.SessionLog("p07", "feel321 run", tmp_path / "rig.toml")
     log.note(Place(12, 48, left_s=14 * 60.0))
     log.note(Place(13, 48, left_s=13 * 60.0))
     log.note(Place(13, 48, fault="device 'pulse' stopped"))

@@ -80,7 +80,7 @@ def test_python_runs_the_package_as_the_command_line() -> None:
         [sys.executable, "-m", "feel321", "biuld"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 2
-    assert done.stderr.startswith("feel321: No such command 'biuld'")
+    assert done.stderr.startswith('feel321: Unknown command "biuld".')
 
 
 @pytest.mark.parametrize(

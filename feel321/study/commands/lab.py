@@ -1,64 +1,62 @@
-"""The verb of the lab: run."""
+"""Verbs that run sessions and look after them: run, simulate, status, note, collect, withdraw."""
 
-from __future__ import annotations
-
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from shlex import join
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-import click
+from cyclopts import Parameter
 
 from feel321.study.commands import shared
+from feel321.study.commands.shared import File, Json, Participant, Rehearsals, Seed, within
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from feel321.study.session.ports import Place
-    from feel321.study.study import Study
 
 
-@click.command(epilog="Example: feel321 run my-study --participant p07")
-@shared.study_argument
-@shared.participant_option
-@shared.flag("--windowed", "A window instead of the whole screen.")
-@click.option(
-    "--screen",
-    type=shared.WholeNumber(0, 99),
-    default=0,
-    show_default=True,
-    metavar="N",
-    help="The participant's monitor; 0 is the main one.",
-)
-@click.option(
-    "--device", metavar="NAME", help="Audio device; 'file' writes WAV files.  [default: rig.toml's]"
-)
-@shared.flag("--accept-rig", "Resume on a rig or certificate that changed; the journal records it.")
-@shared.flag("--lsl", "Send the session's events to the lab streaming layer (pylsl).")
-@shared.flag("--rehearse", "Try it out: the session is stored in rehearsals/ and never analysed.")
-@shared.flag("--simulate-participant", "A simulated participant presses the keys.", "simulated")
-@shared.seed_option(" of the simulated participant")
-@click.pass_context
 def run(  # noqa: PLR0913 - one parameter per option
-    context: click.Context,
+    study: File = Path(),
+    /,
     *,
-    study: Study,
-    participant: str,
-    windowed: bool,
-    screen: int,
-    device: str | None,
-    accept_rig: bool,
-    lsl: bool,
-    rehearse: bool,
-    simulated: bool,
-    seed: int | None,
-) -> None:
-    """Run a session with a participant, or resume it."""
+    participant: Participant,
+    windowed: bool = False,
+    screen: Annotated[int, within(0, 99)] = 0,
+    device: Annotated[str | None, Parameter(metavar="NAME")] = None,
+    accept_rig: bool = False,
+    lsl: bool = False,
+    rehearse: bool = False,
+    simulated: Annotated[bool, Parameter(name="--simulate-participant")] = False,
+    seed: Seed = None,
+) -> int:
+    """Run a session with a participant, or resume it.
+
+    Example: feel321 run my-study --participant p07
+
+    Parameters
+    ----------
+    windowed
+        A window instead of the whole screen.
+    screen
+        The participant's monitor; 0 is the main one.
+    device
+        Audio device instead of the rig's; 'file' writes WAV files.
+    accept_rig
+        Resume on a rig or certificate that changed; the journal records it.
+    lsl
+        Send the session's events to the lab streaming layer.
+    rehearse
+        Try it out: stored in rehearsals/ and never analysed.
+    simulated
+        A simulated participant presses the keys.
+    """
     if seed is not None and not simulated:
-        raise click.UsageError("--seed needs --simulate-participant; people have no seed")
+        shared.refuse_use("--seed needs --simulate-participant; people have no seed")
     from feel321.study.lab import Visit, run_participant
 
+    opened = shared.open_study(study)
     visit = Visit(
         participant,
         windowed=windowed,
@@ -69,30 +67,32 @@ def run(  # noqa: PLR0913 - one parameter per option
         accept_rig=accept_rig,
         lsl=lsl,
     )
-    folder = replace(study.folder, is_rehearsal=rehearse)
-    log = _Log(participant, _write_command(context), folder.rig)
+    folder = replace(opened.folder, is_rehearsal=rehearse)
+    log = SessionLog(participant, _write_command(), folder.rig)
     with log.watch():
-        outcome = run_participant(folder, visit, now=study.now, on_step=log.note, warn=shared.warn)
-        if outcome.stopped:
-            log.say_how_to_resume(outcome.stopped)
-            context.exit(1)
+        outcome = run_participant(folder, visit, now=opened.now, on_step=log.note, warn=shared.warn)
+    if outcome.stopped:
+        log.say_how_to_resume(outcome.stopped)
+        return 1
     log.end_line()
     shared.echo(f"{participant}: all {outcome.total} done")
+    return 0
 
 
 LINE = 60  # characters of the line that says what is left; it is overwritten by the next
 
 
 @dataclass(slots=True)
-class _Log:
+class SessionLog:
     """Prints how far the session is, and how to resume it."""
 
     participant: str
     command: str
     rig: Path
-    place: Place | None = None
+    place: "Place | None" = None
 
-    def note(self, place: Place) -> None:
+    def note(self, place: "Place") -> None:
+        """Print where the session is now."""
         if self.place is None:
             shared.echo(f"{self.participant}: {place.done} of {place.total} done so far")
         if place.fault:
@@ -121,8 +121,7 @@ class _Log:
         try:
             yield
         except (Exception, KeyboardInterrupt) as error:
-            if not isinstance(error, click.exceptions.Exit):
-                self.say_how_to_resume(type(error).__name__)
+            self.say_how_to_resume(type(error).__name__)
             raise
 
     def end_line(self) -> None:
@@ -131,6 +130,7 @@ class _Log:
             shared.echo(err=True)
 
     def say_how_to_resume(self, reason: str) -> None:
+        """Print the command that resumes the session."""
         if self.place is not None:
             self.end_line()
             done = f"{self.place.done} of {self.place.total} done"
@@ -140,14 +140,196 @@ class _Log:
             )
 
 
-def _write_command(context: click.Context) -> str:
-    """Write the command that resumes a session: this one, as it was given."""
-    words = ["feel321", "run", str(context.params["study"].folder.path)]
-    for parameter in context.command.params:
-        value = context.params.get(str(parameter.name))
-        is_given = value is not None and value is not False and value != parameter.default
-        if parameter.name == "accept_rig":  # of this change, not of the next one
-            continue
-        if isinstance(parameter, click.Option) and is_given:
-            words += parameter.opts if value is True else [*parameter.opts, str(value)]
-    return join(words)
+def _write_command() -> str:
+    """Write the command that resumes a session: this one, but a change of the rig is accepted only once."""
+    return join(["feel321", *(word for word in shared.CALL.get().words if word != "--accept-rig")])
+
+
+def simulate(
+    study: File = Path(),
+    /,
+    *,
+    participants: Annotated[int, within(1, 10_000)] = 16,
+    seed: Seed = None,
+    as_json: Json = False,
+) -> None:
+    """Run sessions with simulated participants, or resume them.
+
+    Example: feel321 simulate my-study --participants 16 --seed 1
+
+    Parameters
+    ----------
+    participants
+        Number of simulated participants.
+    """
+    from feel321.study.simulation import regress_planted
+
+    opened = shared.open_study(study)
+    rows = shared.simulate_sessions(opened, participants, seed)
+    planted = regress_planted(opened.settings, opened.stimuli())
+    file = str(opened.folder.ratings)
+    if as_json:
+        facts: dict[str, object] = {"participants": participants, "ratings": rows, "file": file}
+        facts |= {"planted_reducers": planted.reducers} if planted.reducers else {}
+        shared.print_json(facts | {"planted": planted.slopes})
+        return
+    terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.slopes.items()]
+    terms += [f"{points:+.1f} for {reducer}" for reducer, points in planted.reducers.items()]
+    more = "planted: more than the two matches"
+    shared.echo(f"{file}: {rows} ratings")
+    shared.echo(f"planted in realism, in points: {', '.join(terms)}" if terms else more)
+
+
+def status(
+    study: File = Path(),
+    /,
+    *,
+    with_notes: Annotated[bool, Parameter(name="--notes")] = False,
+    page: Annotated[File | None, Parameter(name="--watch", metavar="PAGE")] = None,
+    rehearsals: Rehearsals = False,
+    as_json: Json = False,
+) -> None:
+    """Show the progress of every participant.
+
+    Example: feel321 status my-study
+             feel321 status my-study --watch sessions.html
+
+    Parameters
+    ----------
+    with_notes
+        Also the experimenter's notes.
+    page
+        Write a blind page of the running sessions, and renew it until Ctrl-C.
+    """
+    opened = shared.open_study(study, rehearsals=rehearsals, clears=False)
+    if page is not None:
+        from feel321.study.watch import watch_study
+
+        if with_notes or as_json:
+            shared.refuse_use("--watch does not go with --notes or --json; leave them out")
+        with shared.recording(opened.folder, "status", page):
+            watch_study(opened.folder, page, now=opened.now, announce=shared.echo)
+        shared.echo("status: ended", err=True)
+        return
+    state = opened.status()
+    if as_json:
+        shared.print_json(asdict(state))
+        return
+    notes = state.list_notes() if with_notes else []
+    shared.echo("\n".join([state.summary(), *notes]))
+
+
+def note(
+    *study_text: Annotated[str, Parameter(name="[STUDY] TEXT")],
+    participant: Participant,
+    rehearsals: Rehearsals = False,
+) -> None:
+    """Write an experimenter's note into a participant's journal.
+
+    One line between two openings of a session or after its end, never while it runs. It is kept like all that was
+    recorded: never edited, removed only by withdraw, and it changes the seal of audit. Write no names. Shown by
+    status --notes.
+
+    Example: feel321 note my-study --participant p07 "left coil rattled in block 2"
+    """
+    from feel321.study.persons.withdrawal import take_note
+
+    study, text = shared.split_study(study_text, "one text in quotes")
+    opened = shared.open_study(Path(study or "."), rehearsals=rehearsals)
+    if notice := take_note(opened.folder, participant, text, now=opened.now):
+        shared.warn(notice)
+    shared.echo(f"{participant}: noted")
+
+
+def collect(
+    *sources: Annotated[File, Parameter(name="FROM")],
+    folder: Annotated[File, Parameter(name="--into", metavar="STUDY")] = Path(),
+    as_json: Json = False,
+) -> int:
+    """Collect the sessions of other stations into one study.
+
+    FROM are study folders, mounted or copied; they are only read. Plans, journals and what was delivered are
+    verified before and after the copy; a longer journal takes the place of one that it continues. Sessions that
+    conflict with the study are refused by name; nothing is overwritten. If interrupted, run it again; a second run
+    copies nothing. A participant who withdrew at one station is withdrawn here.
+
+    Example: feel321 collect /mnt/lab2/my-study /media/usb/my-study --into my-study
+
+    Parameters
+    ----------
+    folder
+        The study to collect into; the current folder by default.
+    """
+    from feel321.study.collect import collect_sessions
+
+    if not sources:
+        shared.refuse_use("name the study folders to collect from")
+    opened = shared.open_study(folder)
+    with shared.show_progress("collect") as progress:
+        found = collect_sessions(opened.folder, sources, now=opened.now, follow=progress)
+    if as_json:
+        shared.print_json(asdict(found))
+    else:
+        size, who = f"{found.size / 1e6:.1f} MB", ", ".join(found.participants)
+        copied = f"{found.files} files ({size}) of {who}" if found.files else "nothing to copy"
+        refused = [f"refused: {line}" for line in found.refused]
+        shared.echo("\n".join([f"{folder}: {copied}", *refused, *found.notes]))
+    return 1 if found.refused else 0
+
+
+def withdraw(
+    study: File = Path(),
+    /,
+    *,
+    participant: Participant,
+    reason: str = "",
+    keep_data: bool = False,
+    is_sure: Annotated[bool, Parameter(name="--yes")] = False,
+) -> int:
+    """Remove the data of a participant for good, and free the design slot.
+
+    Data go from sessions, rehearsals, tables and results; outputs elsewhere are listed, to be removed by hand. The code
+    is not reused. --keep-data, for somebody who will not return: what was recorded stays, the next participant gets the
+    slot.
+
+    Example: feel321 withdraw my-study --participant p07 --yes
+             feel321 withdraw my-study --participant p07 --keep-data
+
+    Parameters
+    ----------
+    reason
+        The reason, kept with the code; write no name.
+    keep_data
+        Keep what was recorded; only free the design slot.
+    is_sure
+        Do not ask.
+    """
+    from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+
+    opened = shared.open_study(study)
+    folder = opened.folder
+    if keep_data:
+        number = release_participant(folder, participant, now=opened.now)
+        shared.echo(f"{folder.path}: {participant} is released, number {number} is free")
+        return 0
+    if not is_sure and not _is_confirmed(f"Remove all data of {participant} in {folder.path}"):
+        shared.echo(f"{folder.path}: nothing was removed")
+        return 1
+    removed = withdraw_participant(
+        folder, participant, now=opened.now, reason=reason, warn=shared.warn
+    )
+    place = folder.sessions / participant
+    kept = "; a tombstone keeps the code" if place.exists() else ""
+    shared.echo(
+        f"{folder.path}: removed {len(removed)} files of {participant}{kept}. "
+        "Copies that feel321 did not make must be removed by hand"
+    )
+    return 0
+
+
+def _is_confirmed(question: str) -> bool:
+    """Ask on the terminal; nothing but a yes is one."""
+    if not sys.stdin.isatty():
+        shared.refuse_use("no terminal to ask for confirmation; add --yes")
+    shared.echo(f"{question} for good? [y/N]: ", err=True)
+    return sys.stdin.readline().strip().lower() in {"y", "yes"}

@@ -1,53 +1,41 @@
 """Verbs of the rig: calibrate, doctor."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import click
+from cyclopts import Parameter
 
 from feel321.study.commands import shared
+from feel321.study.commands.shared import File, Json, within
 from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate, CoilCertificate
-    from feel321.study.actuator.doctor import Drift, Examination
+    from feel321.study.actuator.doctor import Examination
     from feel321.study.actuator.rig import Rig
 
-# What the coils make of the samples sent to them.
+Device = Annotated[
+    str | None,
+    Parameter(
+        metavar="NAME", help="Device instead of the rig's: its name, or a unique part of it."
+    ),
+]
 
 
-@click.command(epilog="Example: feel321 calibrate my-study")
-@shared.folder_argument
-@click.option(
-    "--device",
-    help="Another device than the rig's: its name, or a part of it that no other one has.",
-)
-@click.option(
-    "--manual",
-    "gains",
-    multiple=True,
-    metavar="NAME=GAIN",
-    help="Instead of measuring: the gain of an actuator, in m/s² at full scale; once for each.",
-)
-@shared.flag("--flip", "Find the scale of a DC-coupled sensor by turning it over; nothing plays.")
-@shared.json_option
-@click.pass_context
 def calibrate(
-    context: click.Context,
+    study: File = Path(),
+    /,
     *,
-    folder: Path,
-    device: str | None,
-    gains: Sequence[str],
-    flip: bool,
-    as_json: bool,
-) -> None:
+    device: Device = None,
+    manual: Annotated[tuple[str, ...], Parameter(metavar="NAME=GAIN")] = (),
+    flip: bool = False,
+    as_json: Json = False,
+) -> int:
     """Measure the coils of the rig and make filters for them.
 
     Plays sweeps and noise on one coil after another, through the same stream as in a session, recorded by the sensor of
@@ -55,35 +43,62 @@ def calibrate(
     response flat, verified by playing through it. The certificate is stored in the study's folder calibration; run
     uses the newest that is valid. Press any key to stop. The exit code is 1 if the limits of [calibration] in rig.toml
     are not met; run then does not use the certificate.
+
+    Example: feel321 calibrate my-study
+
+    Parameters
+    ----------
+    manual
+        Instead of measuring: the gain of an actuator, in m/s² at full scale; once for each.
+    flip
+        Find the scale of a DC-coupled sensor by turning it over; nothing plays.
     """
     from feel321.study.actuator.certificate import write_certificate
     from feel321.study.actuator.figure import draw_certificate
 
-    study = require_study(folder)
-    rig, rate_hz = _require_rig(study, device=device)
+    folder = require_study(study)
+    rig, rate_hz = _find_rig(folder, device) if folder.rig.is_file() else (None, RATE_HZ)
+    if rig is None:
+        raise FileNotFoundError(
+            f"{folder.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
+        )
     if flip:
         shared.echo(_flip(rig, rate_hz=rate_hz))
-        return
+        return 0
     made = datetime.now(UTC)
-    certificate = (
-        _type_gains(rig, gains, rate_hz=rate_hz, made=made)
-        if gains
-        else _measure(rig, rate_hz=rate_hz, made=made)
-    )
-    certificate = write_certificate(certificate, study.path)
-    if not gains:  # of which there is nothing to see
-        draw_certificate(certificate, study.calibration / certificate.id)
+    make = _measure if not manual else _type_gains
+    certificate = write_certificate(make(rig, manual, rate_hz=rate_hz, made=made), folder.path)
+    if not manual:  # of which there is nothing to see
+        draw_certificate(certificate, folder.calibration / certificate.id)
     if as_json:
         shared.print_json(_describe_certificate(certificate))
     else:
         shared.echo("\n".join(_list_lines(certificate)))
     for failure in certificate.failures:
         shared.warn(failure)
-    if not certificate.passed:
-        context.exit(1)
+    return 0 if certificate.passed else 1
 
 
-def _flip(rig: Rig, *, rate_hz: float) -> str:
+RATE_HZ = 48000.0
+"""At which a device is tried that belongs to no study."""
+
+
+def _find_rig(study: StudyFolder, device: str | None) -> tuple["Rig | None", float]:
+    """Read the study's rig, or make one of two coils for a device; None if neither is named."""
+    from feel321.study.actuator.rig import LimitsTable, Rig, read_rig, take_device
+    from feel321.study.settings.read import read_settings
+
+    rate_hz = read_settings(study.settings).rig.rate_hz if study.settings.is_file() else RATE_HZ
+    if study.rig.is_file():
+        rig = read_rig(study.rig)
+    elif device is not None:
+        rig = Rig(limits=LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=30.0))
+    else:
+        return None, rate_hz
+    return (rig if device is None else take_device(rig, device)), rate_hz
+
+
+def _flip(rig: "Rig", *, rate_hz: float) -> str:
     from feel321.study.actuator.calibrate import measure_rest, scale_by_flip
     from feel321.study.actuator.rig import require_sensor
 
@@ -97,36 +112,26 @@ def _flip(rig: Rig, *, rate_hz: float) -> str:
     return f"full_scale_m_s2 = {scale:.5g}  # by turning it over: for [sensor] in rig.toml"
 
 
-def _require_rig(study: StudyFolder, *, device: str | None) -> tuple[Rig, float]:
-    from feel321.study.actuator.rig import read_rig, take_device
-    from feel321.study.settings.read import read_settings
-
-    if not study.rig.is_file():
-        raise FileNotFoundError(
-            f"{study.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
-        )
-    rig, rate_hz = read_rig(study.rig), read_settings(study.settings).rig.rate_hz
-    return (rig if device is None else take_device(rig, device)), rate_hz
-
-
-def _type_gains(rig: Rig, gains: Sequence[str], *, rate_hz: float, made: datetime) -> Certificate:
+def _type_gains(
+    rig: "Rig", manual: Sequence[str], *, rate_hz: float, made: datetime
+) -> "Certificate":
     from feel321.study.actuator.certificate import make_manual
     from feel321.study.actuator.render import find_directions
 
     typed = {}
-    for text in gains:
+    for text in manual:
         name, _, gain = text.rpartition("=")
         try:
             typed[name.strip()] = float(gain)
         except ValueError:
-            raise click.UsageError(
-                f"--manual must be NAME=GAIN, such as 'left coil=12.5', got {text!r}"
-            ) from None
+            shared.refuse_use(f"--manual must be NAME=GAIN, such as 'left coil=12.5', got {text!r}")
     directions, _ = find_directions(rig)
     return make_manual(rig, typed, directions=directions, made=made, rate_hz=rate_hz)
 
 
-def _measure(rig: Rig, *, rate_hz: float, made: datetime) -> Certificate:
+def _measure(
+    rig: "Rig", _manual: Sequence[str], *, rate_hz: float, made: datetime
+) -> "Certificate":
     from feel321.study.actuator.calibrate import calibrate_rig
     from feel321.study.actuator.duplex import SweepStopped
     from feel321.study.actuator.rig import FILE_DEVICE
@@ -170,19 +175,20 @@ def _watch_keys() -> Iterator[Callable[[], bool]]:
         termios.tcsetattr(number, termios.TCSADRAIN, before)
 
 
-def _describe_certificate(certificate: Certificate) -> dict[str, Any]:
-    arrays = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
-    own = {
-        name: getattr(certificate, name) for name in type(certificate).__slots__ if name != "coils"
-    }
-    coils = {
-        name: {key: getattr(coil, key) for key in type(coil).__slots__ if key not in arrays}
-        for name, coil in certificate.coils.items()
-    }
-    return own | {"passed": certificate.passed, "coils": coils}
+ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
+"""Fields of a coil's certificate that are too long to print."""
 
 
-def _list_lines(certificate: Certificate) -> Iterator[str]:
+def _describe_certificate(certificate: "Certificate") -> dict[str, Any]:
+    def list_fields(record: object, left_out: set[str]) -> dict[str, Any]:
+        names = [name for name in type(record).__slots__ if name not in left_out]  # type: ignore[attr-defined]  # a record's
+        return {name: getattr(record, name) for name in names}
+
+    coils = {name: list_fields(coil, ARRAYS) for name, coil in certificate.coils.items()}
+    return list_fields(certificate, {"coils"}) | {"passed": certificate.passed, "coils": coils}
+
+
+def _list_lines(certificate: "Certificate") -> Iterator[str]:
     verdict = "passed" if certificate.passed else "did not pass"
     low, high = certificate.band_hz
     yield (
@@ -193,7 +199,7 @@ def _list_lines(certificate: Certificate) -> Iterator[str]:
         yield f"{coil.name}: {_describe_coil(coil, certificate)}"
 
 
-def _describe_coil(coil: CoilCertificate, certificate: Certificate) -> str:
+def _describe_coil(coil: "CoilCertificate", certificate: "Certificate") -> str:
     if certificate.method == "manual":
         return f"{coil.target:.4g} m/s² at full scale, typed, to ± {coil.uncertainty_db:.1f} dB; no filter"
     direction = ", ".join(f"{part:z.2f}" for part in coil.direction)
@@ -210,83 +216,57 @@ def _describe_coil(coil: CoilCertificate, certificate: Certificate) -> str:
 
 # What is connected to this machine, whether it plays in time, and as it did when it was calibrated.
 
-RATE_HZ = 48000.0
-"""At which a device is tried that belongs to no study."""
 
-
-@click.command(epilog="Example: feel321 doctor my-study --seconds 10")
-@click.argument("folder", metavar="[STUDY]", type=shared.FILE, required=False)
-@click.option(
-    "--device",
-    help="Another device than the rig's: its name, or a part of it that no other one has.",
-)
-@click.option(
-    "--seconds",
-    type=shared.BoundedNumber(0, 3600),
-    default=5.0,
-    show_default=True,
-    help="Duration of the pulse train, in s.",
-)
-@shared.json_option
-@click.pass_context
 def doctor(
-    context: click.Context,
+    study: File | None = None,
+    /,
     *,
-    folder: Path | None,
-    device: str | None,
-    seconds: float,
-    as_json: bool,
-) -> None:
+    device: Device = None,
+    seconds: Annotated[float, within(0, 3600)] = 5.0,
+    as_json: Json = False,
+) -> int:
     """Test the rig: list devices, measure latency and jitter.
 
     Checks rig.toml and plays quiet pulses on every actuator, through the same stream as in a session. A sensor named in
     rig.toml must show the pulses, about as strong as they were sent; otherwise the exit code is 1. With a certificate
     of calibrate, a second of tones on each coil must show the response that it holds. Without a study, or where the rig
     plays to files, --device names what to play on.
+
+    Example: feel321 doctor my-study --seconds 10
+
+    Parameters
+    ----------
+    seconds
+        Duration of the pulse train, in s.
     """
     from feel321.study.actuator.doctor import examine_rig, survey_devices
-    from feel321.study.actuator.rig import SIMULATED_DEVICE
+    from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE
 
-    rig, rate_hz = _find_rig(folder, device=device)
+    rig, rate_hz = _find_rig(StudyFolder(Path()) if study is None else require_study(study), device)
+    if rig is not None and rig.device.name == FILE_DEVICE:
+        rig = None
     is_simulated = rig is not None and rig.device.name == SIMULATED_DEVICE
-    devices, found = [] if is_simulated else survey_devices(), None
+    devices, found, known = [] if is_simulated else survey_devices(), None, None
     if rig is not None and seconds:
         with shared.show_progress("pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
-    has_fault = found is not None and found.sensor is not None and bool(found.sensor.fault)
-    known = None
-    if folder is not None and rig is not None and seconds and not has_fault:
-        known = _compare_with_certificate(folder, rig, rate_hz=rate_hz)
+    fault = found.sensor.fault if found is not None and found.sensor is not None else ""
+    if study is not None and rig is not None and found is not None and not fault:
+        known = _compare_with_certificate(study, rig, rate_hz=rate_hz)
     if as_json:
-        shared.print_json({
-            "devices": devices,
-            "examination": None if found is None else asdict(found),
-            "calibration": None if known is None else asdict(known),
-        })
+        examination = None if found is None else asdict(found)
+        shared.print_json({"devices": devices, "examination": examination, "calibration": known})
     else:
-        for one in devices:
-            shared.echo(_describe_device(one))
-        _print_examination(found)
-        _print_drifts(known)
-    if found is not None and found.sensor is not None and found.sensor.fault:
-        raise OSError(found.sensor.fault)
-    if known is not None and known.faults:
-        raise OSError("\n".join(known.faults))
-    if found is not None and (found.n_failed or found.n_underruns):
-        context.exit(1)
+        lines = [*map(_describe_device, devices), *_describe_examination(found)]
+        shared.echo("\n".join([*lines, *_describe_drifts(known)]))
+        _warn_of(found)
+    if faults := [fault] if fault else known["faults"] if known else ():
+        raise OSError("\n".join(faults))
+    return 1 if found is not None and (found.n_failed or found.n_underruns) else 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Comparison:
-    """The rig today beside its certificate: how far the coils drifted, and what is wrong."""
-
-    certificate: str | None
-    drifts: Sequence[Drift]
-    faults: Sequence[str]
-
-
-def _compare_with_certificate(folder: Path, rig: Rig, *, rate_hz: float) -> _Comparison | None:
-    """Compare the rig with its newest certificate, if there is any."""
+def _compare_with_certificate(folder: Path, rig: "Rig", *, rate_hz: float) -> dict[str, Any] | None:
+    """Compare the rig with its newest certificate, if there is any: how far the coils drifted, and what is wrong."""
     from feel321.study.actuator.certificate import judge_certificates, list_certificates
     from feel321.study.actuator.doctor import measure_drift
 
@@ -295,39 +275,25 @@ def _compare_with_certificate(folder: Path, rig: Rig, *, rate_hz: float) -> _Com
     now = datetime.now(UTC)
     certificate, faults = judge_certificates(folder, rig, now=now, rate_hz=rate_hz)
     if certificate is None:
-        return _Comparison(None, (), faults)
+        return {"certificate": None, "drifts": (), "faults": faults}
     is_measured = certificate.method == "measured" and rig.sensor is not None
     drifts = measure_drift(rig, certificate) if is_measured else []
     allowed_db = rig.calibration.max_drift_db
     found = [one.find_fault(allowed_db=allowed_db) for one in drifts]
-    return _Comparison(certificate.id, drifts, list(filter(None, found)))
+    return {
+        "certificate": certificate.id,
+        "drifts": list(map(asdict, drifts)),
+        "faults": list(filter(None, found)),
+    }
 
 
-def _print_drifts(known: _Comparison | None) -> None:
-    for one in known.drifts if known else ():
-        if not one.n_tones:
-            continue
-        shared.echo(
-            f"{one.coil}: {one.median_db:+.2f} dB from its certificate, {one.largest_db:+.2f} dB at most, "
-            f"in {one.n_tones} tones"
-        )
-
-
-def _find_rig(folder: Path | None, *, device: str | None) -> tuple[Rig | None, float]:
-    """Read the study's rig, or make one of two coils for a device; None if there is nothing to play on."""
-    from feel321.study.actuator.rig import FILE_DEVICE, LimitsTable, Rig, read_rig, take_device
-    from feel321.study.settings.read import read_settings
-
-    study = StudyFolder(Path()) if folder is None else require_study(folder)
-    rate_hz = read_settings(study.settings).rig.rate_hz if study.settings.is_file() else RATE_HZ
-    if study.rig.is_file():
-        rig = read_rig(study.rig)
-    elif device is not None:
-        rig = Rig(limits=LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=30.0))
-    else:
-        return None, rate_hz
-    rig = rig if device is None else take_device(rig, device)
-    return (None if rig.device.name == FILE_DEVICE else rig), rate_hz
+def _describe_drifts(known: Mapping[str, Any] | None) -> Iterator[str]:
+    for one in known["drifts"] if known else ():
+        if one["n_tones"]:
+            yield (
+                f"{one['coil']}: {one['median_db']:+.2f} dB from its certificate, {one['largest_db']:+.2f} dB at most, "
+                f"in {one['n_tones']} tones"
+            )
 
 
 def _describe_device(device: Mapping[str, Any]) -> str:
@@ -337,45 +303,41 @@ def _describe_device(device: Mapping[str, Any]) -> str:
     return f"{device['name']} ({device['host_api']}): {channels}; plays at {rates} Hz{program}"
 
 
-def _describe_times(found: Examination) -> str:
-    if not found.n_estimated:
-        return "onset times are the device's own"
-    return (
-        f"{found.n_estimated} of {found.n_pulses} onset times are estimated from the latency: "
-        "the device gives none"
-    )
-
-
-def _print_examination(found: Examination | None) -> None:
+def _describe_examination(found: "Examination | None") -> Iterator[str]:
     if found is None:
-        shared.echo("nothing was played; name a device with --device, or in the study's rig.toml")
+        yield "nothing was played; name a device with --device, or in the study's rig.toml"
         return
-    lines = [
-        f"{found.device} ({found.host_api}) played at {found.rate_hz:g} Hz; latency {found.latency_ms:.1f} ms",
-        f"pulses {found.n_pulses}, failed {found.n_failed}, underruns {found.n_underruns}",
+    times = "onset times are the device's own"
+    if found.n_estimated:
+        times = (
+            f"{found.n_estimated} of {found.n_pulses} onset times are estimated from the latency: "
+            "the device gives none"
+        )
+    yield f"{found.device} ({found.host_api}) played at {found.rate_hz:g} Hz; latency {found.latency_ms:.1f} ms"
+    yield f"pulses {found.n_pulses}, failed {found.n_failed}, underruns {found.n_underruns}"
+    yield (
         f"requested to onset {found.onset_ms:.1f} ms, jitter {found.jitter_ms:.2f} ms (median), "
-        f"{found.jitter_99_ms:.2f} ms (99 %); longest block {found.callback_ms_max:.2f} ms; "
-        + _describe_times(found),
-    ]
+        f"{found.jitter_99_ms:.2f} ms (99 %); longest block {found.callback_ms_max:.2f} ms; {times}"
+    )
     if found.sensor is not None:
-        lines.append(
+        yield (
             f"sensor: pulse found in {len(found.sensor.lags_ms)} of {found.sensor.n_recorded} recordings, "
             f"{found.sensor.level_m_s2:.2g} m/s² RMS; noise before it {found.sensor.noise_m_s2:.2g} m/s²"
         )
     if found.sensed_ms is not None:
-        lines.append(
+        yield (
             f"onset's block to sensor {found.sensed_ms:.1f} ms, jitter {found.sensed_jitter_ms:.2f} ms (median), "
             f"{found.sensed_jitter_99_ms:.2f} ms (99 %)"
         )
     if found.stop_ms is not None:
-        lines.append(
-            f"a stop is silent after {found.stop_ms:.0f} ms at most; latency_s in rig.toml shortens it"
-        )
-    shared.echo("\n".join(lines))
-    if found.is_program:
+        yield f"a stop is silent after {found.stop_ms:.0f} ms at most; latency_s in rig.toml shortens it"
+
+
+def _warn_of(found: "Examination | None") -> None:
+    if found is not None and found.is_program:
         shared.warn(
             f"{found.device}: a program plays it (a sound server, say), which may convert the rate and copy channels "
             "to others without notice; name the card itself, or give it as many channels there as the rig has"
         )
-    if found.error:
+    if found is not None and found.error:
         shared.warn(found.error)

@@ -1,16 +1,16 @@
-"""What several verbs share: arguments, options, progress and output."""
-
-from __future__ import annotations
+"""What several verbs share: options, how a study is opened, progress and output."""
 
 import json
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import nullcontext, suppress
-from functools import wraps
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from time import monotonic
+from typing import TYPE_CHECKING, Annotated, NoReturn, TextIO, TypeVar
 
-import click
+from cyclopts import CycloptsError, Parameter, Token
 
 from feel321 import files
 from feel321.doors import announcing, clean_text, follow
@@ -19,275 +19,204 @@ from feel321.study.folder import require_study
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-    from os import PathLike
-
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.build import Facts
     from feel321.study.folder import StudyFolder
 
-    Verb = Callable[..., None]
+# How a verb is called.
 
 
-class _GivenPath(click.Path):
-    """A path that was given: the empty name would be the working directory."""
+@dataclass(frozen=True, slots=True)
+class Call:
+    """The words of a command line, and how much is printed besides results and errors."""
 
-    def convert(
-        self, value: str | PathLike[str], param: click.Parameter | None, ctx: click.Context | None
-    ) -> str | bytes | PathLike[str]:
-        if value == "":
-            self.fail("a name must not be empty; '.' is the current folder", param, ctx)
-        return super().convert(value, param, ctx)
+    words: Sequence[str] = ()
+    quiet: bool = False
+    verbose: bool = False
+    traceback: bool = False
 
+
+CALL: ContextVar[Call] = ContextVar("CALL", default=Call())  # noqa: B039 - a call is never changed
+
+SWITCHES = {
+    "-q": "quiet", "--quiet": "quiet", "-v": "verbose", "--verbose": "verbose", "--traceback": "traceback",
+}  # fmt: skip
+"""Switches that every verb has, in any place."""
+
+
+def read_call(arguments: Sequence[str]) -> Call:
+    """Take the switches that every verb has out of a command line; behind -- all words are the verb's."""
+    end = arguments.index("--") if "--" in arguments else len(arguments)
+    given = {SWITCHES[word]: True for word in arguments[:end] if word in SWITCHES}
+    words = ["--help" if word == "-h" else word for word in arguments[:end] if word not in SWITCHES]
+    return Call((*words, *arguments[end:]), **given)
+
+
+@contextmanager
+def calling(call: Call) -> Iterator[None]:
+    """Print as much as a call wants."""
+    begun, token = monotonic(), CALL.set(call)
+
+    def log(text: str) -> None:
+        echo(f"feel321: {monotonic() - begun:.1f} s: {text}", err=True)
+
+    try:
+        with announcing(log if call.verbose else str):
+            yield
+    finally:
+        CALL.reset(token)
+
+
+def refuse_use(text: str) -> NoReturn:
+    """Refuse a combination of arguments: exit code 2."""
+    raise CycloptsError(msg=text)
+
+
+# Arguments and options.
 
 MOST = 1e9
 """Beyond this no option means anything, whatever its unit."""
 
-MOST_WORKERS = 1024
+MOST_SEED = 2**63 - 1
 
 
-def _describe_range(low: float | None, high: float | None) -> str:
-    """Say which numbers are allowed, as people write it.
+def within(low: float, high: float) -> Parameter:
+    """Make the rule that a number lies in a range, both ends included; NaN is in none."""
+    allowed = f"{low:g} to {high:g}" if high < MOST_SEED else f"{low:g} or more"
 
-    Examples
-    --------
-    >>> _describe_range(1, 3), _describe_range(0, MOST), _describe_range(-MOST, MOST)
-    ('1 to 3', '0 or more', '')
+    def check(_kind: object, number: float | None) -> None:
+        if number is not None and not low <= number <= high:
+            raise ValueError(f"Allowed: {allowed}")
+
+    return Parameter(validator=check)
+
+
+def _read_path(_kind: type, tokens: Sequence[Token]) -> Path:
+    if not tokens[0].value:
+        raise ValueError("a name must not be empty; '.' is the current folder")
+    return Path(tokens[0].value)
+
+
+def _read_columns(_kind: type, tokens: Sequence[Token]) -> tuple[str | int, ...]:
+    names = tokens[0].value.split(",")
+    return tuple(int(name) if name.strip().isdigit() else name for name in names)
+
+
+File = Annotated[Path, Parameter(converter=_read_path)]
+Number = Annotated[float, within(-MOST, MOST)]
+Json = Annotated[bool, Parameter(name="--json", help="Print the numbers as JSON.")]
+Out = Annotated[File | None, Parameter(name=["--out", "-o"], help="Folder of the results.")]
+Seed = Annotated[
+    int | None, within(0, MOST_SEED), Parameter(help="Random seed; the study's by default.")
+]
+Participant = Annotated[str, Parameter(metavar="ID", help="The participant's code.")]
+Rehearsals = Annotated[
+    bool, Parameter(help="The rehearsals (run --rehearse) instead of the sessions.")
+]
+Several = Annotated[tuple[str, ...], Parameter(metavar="NAME")]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Crew:
+    """Who does the work.
+
+    Parameters
+    ----------
+    workers
+        Number of processes; each takes a second or two to start.
+    scheduler
+        A Dask cluster that sees the same files: tcp://HOST:PORT (not encrypted; anyone who can reach it can run
+        programs) or tls://HOST:PORT.
     """
-    if low is None or low <= -MOST:
-        return ""
-    return f"{low:g} or more" if high is None or high >= MOST else f"{low:g} to {high:g}"
 
+    workers: Annotated[int, within(1, 1024)] = 1
+    scheduler: Annotated[str, Parameter(metavar="ADDRESS")] = ""
 
-class BoundedNumber(click.FloatRange):
-    """A number in a range; NaN, which is in none, is refused too."""
-
-    name = "number"
-
-    def convert(
-        self,
-        value: Any,  # noqa: ANN401 - as click has it
-        param: click.Parameter | None,
-        ctx: click.Context | None,
-    ) -> float:
-        """Read a number."""
-        number: float = click.FLOAT.convert(value, param, ctx)
-        if not abs(number) <= MOST:
-            self.fail(f"{value!r} is not a number of at most {MOST:g}", param, ctx)
-        return float(super().convert(number, param, ctx))
-
-    def _describe_range(self) -> str:
-        return _describe_range(self.min, self.max)
-
-
-class WholeNumber(click.IntRange):
-    """A whole number in a range."""
-
-    name = "number"
-
-    def _describe_range(self) -> str:
-        return _describe_range(self.min, self.max)
-
-
-LOUDNESS = "feel321.loudness"
-
-READING = {"audit", "check", "status"}
-"""Verbs that write nothing into a study, so that they leave it as it is."""
-
-FILE = _GivenPath(path_type=Path)
-
-
-def flag(option: str, text: str, name: str = "") -> Callable[[Verb], Verb]:
-    """Give a verb a switch; it receives it under the option's name or another one."""
-    return click.option(option, *([name] if name else []), is_flag=True, help=text)
-
-
-def number_option(option: str, text: str, default: str = "") -> Callable[[Verb], Verb]:
-    """Give a verb a number that may be left out; the default stands in the help only."""
-    shown = f"  [default: {default}]" if default else ""
-    return click.option(option, type=BoundedNumber(-MOST, MOST), help=text + shown)
-
-
-json_option = flag("--json", "Print the numbers as JSON.", "as_json")
-folder_argument = click.argument("folder", metavar="[STUDY]", default=Path(), type=FILE)
-participant_option = click.option(
-    "--participant", metavar="ID", required=True, help="The participant's code."
-)
-ratings_option = click.option(
-    "--ratings", type=FILE, help="Ratings from elsewhere; with --manifest, no study is needed."
-)
-manifest_option = click.option(
-    "--manifest", type=FILE, help="The stimuli that were rated.  [default: the study's]"
-)
-metric_option = click.option(
-    "--metric",
-    "metrics",
-    multiple=True,
-    metavar="NAME",
-    help="A numeric column of the manifest as a metric of the primary analysis; repeatable.  [default: as declared]",
-)
-
-
-def out_option(default: str) -> Callable[[Verb], Verb]:
-    """Give a verb the folder of its results."""
-    return click.option("--out", type=FILE, help=f"Folder of the results.  [default: {default}]")
-
-
-rehearsals_option = flag(
-    "--rehearsals", "Take the rehearsals (run --rehearse) instead of the sessions."
-)
-
-
-def workers_option(verb: Verb) -> Verb:
-    """Give a verb the options that say who does the work; it receives `workers`, a Workers."""
-
-    @click.option(
-        "--workers",
-        "processes",
-        type=WholeNumber(1, MOST_WORKERS),
-        default=1,
-        show_default=True,
-        help="Number of processes; each takes a second or two to start, too long for a few short recordings.",
-    )
-    @click.option(
-        "--scheduler",
-        metavar="ADDRESS",
-        default="",
-        help="Use a Dask cluster that sees the same files: tcp://HOST:PORT (not encrypted; anyone who can reach it can "
-        "run programs) or tls://HOST:PORT.",
-    )
-    @wraps(verb)
-    def employ_then_do(*, processes: int, scheduler: str, **own: object) -> None:
+    def employ(self) -> Workers:
+        """Employ the workers."""
         try:
-            workers = Workers(processes, scheduler)
+            return Workers(self.workers, self.scheduler)
         except ValueError as error:
-            raise click.UsageError(f"--{error}") from None
-        verb(workers=workers, **own)
-
-    return employ_then_do
+            refuse_use(f"--{error}")
 
 
-def seed_option(of: str, default: str = "the study's") -> Callable[[Verb], Verb]:
-    """Give a verb a random seed."""
-    text = f"Random seed{of}.  [default: {default}]"
-    return click.option("--seed", type=WholeNumber(0, 2**63 - 1), help=text)
+ALONE = Crew()
 
 
-def add_loudness(verb: click.Command) -> click.Command:
-    """Give a verb, or all of them, the options that say how much is printed besides results and errors."""
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How a recording is read.
 
-    def choose(context: click.Context, parameter: click.Parameter, value: object) -> None:
-        if not value:
-            return
-        context.meta[LOUDNESS] = parameter.name
-        if parameter.name == "verbose":
-            context.with_resource(announcing(_log_steps()))
+    Parameters
+    ----------
+    unit
+        Unit of the samples: m/s^2, g or mg.  [default: what the file says]
+    rate_hz
+        Sampling rate in Hz.  [default: what the file says]
+    columns
+        Names or numbers (from 0), such as time,x,y,z.
+    full_scale
+        Full scale of integer samples, in the unit.
+    resample
+        Interpolate irregular sampling to an even rate.
+    """
 
-    texts = {
-        "quiet": "No progress and no warnings: only results and errors.",
-        "verbose": "Print each step as it begins.",
-    }
-    verb.context_settings.setdefault("help_option_names", ["-h", "--help"])
-    verb.params += [
-        click.Option([f"-{name[0]}", f"--{name}"], is_flag=True, is_eager=True, expose_value=False,
-            callback=choose, help=text)
-        for name, text in texts.items()
-    ]  # fmt: skip
-    return verb
+    unit: str | None = None
+    rate_hz: Number | None = None
+    columns: Annotated[
+        tuple[str | int, ...] | None,
+        Parameter(converter=_read_columns, n_tokens=1, metavar="NAME,..."),
+    ] = None
+    full_scale: Number | None = None
+    resample: bool = False
 
+    def read(self, path: Path) -> "Recording":
+        """Read a recording, and print what was noticed in it."""
+        from feel321.stimuli.formats.read import read_recording
 
-def _log_steps() -> Callable[[str], None]:
-    """Make what prints a line for each step, with the time since the beginning."""
-    from time import monotonic
-
-    begun = monotonic()
-    return lambda text: echo(f"feel321: {monotonic() - begun:.1f} s: {text}", err=True)
-
-
-def _is(loudness: str) -> bool:
-    context = click.get_current_context(silent=True)
-    return context is not None and context.meta.get(LOUDNESS) == loudness
-
-
-def open_study(folder: Path) -> Study:
-    """Open a study that is there, for a terminal; what killed processes left in it goes, unless it is only read."""
-    study = require_study(folder)
-    context = click.get_current_context(silent=True)
-    if context is None or context.info_name not in READING:
-        report_swept([*files.sweep(study.path), *files.sweep_temporary()])
-    return Study(study, wants_bar(), warn=warn)
+        recording = read_recording(
+            path,
+            rate_hz=self.rate_hz,
+            unit=self.unit,
+            columns=self.columns,
+            full_scale=self.full_scale,
+            resample=self.resample,
+        )
+        report_warnings([recording])
+        return recording
 
 
-def report_swept(swept: Sequence[Path]) -> None:
-    """Print what was removed of killed processes, in one line."""
-    if swept:
-        more = f" and {len(swept) - MOST_SWEPT} more" if len(swept) > MOST_SWEPT else ""
-        names = ", ".join(map(str, swept[:MOST_SWEPT]))
-        warn(f"removed what an interrupted run left: {names}{more}")
-
+AS_IT_SAYS = Reading()
 
 MOST_SWEPT = 5
 
 
-def study_argument(verb: Verb) -> Verb:
-    """Give a verb the argument STUDY; it receives `study`, a Study that is there."""
-
-    def find(_context: click.Context, _parameter: click.Parameter, value: Path) -> Study:
-        return open_study(value)
-
-    return click.argument("study", metavar="[STUDY]", default=Path(), type=FILE, callback=find)(
-        verb
-    )
-
-
-def _split_columns(
-    _context: click.Context, _parameter: click.Parameter, text: str | None
-) -> list[str | int] | None:
-    if text is None:
-        return None
-    return [int(name) if name.strip().isdigit() else name for name in text.split(",")]
+def open_study(folder: Path, *, rehearsals: bool = False, clears: bool = True) -> Study:
+    """Open a study that is there; what killed processes left in it goes, unless the verb only reads."""
+    study = require_study(folder)
+    swept = [*files.sweep(study.path), *files.sweep_temporary()] if clears else []
+    if swept:
+        more = f" and {len(swept) - MOST_SWEPT} more" if len(swept) > MOST_SWEPT else ""
+        names = ", ".join(map(str, swept[:MOST_SWEPT]))
+        warn(f"removed what an interrupted run left: {names}{more}")
+    if rehearsals:
+        study = type(study)(study.path, is_rehearsal=True)
+    return Study(study, wants_bar(), warn=warn)
 
 
-def recording_argument(verb: Verb) -> Verb:
-    """Give a verb the argument RECORDING and the options that say how to read it; it receives `recording`."""
+Word = TypeVar("Word", str, Path)
 
-    @click.argument("recording", type=FILE)
-    @click.option(
-        "--unit", help="Unit of the samples: m/s^2, g or mg.  [default: what the file says]"
-    )
-    @number_option("--rate-hz", "Sampling rate in Hz.", "what the file says")
-    @click.option(
-        "--columns",
-        callback=_split_columns,
-        help="Names or numbers (from 0), such as time,x,y,z.  [default: by name]",
-    )
-    @number_option("--full-scale", "Full scale of integer samples, in the unit.")
-    @flag("--resample", "Interpolate irregular sampling to an even rate.")
-    @wraps(verb)
-    def read_then_do(
-        *,
-        recording: Path,
-        unit: str | None,
-        rate_hz: float | None,
-        columns: list[str | int] | None,
-        full_scale: float | None,
-        resample: bool,
-        **own: object,
-    ) -> None:
-        from feel321.stimuli.formats.read import read_recording
 
-        source = read_recording(
-            recording,
-            rate_hz=rate_hz,
-            unit=unit,
-            columns=columns,
-            full_scale=full_scale,
-            resample=resample,
-        )
-        report_warnings([source])
-        verb(recording=source, **own)
+def split_study(words: Sequence[Word], what: str) -> tuple[Word | None, Word]:
+    """Split [STUDY] from what follows it."""
+    if not 0 < len(words) <= 2:  # noqa: PLR2004 - a study and one more
+        refuse_use(f"takes a study and {what}, got {len(words)} words")
+    return (words[0] if len(words) > 1 else None), words[-1]
 
-    return read_then_do
+
+# Output.
 
 
 def echo(text: object = "", *, err: bool = False, over: bool = False) -> None:
@@ -296,17 +225,25 @@ def echo(text: object = "", *, err: bool = False, over: bool = False) -> None:
     over: the next one is printed over it. A terminal that was closed is no error where only a person would read it.
     """
     line = clean_text(str(text), keep="\n\t")
-    with suppress(OSError) if err else nullcontext():
-        click.echo(f"\r{line}" if over else line, nl=not over, err=err)
+    if not err:
+        _print(sys.stdout, line)
+    elif sys.stderr is not None:
+        with suppress(OSError):
+            _print(sys.stderr, f"\r{line}" if over else line, end="" if over else "\n")
+
+
+def _print(stream: TextIO, line: str, end: str = "\n") -> None:
+    stream.write(f"{line}{end}")
+    stream.flush()
 
 
 def warn(message: str) -> None:
     """Print a warning to stderr, in one line."""
-    if not _is("quiet"):
+    if not CALL.get().quiet:
         echo(f"feel321: warning: {clean_text(message)}", err=True)
 
 
-def report_warnings(recordings: Iterable[Recording | Facts]) -> None:
+def report_warnings(recordings: Iterable["Recording | Facts"]) -> None:
     """Print what was noticed in recordings, one line each, to stderr."""
     for line in cap([f"{one.name}: {text}" for one in recordings for text in one.warnings]):
         warn(line)
@@ -320,8 +257,7 @@ def cap(
 ) -> list[str]:
     """Cut a long list of lines, and say how many there are more, and where."""
     left = len(lines) - MOST_LINES
-    more = [f"and {left} more like these; {whole}"]
-    return [*lines[:MOST_LINES], *(more if left > 0 else ())]
+    return [*lines[:MOST_LINES], *([f"and {left} more like these; {whole}"] if left > 0 else [])]
 
 
 def print_json(entry: object) -> None:
@@ -342,7 +278,7 @@ def dump_json(entry: object) -> str:
     return json.dumps(to_json_value(entry), indent=2, ensure_ascii=False, allow_nan=False)
 
 
-def recording(study: StudyFolder, verb: str, path: Path) -> AbstractContextManager[None]:
+def recording(study: "StudyFolder", verb: str, path: Path) -> AbstractContextManager[None]:
     """Record what a verb writes outside the study's own places, so that a withdrawal finds it."""
     from feel321.study.persons.withdrawal import recording_output
     from feel321.study.session.journal import utc_now
@@ -363,9 +299,25 @@ def is_terminal() -> bool:
 
 def wants_bar() -> bool:
     """Check whether a progress bar is wanted: on a terminal, unless nothing or each step is to be printed."""
-    return is_terminal() and not _is("quiet") and not _is("verbose")
+    call = CALL.get()
+    return is_terminal() and not call.quiet and not call.verbose
 
 
 def show_progress(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
     """Show a progress bar on stderr, if that is a terminal."""
     return follow(wants_bar(), what)
+
+
+def simulate_sessions(study: Study, participants: int, seed: int | None = None) -> int:
+    """Simulate sessions; returns the number of ratings. It does without pandas, which takes a second to import."""
+    from feel321.study.simulation import simulate_study
+
+    with show_progress("simulate") as progress:
+        return simulate_study(
+            study.folder,
+            participants=participants,
+            seed=seed,
+            now=study.now,
+            progress=progress,
+            warn=warn,
+        )

@@ -1,18 +1,17 @@
 """The verb about reducers: tradeoff, in three pages until they are one."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import click
+from cyclopts import Parameter
 
-from feel321.jobs import ALONE, Workers
+from feel321.jobs import Workers
 from feel321.study.commands import shared
+from feel321.study.commands.shared import ALONE, Crew, File, Json, Number, Out, Seed, within
 from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
@@ -32,9 +31,9 @@ class TradeoffTask:
     extra: tuple[Path, ...]
     output: Path
     seed: int
-    workers: Workers = ALONE
+    workers: Workers
 
-    def list_own(self) -> dict[str, OwnReducer]:
+    def list_own(self) -> "dict[str, OwnReducer]":
         """List the reducers of the lab that the study names, but what was made elsewhere: it reduces nothing else."""
         from feel321.study.methods import list_own_reducers
         from feel321.study.settings.read import read_settings
@@ -44,7 +43,7 @@ class TradeoffTask:
         found = list_own_reducers(read_settings(self.study.settings), self.study.path)
         return {name: one for name, one in found.items() if one.method.origin != "made"}
 
-    def gather(self, *, conditioned: bool = True) -> tuple[Recording, ...]:
+    def gather(self, *, conditioned: bool = True) -> "tuple[Recording, ...]":
         """Gather the recordings, conditioned or as they came from the sensor."""
         from feel321.study.analyze import gather_recordings
 
@@ -63,65 +62,52 @@ def _find_places(places: Sequence[Path], *, scenes: bool) -> tuple[Path | None, 
     studies = [one for one in places if (one / "study.toml").is_file()]
     extra = tuple(one for one in places if one not in studies)
     if len(studies) > 1:
-        raise click.UsageError(f"name one study, got {', '.join(map(str, studies))}")
+        shared.refuse_use(f"name one study, got {', '.join(map(str, studies))}")
     for one in extra:
         if not one.exists():
             raise FileNotFoundError(f"{one}: no such study or recording; check the name")
     return (studies[0] if studies else None), extra
 
 
-@click.command(
-    epilog="""\b
-Example: feel321 tradeoff my-study
-         feel321 tradeoff oak.csv pine.csv --online --latency-ms 45
-"""
-)
-@click.argument("places", metavar="[STUDY | RECORDING ...]", nargs=-1, type=shared.FILE)
-@shared.flag("--scenes", "Also the bundled scenes.")
-@shared.flag(
-    "--thorough",
-    "Whole recordings, 200 orientations, and a battery of difficult scenes; takes many times as long.",
-)
-@shared.flag("--online", "The reducer runs while the vibration is made.")
-@shared.number_option("--latency-ms", "Longest delay online, device included, in ms.", "45")
-@click.option(
-    "--mounting",
-    type=click.Choice(["any", "recorded"]),
-    default="any",
-    show_default=True,
-    help="Whether advice must hold for any mounting of the sensor.",
-)
-@click.option(
-    "--axes", type=shared.WholeNumber(1, 3), default=1, show_default=True,
-    help="Axes that the actuator can move.",
-)  # fmt: skip
-@shared.number_option(
-    "--tolerance", "Largest energy change taken as imperceptible, as a Weber fraction.", "0.22"
-)
-@shared.out_option("STUDY/tradeoff, or tradeoff")
-@shared.seed_option("", default="the study's, or 0")
-@shared.workers_option
-@shared.json_option
 def tradeoff(  # noqa: PLR0913 - one per option
-    *,
-    places: tuple[Path, ...],
-    scenes: bool,
-    thorough: bool,
-    online: bool,
-    latency_ms: float | None,
-    mounting: str,
-    axes: int,
-    tolerance: float | None,
-    out: Path | None,
-    seed: int | None,
-    workers: Workers,
-    as_json: bool,
+    *places: Annotated[File, Parameter(name="STUDY|RECORDING")],
+    scenes: bool = False,
+    thorough: bool = False,
+    online: bool = False,
+    latency_ms: Number | None = None,
+    mounting: Literal["any", "recorded"] = "any",
+    axes: Annotated[int, within(1, 3)] = 1,
+    tolerance: Number | None = None,
+    out: Out = None,
+    seed: Seed = None,
+    crew: Crew = ALONE,
+    as_json: Json = False,
 ) -> None:
     """Compare reducers: speed against accuracy, and the simplest that suffices.
 
     Writes a page of advice (the first reducer, by simplicity, that is as good as the best within tolerance), a chart of
-    speed against accuracy, and with --thorough a map of the scenes in which reducers fail. Times are measured on this
-    machine: leave it idle.
+    speed against accuracy, and with --thorough a map of the scenes in which reducers fail, into STUDY/tradeoff. Times
+    are measured on this machine: leave it idle.
+
+    Example: feel321 tradeoff my-study
+             feel321 tradeoff oak.csv pine.csv --online --latency-ms 45
+
+    Parameters
+    ----------
+    scenes
+        Also the bundled scenes.
+    thorough
+        Whole recordings, 200 orientations, and a battery of difficult scenes; takes many times as long.
+    online
+        The reducer runs while the vibration is made.
+    latency_ms
+        Longest delay online, device included, in ms.  [default: 45]
+    mounting
+        Whether advice must hold for any mounting of the sensor.
+    axes
+        Axes that the actuator can move.
+    tolerance
+        Largest energy change taken as imperceptible, as a Weber fraction.  [default: 0.22]
     """
     from feel321.analysis.report.folder import check_target
     from feel321.analysis.tradeoff.advise.scene import Context, Tolerance
@@ -137,7 +123,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
     # Recordings that were named without a study belong to none, whatever the current folder is.
     study = StudyFolder(folder or output)
     task = TradeoffTask(
-        study, scenes, extra, output, _find_seed(study) if seed is None else seed, workers
+        study, scenes, extra, output, _find_seed(study) if seed is None else seed, crew.employ()
     )
     found: dict[str, Any] = {"advice": _advise(task, context, quiet=as_json)}
     found["chart"] = _chart(task, thorough=thorough)
@@ -195,7 +181,7 @@ def _stress(task: TradeoffTask) -> object:
     return _read_results(task.output / "stress")
 
 
-def _advise(task: TradeoffTask, context: Context, *, quiet: bool) -> object:
+def _advise(task: TradeoffTask, context: "Context", *, quiet: bool) -> object:
     """Name the simplest sufficient reducer for every recording, by metrics, and by ratings where there are any."""
     from feel321.analysis.tradeoff.advise.page import advise_recordings
 
@@ -236,10 +222,10 @@ def _as_options() -> Iterator[None]:
         text = f"--{error}"
         for argument, option in _OPTIONS.items():
             text = text.replace(argument, option)
-        raise click.UsageError(text) from None
+        shared.refuse_use(text)
 
 
-def _read_ratings(study: StudyFolder) -> Ratings | None:
+def _read_ratings(study: StudyFolder) -> "Ratings | None":
     """Read what the ratings say of each reducer, if there are any."""
     from feel321.analysis.tradeoff.advise.scene import judge_ratings
     from feel321.study.analyze import find_ratings

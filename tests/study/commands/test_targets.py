@@ -42,11 +42,3 @@ def test_a_file_is_no_folder(
     told = "feel321: mine: must be a folder, got a file; choose another name\n"
     assert capsys.readouterr() == ("", told)
     assert (tmp_path / "mine").read_text() == "mine"
-
-
-def test_export_of_a_study_asks_where_to(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "study.toml").write_text("")
-    assert main(["export", str(tmp_path)]) == 2
-    assert "is a study; name the folder to write, too" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Every number of every setting and option has two bounds, and what is beyond them is refused at once."""
+"""Every number of every setting has two bounds, and what is beyond them is refused at once."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import typing
 from collections.abc import Iterator
 from pathlib import Path
 
-import click
 import pytest
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from feel321.study.actuator.rig import Rig
-from feel321.study.cli import feel321, main
+from feel321.study.cli import main
 from feel321.study.settings import schema
 
 UNBOUNDED = {
@@ -82,26 +81,6 @@ def test_no_setting_takes_what_is_beyond_all_sense() -> None:
         for value in (10**20, -(10**20), math.nan, math.inf, -math.inf):
             with pytest.raises(ValidationError):
                 number.validate_python(value, strict=kind is float)
-
-
-OPTIONS = [
-    (name, option)
-    for name, verb in sorted(feel321.commands.items())
-    for option in verb.params
-    if isinstance(option, click.Option)
-    and isinstance(option.type, click.types.IntParamType | click.types.FloatParamType)
-]
-
-
-@pytest.mark.parametrize(("verb", "option"), OPTIONS)
-def test_every_number_of_an_option_has_both_bounds(verb: str, option: click.Option) -> None:
-    kind = option.type
-    assert isinstance(kind, click.IntRange | click.FloatRange), f"{verb} {option.name}"
-    assert kind.min is not None
-    assert kind.max is not None
-    for text in BAD:
-        with pytest.raises(click.BadParameter):
-            kind.convert(text, option, None)
 
 
 TEXT = """

@@ -1,0 +1,385 @@
+"""Verbs with which a study is made: new, check, build, power, freeze, and the demonstration."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from shlex import quote
+from typing import Annotated, Literal
+
+from cyclopts import Parameter, Token
+
+from feel321 import intake
+from feel321.study.commands import shared
+from feel321.study.commands.shared import ALONE, Crew, File, Json, Out, Seed, within
+from feel321.study.folder import (
+    StudyFolder,
+    create_study,
+    list_bundled,
+    read_template,
+    require_study,
+)
+from feel321.study.session.identity import FROZEN_FILE
+from feel321.study.study import Study
+
+
+def new(
+    folder: Annotated[File | None, Parameter(name="DIR")] = None,
+    /,
+    *,
+    study: Annotated[str | None, Parameter(choices=list_bundled())] = None,
+    methods: bool = False,
+    texts: Annotated[str | None, Parameter(metavar="LANGUAGE")] = None,
+    all_settings: bool = False,
+) -> None:
+    """Begin a study: a commented study.toml, ready to use.
+
+    Example: feel321 new my-study
+             feel321 new my-study --study park2019
+             feel321 new my-study --texts de
+             feel321 new --all-settings
+
+    Parameters
+    ----------
+    study
+        A ready study.
+    methods
+        Also examples of methods of your own, in methods/.
+    texts
+        Only write the participants' texts, en or de, to texts.toml.
+    all_settings
+        Only print every setting.
+    """
+    from feel321.study.folder import add_methods
+
+    if all_settings:
+        from feel321.study.all_settings import FILES, write_list
+
+        shared.echo("\n".join(write_list(file) for file in FILES).rstrip("\n"))
+        return
+    if texts is not None:
+        _write_texts(require_study(folder or Path()), texts)
+        return
+    if folder is None:
+        shared.refuse_use("name the folder of the new study")
+    if study and methods:
+        shared.refuse_use("--methods adds to a study of your own; leave out --study")
+    made = Study.create(folder, like=study).folder
+    if methods:
+        add_methods(made)
+    shared.echo(f"{made.settings}: edit it, then: feel321 check {quote(str(folder))}")
+
+
+def _write_texts(study: StudyFolder, language: str) -> None:
+    """Write the participants' texts of a language, each as a comment, for a study that changes some of them."""
+    from feel321.doors import check_name
+    from feel321.files import create_text
+    from feel321.protocols.texts import COPY_FILE, list_languages, write_copy
+
+    check_name(language, list_languages(), "--texts")
+    path = study.path / COPY_FILE
+    create_text(path, write_copy(language))
+    shared.echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
+
+
+def check(
+    study: File = Path(),
+    /,
+    *,
+    method: Annotated[str | None, Parameter(metavar="NAME")] = None,
+    kind: Literal["reducer", "metric"] | None = None,
+    as_json: Json = False,
+) -> int:
+    """Check everything that a study needs.
+
+    Settings, recordings, strength of the stimuli, rig and stimulus set: every problem is listed at once. With
+    --method: whether a reducer or metric of your own meets feel321's requirements.
+
+    Example: feel321 check my-study
+             feel321 check --method mylab.haptics:my321
+             feel321 check my-study --method methods/psnr.py:psnr --kind metric
+
+    Parameters
+    ----------
+    method
+        Check this method of your own instead: mylab:my321, methods/my321.py:my321, or its table's name.
+    kind
+        Kind of method; guessed from its parameters by default.
+    """
+    if method is not None:
+        return _check_method(study, method, kind, as_json=as_json)
+    opened = shared.open_study(study, clears=False)
+    found = opened.check()
+    for text in (*shared.cap(found.remarks), *shared.cap(found.warnings)):
+        shared.warn(text)
+    if as_json:
+        lists = {"problems": found.problems, "warnings": found.warnings, "notes": found.notes}
+        shared.print_json(lists | found.figures)
+    else:
+        count = len(found.warnings) + len(found.remarks)
+        counted = f", {count} warning{'s' * (count > 1)}" if count else ""
+        good = f"{opened.folder.path}: no problems{counted}"
+        shared.echo("\n".join([*(shared.cap(found.problems) or [good]), *found.notes]))
+    return 1 if found.problems else 0
+
+
+def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -> int:
+    """Check one of the lab's own methods, and print a line for each check."""
+    from feel321.stimuli.conform import check_method
+    from feel321.study.methods import open_method
+
+    method = open_method(name, folder, kind)
+    found = check_method(method)
+    failed = sum(not one.passed for one in found)
+    if as_json:
+        facts = {"kind": method.kind, "name": method.name, **method.to_json()}
+        shared.print_json({**facts, "checks": found, "failed": failed})
+    else:
+        all_passed = f"all {len(found)} checks passed"
+        outcome = f"{failed} of {len(found)} checks failed" if failed else all_passed
+        shared.echo(f"{method.kind} {method.name}: {outcome}")
+        for one in found:
+            shared.echo(f"  {'ok    ' if one.passed else 'FAILED'}  {one.check}: {one.text}")
+    return 1 if failed else 0
+
+
+def build(
+    study: File = Path(), /, *, crew: Crew = ALONE, no_page: bool = False, as_json: Json = False
+) -> None:
+    """Build the stimulus set; only what changed is made again.
+
+    Open stimuli/index.html in a browser to see, measure and hear every stimulus.
+
+    Example: feel321 build my-study --workers 2
+
+    Parameters
+    ----------
+    no_page
+        Do not write stimuli/index.html.
+    """
+    from feel321.stimuli.sets.build import find_copies
+    from feel321.study.strength import describe_built
+    from feel321.study.workflow import build_study
+
+    workers, opened = crew.employ(), shared.open_study(study)
+    with shared.show_progress("build") as progress:
+        facts, stimuli = build_study(
+            opened.folder, workers=workers, page=not no_page, progress=progress
+        )
+    shared.report_warnings(facts)
+    for copies in find_copies(facts):
+        shared.warn(copies)
+    notes = describe_built(opened.settings, stimuli)
+    count, folder, sha256 = len(stimuli.stimuli), str(stimuli.folder), stimuli.sha256
+    if as_json:
+        shared.print_json({"stimuli": count, "folder": folder, "sha256": sha256, "notes": notes})
+    else:
+        lines = [f"{folder}: {count} stimuli, set {sha256[:12]}", *shared.cap(notes)]
+        shared.echo("\n".join(lines))
+
+
+MOST_OF_ANY = 100_000
+
+
+def _read_numbers(_kind: type, tokens: Sequence[Token]) -> tuple[int, ...]:
+    """Read whole numbers with commas between them, in ascending order, each once."""
+    text = tokens[0].value
+    try:
+        numbers = sorted({int(part) for part in text.split(",")})
+    except ValueError:
+        numbers = []
+    if not numbers or numbers[0] < 1 or numbers[-1] > MOST_OF_ANY:
+        raise ValueError(
+            f"must be whole numbers from 1 to {MOST_OF_ANY} with commas between them, such as 8,12,16; got {text!r}"
+        )
+    return tuple(numbers)
+
+
+Numbers = Annotated[
+    tuple[int, ...], Parameter(converter=_read_numbers, n_tokens=1, metavar="N,...")
+]
+
+
+def _read_effects(texts: Sequence[str]) -> dict[str, float]:
+    effects: dict[str, float] = {}
+    for text in texts:
+        name, _, points = text.rpartition("=")
+        try:
+            value = float(points)
+        except ValueError:
+            value = math.nan
+        if not name or not abs(value) <= shared.MOST:
+            shared.refuse_use(
+                f"--effect must be METRIC=POINTS, such as temporal_match=1.5; got {text!r}"
+            )
+        if name in effects:
+            shared.refuse_use(f"--effect: got {name!r} twice; give it once")
+        effects[name] = value
+    return effects
+
+
+def power(  # noqa: PLR0913 - one per option
+    study: File = Path(),
+    /,
+    *,
+    participants: Numbers = (),
+    recordings: Numbers = (),
+    reducers: Numbers = (),
+    repeats: Numbers = (),
+    effect: Annotated[tuple[str, ...], Parameter(metavar="METRIC=POINTS")] = (),
+    hypothesis: Annotated[str | None, Parameter(metavar="ATTRIBUTE/METRIC")] = None,
+    pilot: Annotated[str | None, Parameter(metavar="FILE")] = None,
+    manifest: File | None = None,
+    screening: Annotated[tuple[str, ...], Parameter(metavar="RULE")] = (),
+    wanted: Annotated[float, within(0.05, 0.995), Parameter(name="--power")] = 0.8,
+    studies: Annotated[int, within(0, 1_000_000)] = 1000,
+    crew: Crew = ALONE,
+    seed: Seed = None,
+    out: Out = None,
+    as_json: Json = False,
+) -> None:
+    """Find how many participants, recordings and reducers a study needs.
+
+    Simulates this very study: its stimuli, protocols, screening, primary model and Holm's method. Writes a page, tables
+    and JSON into STUDY/power. After Ctrl-C the same command continues.
+
+    Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2
+
+    Parameters
+    ----------
+    participants
+        Numbers of participants.  [default: 8 to 48]
+    recordings
+        Numbers of recordings.  [default: half to three times the study's]
+    reducers
+        Numbers of reducers.  [default: half to 1.5 times the study's]
+    repeats
+        Ratings of each stimulus by one person.  [default: 1 to 4]
+    effect
+        Slope to plan for, in points per step of the metric: +0.1 of a match, a power of ten (such as +1 dB) of others;
+        repeatable; ATTRIBUTE/METRIC=POINTS for one scale.  [default: as simulated observers feel]
+    hypothesis
+        The slope that the recommended design is for.  [default: that of --effect with the least power]
+    pilot
+        Ratings to take standard deviations from; 'study': the study's own.  [default: published ones]
+    manifest
+        The stimuli of the pilot; the study's by default.
+    screening
+        Leave out the participants whom this rule flags; repeatable.
+    wanted
+        Target power.
+    studies
+        Simulated studies of each checked design; 0: closed form only.
+    """
+    workers, effects, opened = crew.employ(), _read_effects(effect), shared.open_study(study)
+    target = out or opened.folder.path / "power"
+    with shared.recording(opened.folder, "power", target):
+        found = opened.power(
+            participants=participants,
+            recordings=recordings,
+            reducers=reducers,
+            repeats=repeats,
+            effects=effects,
+            hypothesis=hypothesis,
+            pilot=pilot,
+            manifest=manifest,
+            screening=screening,
+            wanted=wanted,
+            studies=studies,
+            workers=workers,
+            seed=seed,
+            folder=target,
+        )
+    if not as_json:
+        shared.echo(found.summary())
+    shared.print_results(target, as_json=as_json)
+
+
+def freeze(study: File = Path(), /, *, show: bool = False, as_json: Json = False) -> None:
+    """Freeze hypotheses, design and analysis before the first rating is seen.
+
+    Writes frozen.json: settings, stimuli, code and hypotheses, with their digests. analyze then marks results as
+    confirmatory or exploratory, and names every setting that was changed. It may be written again until a person has
+    rated. No rating is shown.
+
+    Example: feel321 freeze my-study
+             feel321 freeze my-study --show
+
+    Parameters
+    ----------
+    show
+        Only show what is frozen, and what has changed since.
+    """
+    from feel321.study import freeze as freezing
+
+    opened = shared.open_study(study)
+    folder = opened.folder
+    if show:
+        frozen = freezing.read_frozen(folder)
+        changes = freezing.list_changes(folder, opened.settings, frozen) if frozen else {}
+    else:
+        frozen, changes = freezing.freeze_study(folder, now=opened.now)
+    faults = freezing.find_faults(folder)
+    if as_json:
+        own = asdict(frozen) if frozen else None
+        shared.print_json({"frozen": own, "changes": [*changes.values()], "faults": faults})
+        return
+    for line in faults:
+        shared.warn(line)
+    if frozen is None:
+        shared.echo(f"{folder.path}: nothing is frozen; before the first rating: feel321 freeze")
+        return
+    lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
+    if show:
+        own_words = frozen.settings["analysis.hypotheses"]
+        settings = [
+            f"  {name} = {freezing.describe_value(one)}" for name, one in frozen.settings.items()
+        ]
+        lines += ["hypotheses:", *(f"  {one}" for one in (*frozen.hypotheses, *own_words))]
+        lines += ["settings:", *settings]
+    if changes:
+        lines += ["changed:", *(f"  {one}" for one in changes.values())]
+    shared.echo("\n".join(lines))
+
+
+DEMO_PARTICIPANTS = 16
+
+
+def demo(*, out: Out = Path("demo-study")) -> None:
+    """Run a whole study with simulated participants.
+
+    Example: feel321 demo --out demo-study
+    """
+    opened = Study(_open_demo(out or Path()), shared.wants_bar(), warn=shared.warn)
+    stimuli = opened.build()
+    shared.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
+    rows = shared.simulate_sessions(opened, DEMO_PARTICIPANTS)
+    table = opened.folder.ratings
+    shared.echo(f"{table}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
+    opened.analyze()
+    shared.print_results(opened.folder.report, as_json=False)
+
+
+def _open_demo(folder: Path) -> StudyFolder:
+    """Begin the demonstration, or resume it; a folder with anything else in it is left alone."""
+    from feel321.study.observer.casting import NUMBERED
+
+    study = StudyFolder(folder)
+    if not folder.exists() or not any(folder.iterdir()):
+        return create_study(folder)
+    people = [entry.name for entry in study.participants if not NUMBERED.fullmatch(entry.name)]
+    if not study.settings.is_file():
+        refusal = f"{folder}: holds files that demo did not write; name another folder with --out"
+    elif intake.read_small(study.settings) != read_template():
+        refusal = (
+            f"{study.settings}: edited, or written by another version of feel321, so this is not the study that demo "
+            "runs; name another folder with --out, or delete this one"
+        )
+    elif people:
+        refusal = (
+            f"{folder}: holds a session of {people[0]}, who is no simulated participant; "
+            "name another folder with --out"
+        )
+    else:
+        return study
+    raise FileExistsError(refusal)
