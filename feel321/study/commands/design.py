@@ -44,9 +44,9 @@ def new(
     study
         A ready study.
     methods
-        Also examples of methods of your own, in methods/.
+        Also examples of your own methods, in methods/.
     texts
-        Only write the participants' texts, en or de, to texts.toml.
+        Only write the participants' texts (en, de).
     all_settings
         Only print every setting.
     """
@@ -102,9 +102,9 @@ def check(
     Parameters
     ----------
     method
-        Check this method of your own instead: mylab:my321, methods/my321.py:my321, or its table's name.
+        A method of your own instead: mylab:my321, methods/my321.py:my321, or its table's name.
     kind
-        Kind of method; guessed from its parameters by default.
+        Kind of method; guessed if left out.
     """
     if method is not None:
         return _check_method(study, method, kind, as_json=as_json)
@@ -113,8 +113,12 @@ def check(
     for text in (*shared.cap(found.remarks), *shared.cap(found.warnings)):
         shared.warn(text)
     if as_json:
-        lists = {"problems": found.problems, "warnings": found.warnings, "notes": found.notes}
-        shared.print_json(lists | found.figures)
+        facts: dict[str, object] = {
+            "problems": found.problems,
+            "warnings": found.warnings,
+            "notes": found.notes,
+        }
+        shared.print_json({**facts, **found.figures})
     else:
         count = len(found.warnings) + len(found.remarks)
         counted = f", {count} warning{'s' * (count > 1)}" if count else ""
@@ -155,7 +159,7 @@ def build(
     Parameters
     ----------
     no_page
-        Do not write stimuli/index.html.
+        No stimuli/index.html.
     """
     from feel321.stimuli.sets.build import find_copies
     from feel321.study.strength import describe_built
@@ -256,16 +260,16 @@ def power(  # noqa: PLR0913 - one per option
     repeats
         Ratings of each stimulus by one person.  [default: 1 to 4]
     effect
-        Slope to plan for, in points per step of the metric: +0.1 of a match, a power of ten (such as +1 dB) of others;
-        repeatable; ATTRIBUTE/METRIC=POINTS for one scale.  [default: as simulated observers feel]
+        Slope to plan for, in points per +0.1 of a match, or per power of ten (+1 dB) of other metrics; repeatable;
+        ATTRIBUTE/METRIC for one scale.  [default: as simulated observers feel]
     hypothesis
-        The slope that the recommended design is for.  [default: that of --effect with the least power]
+        The slope to recommend a design for.  [default: the one with least power]
     pilot
-        Ratings to take standard deviations from; 'study': the study's own.  [default: published ones]
+        Ratings to take standard deviations from; 'study': its own.  [default: published ones]
     manifest
-        The stimuli of the pilot; the study's by default.
+        The stimuli of the pilot.  [default: the study's]
     screening
-        Leave out the participants whom this rule flags; repeatable.
+        Leave out whom this rule flags; repeatable.
     wanted
         Target power.
     studies
@@ -308,7 +312,7 @@ def freeze(study: File = Path(), /, *, show: bool = False, as_json: Json = False
     Parameters
     ----------
     show
-        Only show what is frozen, and what has changed since.
+        Only show what is frozen and what changed.
     """
     from feel321.study import freeze as freezing
 

@@ -40,15 +40,15 @@ def run(  # noqa: PLR0913 - one parameter per option
     windowed
         A window instead of the whole screen.
     screen
-        The participant's monitor; 0 is the main one.
+        The participant's monitor; 0: the main one.
     device
-        Audio device instead of the rig's; 'file' writes WAV files.
+        Device instead of the rig's; 'file' writes WAV files.
     accept_rig
-        Resume on a rig or certificate that changed; the journal records it.
+        Resume on a changed rig or certificate; the journal records it.
     lsl
-        Send the session's events to the lab streaming layer.
+        Send events to the lab streaming layer.
     rehearse
-        Try it out: stored in rehearsals/ and never analysed.
+        Stored in rehearsals/ and never analysed.
     simulated
         A simulated participant presses the keys.
     """
@@ -199,7 +199,7 @@ def status(
     with_notes
         Also the experimenter's notes.
     page
-        Write a blind page of the running sessions, and renew it until Ctrl-C.
+        Keep a blind page of running sessions until Ctrl-C.
     """
     opened = shared.open_study(study, rehearsals=rehearsals, clears=False)
     if page is not None:
@@ -258,7 +258,7 @@ def collect(
     Parameters
     ----------
     folder
-        The study to collect into; the current folder by default.
+        The study to collect into.  [default: .]
     """
     from feel321.study.collect import collect_sessions
 
@@ -298,9 +298,9 @@ def withdraw(
     Parameters
     ----------
     reason
-        The reason, kept with the code; write no name.
+        Kept with the code; write no name.
     keep_data
-        Keep what was recorded; only free the design slot.
+        Only free the design slot.
     is_sure
         Do not ask.
     """

@@ -39,13 +39,13 @@ def analyze(  # noqa: PLR0913 - one per option
     Parameters
     ----------
     ratings
-        Ratings from elsewhere; with --manifest, no study is needed.
+        Ratings from elsewhere; needs --manifest outside a study.
     manifest
-        The stimuli that were rated; the study's by default.
+        The stimuli rated.  [default: the study's]
     metric
-        A numeric column of the manifest as a metric of the primary analysis; repeatable.  [default: as declared]
+        A numeric manifest column to analyze; repeatable.  [default: as declared]
     rivals
-        Also rank all metrics by how well they predict, corrected for how many were tried.
+        Also rank all metrics, corrected for how many were tried.
     """
     if manifest is not None and ratings is None:
         shared.refuse_use("--manifest needs --ratings; give both, or --ratings alone in a study")
@@ -99,9 +99,9 @@ def audit(
     Parameters
     ----------
     remote
-        A git remote with checkpoints besides the study's own; repeatable.
+        A further git remote with checkpoints; repeatable.
     expect
-        Fail if there is no such checkpoint of seal.
+        Fail without this checkpoint.
     """
     opened = shared.open_study(study, rehearsals=rehearsals, clears=False)
     found = opened.audit(expect=expect, remotes=remote)
@@ -151,9 +151,9 @@ def seal(
     Parameters
     ----------
     reason
-        Why settings, texts or methods changed since the last checkpoint.
+        Why settings, texts or methods changed.
     to
-        Push to this git remote from now on: a folder outside the study, or a URL.
+        Git remote to push to from now on: a folder outside the study, or a URL.
     """
     opened = shared.open_study(study)
     found = opened.seal(reason, to=to)
@@ -188,7 +188,7 @@ def export(
     Parameters
     ----------
     keep_ids
-        Keep the study's codes of participants.
+        Keep participants' codes.
     simulated
         Simulated participants too, marked as such.
     for_r

@@ -49,9 +49,9 @@ def calibrate(
     Parameters
     ----------
     manual
-        Instead of measuring: the gain of an actuator, in m/s² at full scale; once for each.
+        Type a gain instead of measuring, in m/s² at full scale; once for each.
     flip
-        Find the scale of a DC-coupled sensor by turning it over; nothing plays.
+        Scale a DC-coupled sensor by turning it over.
     """
     from feel321.study.actuator.certificate import write_certificate
     from feel321.study.actuator.figure import draw_certificate

@@ -104,15 +104,13 @@ def _read_columns(_kind: type, tokens: Sequence[Token]) -> tuple[str | int, ...]
 
 File = Annotated[Path, Parameter(converter=_read_path)]
 Number = Annotated[float, within(-MOST, MOST)]
-Json = Annotated[bool, Parameter(name="--json", help="Print the numbers as JSON.")]
+Json = Annotated[bool, Parameter(name="--json", help="Print numbers as JSON.")]
 Out = Annotated[File | None, Parameter(name=["--out", "-o"], help="Folder of the results.")]
 Seed = Annotated[
     int | None, within(0, MOST_SEED), Parameter(help="Random seed; the study's by default.")
 ]
 Participant = Annotated[str, Parameter(metavar="ID", help="The participant's code.")]
-Rehearsals = Annotated[
-    bool, Parameter(help="The rehearsals (run --rehearse) instead of the sessions.")
-]
+Rehearsals = Annotated[bool, Parameter(help="Rehearsals instead of sessions.")]
 Several = Annotated[tuple[str, ...], Parameter(metavar="NAME")]
 
 
@@ -124,10 +122,9 @@ class Crew:
     Parameters
     ----------
     workers
-        Number of processes; each takes a second or two to start.
+        Number of processes.
     scheduler
-        A Dask cluster that sees the same files: tcp://HOST:PORT (not encrypted; anyone who can reach it can run
-        programs) or tls://HOST:PORT.
+        A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
     """
 
     workers: Annotated[int, within(1, 1024)] = 1
@@ -156,7 +153,7 @@ class Reading:
     rate_hz
         Sampling rate in Hz.  [default: what the file says]
     columns
-        Names or numbers (from 0), such as time,x,y,z.
+        Names or numbers (from 0): time,x,y,z.
     full_scale
         Full scale of integer samples, in the unit.
     resample

@@ -22,12 +22,7 @@ if TYPE_CHECKING:
 RATE_TOLERANCE_HZ = 1.0
 """A WAV header holds whole Hz only; a recording's true rate may lie between."""
 
-Raw = Annotated[
-    bool,
-    Parameter(
-        help="The recording as it was measured; a study removes the offset and keeps 20 to 1000 Hz."
-    ),
-]
+Raw = Annotated[bool, Parameter(help="As measured: no offset removed, all frequencies kept.")]
 
 
 def reduce(  # noqa: PLR0913 - one per option
@@ -54,7 +49,7 @@ def reduce(  # noqa: PLR0913 - one per option
     reducer
         The 321 transform (a wrong name lists all), or one of your own: methods/my321.py:my321.
     output
-        The .wav file to write; a JSON file goes beside it.
+        The .wav file; a JSON file goes beside it.
     window_ms
         Window of the reducers that have one.  [default: 35]
     force
@@ -115,9 +110,9 @@ def match(  # noqa: PLR0913 - one per option
     Parameters
     ----------
     metric
-        Also this metric: a name, or one of your own, as mylab.haptics:psnr; repeatable.
+        Also this metric, or your own (mylab.haptics:psnr); repeatable.
     rivals
-        Also the rivals of the match metrics: level, spectra and envelopes.
+        Also rival metrics: level, spectra, envelopes.
     """
     from feel321.doors import name_of
     from feel321.stimuli.wav import read_wav

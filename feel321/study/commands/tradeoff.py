@@ -97,13 +97,13 @@ def tradeoff(  # noqa: PLR0913 - one per option
     scenes
         Also the bundled scenes.
     thorough
-        Whole recordings, 200 orientations, and a battery of difficult scenes; takes many times as long.
+        Whole recordings, 200 orientations, and difficult scenes; many times as long.
     online
         The reducer runs while the vibration is made.
     latency_ms
         Longest delay online, device included, in ms.  [default: 45]
     mounting
-        Whether advice must hold for any mounting of the sensor.
+        Mountings of the sensor that advice must hold for.
     axes
         Axes that the actuator can move.
     tolerance
