@@ -28,7 +28,8 @@ from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.advise.page import Advice
 from feel321.analysis.tradeoff.chart.compute import Chart
 from feel321.analysis.tradeoff.stress.page import Stress
-from feel321.protocols.trial import Page, Part
+from feel321.protocols.questions import Question
+from feel321.protocols.trial import Page, Part, Trials
 from feel321.stimuli.recording import Signal
 from feel321.study.findings import Audit, Problems, Seal
 from feel321.study.power.page import StudyPower
@@ -70,6 +71,7 @@ __all__ = [
     "Primaries",
     "Primary",
     "Problems",
+    "Question",
     "Ranking",
     "RaterModel",
     "ReducerDifference",
@@ -85,5 +87,6 @@ __all__ = [
     "Stress",
     "StudyPower",
     "Table",
+    "Trials",
     "VotePrediction",
 ]  # fmt: skip

@@ -5,12 +5,10 @@ Knows nothing of signals, screens or files: a trial names a stimulus by its id.
 
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.balance import Balance, measure_balance
-from feel321.protocols.options import refine_task
 from feel321.protocols.order import ORDERS, make_order
-from feel321.protocols.questions import Question
 from feel321.protocols.tasks import PROTOCOLS, make_task, score_trial
 from feel321.protocols.texts import read_scales
-from feel321.protocols.trial import Flow, Item, Scale, Task, Trial, Trials
+from feel321.protocols.trial import Flow, Item, Scale, Task, Trial
 
 __all__ = [
     "ORDERS",
@@ -19,16 +17,13 @@ __all__ = [
     "Balance",
     "Flow",
     "Item",
-    "Question",
     "Scale",
     "Task",
     "Trial",
-    "Trials",
     "make_order",
     "make_task",
     "measure_balance",
     "read_scales",
-    "refine_task",
     "score_trial",
 ]
 

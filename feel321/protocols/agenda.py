@@ -3,64 +3,31 @@
 Pages, training with feedback, practice, breaks, and repeated attempts all follow from the plan and from what was
 told so far, and from nothing else. A session that is resumed therefore tells an agenda what its journal holds, and
 goes on as if it had never been interrupted.
+
+A round of training is passed if, of those answers that are not right by guessing, the share that was asked for is
+right (correction for guessing [1]_). At 75 % that lets nobody miss one of four, and one of eight where the choice is
+between two.
+
+References
+----------
+.. [1] Macmillan, N. A., & Creelman, C. D. (2005). Detection theory: A user's guide (2nd ed.), chapter 4.
+   doi:10.4324/9781410611147
 """
 
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
-from feel321.protocols.detection import THRESHOLD
 from feel321.protocols.questions import Question, list_pages
 from feel321.protocols.tasks import measure_chance
-from feel321.protocols.trial import ASIDE, MATCHING, Flow, Page, Trial
+from feel321.protocols.trial import ASIDE, MATCHING, THRESHOLD, Flow, Page, Trial
 
 SECONDS = 60.0
 RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done", "matching_done"})
 """Pages after which the time to the next break starts anew."""
 
-
 COUNTED = frozenset({"main", THRESHOLD, MATCHING})
 """Phases whose answers are results."""
-
-
-class Training:
-    """Feedback after each answer of training, and rounds until enough answers were right.
-
-    A round is passed if, of those answers that are not right by guessing, the share that was asked for is right
-    (correction for guessing: Macmillan, N. A., & Creelman, C. D. (2005). Detection theory: A user's guide (2nd ed.),
-    chapter 4. doi:10.4324/9781410611147). At 75 % that lets nobody miss one of four, and one of eight where the
-    choice is between two.
-    """
-
-    def __init__(self, trials: Sequence[Trial], flow: Flow) -> None:
-        self._trials = [trial for trial in trials if trial.phase == "training"]
-        self._flow = flow
-        self._rounds: Counter[str] = Counter()
-        self._understood: list[bool] = []
-        self._guessed = 0.0
-
-    def tell(
-        self, trial: Trial, *, understood: bool | None, is_last: bool
-    ) -> Iterator[Page | Trial]:
-        """Take an answer, and give the steps that follow from it at once."""
-        if understood is not None:
-            self._understood.append(understood)
-            self._guessed += measure_chance(trial)
-            yield Page("expected" if understood else "unexpected")
-        if is_last and self._understood:
-            yield from self._end_round(trial.protocol)
-            self._understood, self._guessed = [], 0.0
-
-    def _end_round(self, protocol: str) -> Iterator[Page | Trial]:
-        self._rounds[protocol] += 1
-        needed = self._flow.training_pass * (len(self._understood) - self._guessed)
-        if max(sum(self._understood) - self._guessed, 0.0) >= needed:
-            yield Page("training_passed")
-        elif self._rounds[protocol] >= self._flow.training_rounds:
-            yield Page("training_failed", by="experimenter")
-        else:
-            yield Page("training_again")
-            yield from (trial for trial in self._trials if trial.protocol == protocol)
 
 
 class Agenda:
@@ -95,7 +62,9 @@ class Agenda:
         self._attempts: Counter[int] = Counter()
         self._spent: Counter[int] = Counter()
         self._lost: int | None = None
-        self._training = Training(trials, flow)
+        self._rounds: Counter[str] = Counter()
+        self._understood: list[bool] = []
+        self._guessed = 0.0
         self._since_break, self._break_s = 0, 0.0
         self.total = sum(trial.phase == "main" for trial in trials)
         """Trials of the main phase."""
@@ -193,16 +162,16 @@ class Agenda:
                 self._steps.insert(_find_place(self._steps, trial), trial)
                 return
         if trial.phase == "training":
-            own = ("training", trial.protocol)
-            left = (step for step in self._steps if isinstance(step, Trial))
-            is_last = all((step.phase, step.protocol) != own for step in left)
-            steps = self._training.tell(trial, understood=as_expected, is_last=is_last)
-            self._put_first(list(steps))
+            self._put_first(list(self._teach(trial, understood=as_expected)))
         elif trial.phase == "main":
             self.done += 1
             self.given_up += not accepted
+            self._since_break += 1
+            trials, minutes = self._flow.break_trials, self._flow.break_min
+            by_count = trials is not None and self._since_break >= trials
+            by_time = minutes is not None and time_s - self._break_s >= minutes * SECONDS
             # Where a page comes anyway, or nothing does, a break would be one too many.
-            if self._is_break_due(time_s) and isinstance(self.ask(), Trial):
+            if (by_count or by_time) and isinstance(self.ask(), Trial):
                 self._steps.appendleft(Page("break", self._flow.break_s))
 
     def warm_up(self) -> None:
@@ -226,6 +195,28 @@ class Agenda:
             raise ValueError(f"got {got}, expected {wanted}")
         self._steps.popleft()
 
+    def _teach(self, trial: Trial, *, understood: bool | None) -> Iterator[Page | Trial]:
+        """Give feedback on an answer of training; after the last of a round its result, or another round."""
+        if understood is not None:
+            self._understood.append(understood)
+            self._guessed += measure_chance(trial)
+            yield Page("expected" if understood else "unexpected")
+        protocol = trial.protocol
+        own = ("training", protocol)
+        left = (step for step in self._steps if isinstance(step, Trial))
+        if not self._understood or any((step.phase, step.protocol) == own for step in left):
+            return
+        needed = self._flow.training_pass * (len(self._understood) - self._guessed)
+        self._rounds[protocol] += 1
+        if max(sum(self._understood) - self._guessed, 0.0) >= needed:
+            yield Page("training_passed")
+        elif self._rounds[protocol] >= self._flow.training_rounds:
+            yield Page("training_failed", by="experimenter")
+        else:
+            yield Page("training_again")
+            yield from (t for t in self._trials.values() if (t.phase, t.protocol) == own)
+        self._understood, self._guessed = [], 0.0
+
     def _put_first(self, steps: Sequence[Page | Trial]) -> None:
         """Put steps before all others; a trial that comes again has all its attempts again."""
         for step in steps:
@@ -233,13 +224,6 @@ class Agenda:
                 self._attempts.pop(step.number, None)
                 self._spent.pop(step.number, None)
         self._steps.extendleft(reversed(steps))
-
-    def _is_break_due(self, time_s: float) -> bool:
-        """Count one more trial, and check whether a break is due by trials or by minutes."""
-        self._since_break += 1
-        trials, minutes = self._flow.break_trials, self._flow.break_min
-        by_count = trials is not None and self._since_break >= trials
-        return by_count or (minutes is not None and time_s - self._break_s >= minutes * SECONDS)
 
 
 def _find_place(steps: Iterable[Page | Trial], trial: Trial) -> int:
@@ -257,8 +241,8 @@ def _list_steps(
 ) -> Iterator[Page | Trial]:
     """List the steps of a session in which nothing goes wrong and no break is due."""
     yield from (Page("welcome"), Page("consent"), *list_pages(questions, "before"))
-    yield from _list_threshold([trial for trial in trials if trial.protocol == THRESHOLD], flow)
-    yield from _list_matching([trial for trial in trials if trial.protocol == MATCHING], flow)
+    for block in (THRESHOLD, MATCHING):
+        yield from _list_block(block, [t for t in trials if t.protocol == block], flow)
     main = [trial for trial in trials if trial.phase == "main"]
     sections = [list(section) for _, section in groupby(main, key=lambda trial: trial.protocol)]
     rest = (*list_pages(questions, "between"), Page("rest", flow.rest_s))
@@ -282,25 +266,17 @@ def _list_steps(
     yield Page("end")
 
 
-def _list_threshold(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
-    """List the steps of the threshold block, if there is one: practice, then one frequency after the other."""
+def _list_block(protocol: str, trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
+    """List the steps of a block before the tasks: practice, then one part after the other (frequencies)."""
     if not trials:
         return
     practice = [trial for trial in trials if trial.phase == "practice"]
-    yield Page(f"instructions.{THRESHOLD}")
+    yield Page(f"instructions.{protocol}")
     if practice:
         yield Page("practice")
     yield from practice
-    counted = groupby((t for t in trials if t.phase == THRESHOLD), key=lambda trial: trial.block)
+    counted = groupby((t for t in trials if t.phase == protocol), key=lambda trial: trial.block)
     for place, (_, own) in enumerate(counted):
         yield Page("threshold_next", flow.break_s) if place else Page("main")
         yield from own
-    yield Page("threshold_done", flow.rest_s)
-
-
-def _list_matching(trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
-    """List the steps of the matching block, if there is one."""
-    if trials:
-        yield from (Page(f"instructions.{MATCHING}"), Page("main"))
-        yield from trials
-        yield Page("matching_done", flow.rest_s)
+    yield Page(f"{protocol}_done", flow.rest_s)

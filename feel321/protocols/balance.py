@@ -9,7 +9,7 @@ References
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
 from math import sqrt
@@ -20,46 +20,30 @@ from feel321.protocols.trial import Trial
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.random import Generator
     from pandas import DataFrame
-
-    Square = tuple[tuple[int, ...], ...]
-    Group = tuple[Collection[str], Collection[Any]]
-    """Conditions, and what each of them may meet: places, or each other."""
 
 
 class Counts(Mapping[tuple[str, Any], int]):
     """How often conditions met places, or each other; what never met counts 0 and takes no memory."""
 
-    def __init__(self, seen: Mapping[tuple[str, Any], int], groups: Iterable[Group]) -> None:
-        """Take the counts above 0, and which could be: in each group, conditions and what they may meet."""
-        self.seen, self.groups = seen, tuple(groups)
-        self._met: dict[str, list[Collection[Any]]] = {}
-        for conditions, others in self.groups:
-            for condition in conditions:
-                self._met.setdefault(condition, []).append(others)
-        self._size = sum(
-            len(self._list_met(one)) - (one in self._list_met(one)) for one in self._met
-        )
-
-    def _list_met(self, condition: str) -> Collection[Any]:
-        first, *more = self._met.get(condition, [()])
-        return dict.fromkeys(chain(first, *more)) if more else first
+    def __init__(
+        self, seen: Mapping[tuple[str, Any], int], possible: Mapping[str, Collection[Any]]
+    ) -> None:
+        """Take the counts above 0, and what each condition may meet besides itself."""
+        self.seen, self.possible = seen, possible
+        self._size = sum(len(others) - (one in others) for one, others in possible.items())
 
     def __getitem__(self, cell: tuple[str, Any]) -> int:
         """Return a count."""
-        if cell in self.seen:
-            return self.seen[cell]
         condition, other = cell
-        if condition == other or all(other not in one for one in self._met.get(condition, ())):
+        if condition == other or other not in self.possible.get(condition, ()):
             raise KeyError(cell)
-        return 0
+        return self.seen.get(cell, 0)
 
     def __iter__(self) -> Iterator[tuple[str, Any]]:
         """Iterate over all that could meet."""
-        return ((one, met) for one in self._met for met in self._list_met(one) if met != one)
+        return ((one, met) for one, others in self.possible.items() for met in others if met != one)
 
     def __len__(self) -> int:
         """Count what could meet."""
@@ -159,20 +143,19 @@ def measure_balance(sequences: Sequence[Sequence[str | Trial]]) -> Balance:
         raise TypeError(
             f"sequences must be one sequence per participant, got {describe(sequences)}; write [sequence]"
         )
-    named = [[_name_condition(entry) for entry in sequence] for sequence in sequences]
+    named = [
+        [entry if isinstance(entry, str) else entry.judgements[0].stimulus_id for entry in sequence]
+        for sequence in sequences
+    ]
     conditions = sorted(set(chain.from_iterable(named)))
     if not conditions:
         raise ValueError("sequences must hold at least one condition that was run, got none")
     places = range(1, max(map(len, named)) + 1)
-    own = dict.fromkeys(conditions)
     positions = Counter(spot for names in named for spot in zip(names, places, strict=False))
     neighbours = Counter(pair for names in named for pair in pairwise(names))
     repeats = sum(neighbours.pop((condition, condition), 0) for condition in conditions)
-    return _summarise(Counts(positions, [(own, places)]), Counts(neighbours, [(own, own)]), repeats)
-
-
-def _name_condition(entry: str | Trial) -> str:
-    return entry if isinstance(entry, str) else entry.judgements[0].stimulus_id
+    carry_over = Counts(neighbours, dict.fromkeys(conditions, dict.fromkeys(conditions)))
+    return _summarise(Counts(positions, dict.fromkeys(conditions, places)), carry_over, repeats)
 
 
 def pool_balances(balances: Iterable[Balance]) -> Balance:
@@ -180,17 +163,20 @@ def pool_balances(balances: Iterable[Balance]) -> Balance:
     pooled = tuple(balances)
     if not pooled:
         raise ValueError("balances must be at least one, got none")
-    positions, carry_over = (
-        _pool([getattr(one, kind) for one in pooled]) for kind in ("positions", "carry_over")
-    )
+    positions = _pool([one.positions for one in pooled])
+    carry_over = _pool([one.carry_over for one in pooled])
     return _summarise(positions, carry_over, sum(one.repeats for one in pooled))
 
 
 def _pool(several: Sequence[Counts]) -> Counts:
     seen: Counter[tuple[str, Any]] = Counter()
+    possible: dict[str, Collection[Any]] = {}
     for counts in several:
         seen.update(counts.seen)
-    return Counts(seen, chain.from_iterable(counts.groups for counts in several))
+        for one, others in counts.possible.items():
+            known = possible.get(one)
+            possible[one] = others if known is None else dict.fromkeys(chain(known, others))
+    return Counts(seen, possible)
 
 
 def _summarise(positions: Counts, carry_over: Counts, repeats: int) -> Balance:
@@ -202,65 +188,40 @@ MIXABLE = 3
 """Fewest rows that go in a circle so that none begins with the condition that the one before ended with."""
 
 
-def williams_square(n: int) -> Square:
-    """Make sequences of n conditions in which each follows each other one equally often.
-
-    n sequences for even n, 2 n for odd n. Each condition is at each position, and each ordered pair of conditions
-    is adjacent, once for even n and twice for odd n.
-
-    The first sequence zigzags 0, 1, n-1, 2, n-2, ...; the others add 1 modulo n (Williams 1949). With odd n, the
-    zigzag alone favours one direction of each pair, so every sequence is used backwards as well.
-
-    Examples
-    --------
-    >>> williams_square(4)
-    ((0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1))
-    """
-    return tuple(williams_row(n, number) for number in range(count_rows(n)))
-
-
 def count_rows(n: int) -> int:
-    """Count the sequences of a Williams square of n conditions."""
+    """Count the sequences of a Williams square of n conditions: n for even n, 2 n for odd n."""
     if n < 1:
         raise ValueError(f"n must be a number of conditions from 1, got {n}")
     return 2 * n if n % 2 and n > 1 else n
 
 
 def williams_row(n: int, number: int) -> tuple[int, ...]:
-    """Make one sequence of a Williams square, from 0."""
+    """Make one sequence of a Williams square of n conditions [1]_; number: from 0 to `count_rows(n) - 1`.
+
+    In all sequences together each condition is at each position, and each ordered pair of conditions is adjacent,
+    once for even n and twice for odd n. The first sequence zigzags 0, 1, n-1, 2, n-2, ...; the others add 1 modulo n.
+    With odd n, the zigzag alone favours one direction of each pair, so every sequence is used backwards as well.
+
+    Examples
+    --------
+    >>> [williams_row(4, number) for number in range(count_rows(4))]
+    [(0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1)]
+    """
     shift = number % n
     zigzag = ((place + 1) // 2 if place % 2 else -place // 2 for place in range(n))
     row = tuple((step + shift) % n for step in zigzag)
     return row[::-1] if number >= n else row
 
 
-class Rows(Sequence[tuple[int, ...]]):
-    """Sequences of a Williams square of n conditions in some order; each is made when it is asked for."""
-
-    def __init__(self, n: int, order: Sequence[int]) -> None:
-        """Take the numbers of the sequences."""
-        self.n, self.order = n, order
-
-    def __len__(self) -> int:
-        """Count the sequences."""
-        return len(self.order)
-
-    def __getitem__(self, place: Any) -> Any:  # noqa: ANN401 - a sequence, or several for a slice
-        """Make a sequence."""
-        if isinstance(place, slice):
-            return tuple(williams_row(self.n, number) for number in self.order[place])
-        return williams_row(self.n, self.order[place])
-
-
-def shuffle_rows(n: int, rng: Generator) -> Rows:
-    """Shuffle the rows of a square so that no row ends with the condition that the next one begins with."""
+def shuffle_rows(n: int, rng: Generator) -> list[int]:
+    """Shuffle the numbers of a square's rows so that no row ends with the condition that the next one begins with."""
     middle = williams_row(n, 0)[-1]
     ends = [(shift, (middle + shift) % n) for shift in range(n)]
     ends += [end[::-1] for end in ends] if count_rows(n) > n else []
     while True:
-        order = rng.permutation(len(ends)).tolist()
+        order: list[int] = rng.permutation(len(ends)).tolist()
         # About e**-1 of all orders pass for even and e**-2 for odd n, so a few draws do.
         if len(order) < MIXABLE or all(
             ends[this][1] != ends[after][0] for this, after in pairwise((*order, order[0]))
         ):
-            return Rows(n, order)
+            return order

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from math import gcd
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from feel321.doors import Registry, as_rng, check_name, describe
-from feel321.protocols.balance import MIXABLE, Rows, count_rows, shuffle_rows, williams_row
+from feel321.protocols.balance import MIXABLE, count_rows, shuffle_rows, williams_row
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import (
     RATING_RANGE,
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     Spot = tuple[str, int]
     """A comparison, by its recording and its index there."""
     Blocks = tuple[tuple[Spot, ...], ...]
+
+Thing = TypeVar("Thing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,21 +93,22 @@ def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) ->
     # Sorted, so that the same state of the generator always gives the same rows.
     outer, inner = ({n: shuffle_rows(n, rng) for n in sorted(own)} for own in sizes)
     for turn, groups in enumerate(rounds):
-        recordings, blocks = tuple(groups), []
-        for place in _take_row(outer[len(recordings)], number, turn=turn, touching=True):
+        recordings, blocks, n = tuple(groups), [], len(groups)
+        for place in _take_row(n, outer[n], number, turn=turn, touching=True):
             own = recordings[place]
-            square = inner[len(groups[own])]
-            start = place + number * _find_stride(len(square), len(recordings))
-            row = _take_row(square, start, turn=turn, touching=len(recordings) == 1)
-            blocks.append(tuple((own, i) for i in row))
+            size = len(groups[own])
+            start = place + number * _find_stride(len(inner[size]), n)
+            row = _take_row(size, inner[size], start, turn=turn, touching=n == 1)
+            blocks.append(tuple((own, index) for index in row))
         yield tuple(blocks)
 
 
-def _take_row(square: Rows, start: int, *, turn: int, touching: bool) -> tuple[int, ...]:
+def _take_row(
+    n: int, rows: Sequence[int], start: int, *, turn: int, touching: bool
+) -> tuple[int, ...]:
     """Take the row whose turn it is. Where successive rows touch, two conditions can only come in the same order."""
-    moves = 0 if touching and len(square) < MIXABLE else turn
-    row: tuple[int, ...] = square[(start + moves) % len(square)]
-    return row
+    moves = 0 if touching and len(rows) < MIXABLE else turn
+    return williams_row(n, rows[(start + moves) % len(rows)])
 
 
 def _find_stride(n_rows: int, n_used: int) -> int:
@@ -134,7 +137,7 @@ def _spawn_participant(rng: Generator, number: int) -> Generator:
     return np.random.default_rng([int(rng.integers(2**63)), number])
 
 
-def _shuffle_apart(things: Sequence[Any], *, after: Any, rng: Generator) -> list[Any]:  # noqa: ANN401 - whatever is shuffled
+def _shuffle_apart(things: Sequence[Thing], *, after: Thing, rng: Generator) -> list[Thing]:
     """Shuffle so that `after` does not come first; all other orders are equally likely."""
     order = _shuffle(things, rng)
     if order[0] == after and len(order) > 1:
@@ -143,7 +146,7 @@ def _shuffle_apart(things: Sequence[Any], *, after: Any, rng: Generator) -> list
     return order
 
 
-def _shuffle(things: Sequence[Any], rng: Generator) -> list[Any]:
+def _shuffle(things: Sequence[Thing], rng: Generator) -> list[Thing]:
     return [things[i] for i in rng.permutation(len(things))]
 
 
@@ -156,10 +159,9 @@ PATIENCE = 30
 """An order is drawn until it keeps the rules, or until so many draws were no better than the best."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Card:
+class _Card(NamedTuple):
     recording: str
-    index: int
+    place: int
     is_spaced: bool
 
 
@@ -178,13 +180,20 @@ def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> I
     last = _Card("", 0, is_spaced=False)
     for groups in rounds:
         cards = [
-            _Card(recording, index, comparison.catch in SPACED)
+            _Card(recording, place, comparison.catch in SPACED)
             for recording, comparisons in groups.items()
-            for index, comparison in enumerate(comparisons)
+            for place, comparison in enumerate(comparisons)
         ]
-        order = _draw_best(cards, after=last, rng=own)
-        last = order[-1]
-        yield (tuple((card.recording, card.index) for card in order),)
+        unavoidable = _count_unavoidable(cards, after=last)
+        best = _draw_order(cards, after=last, rng=own)
+        fewest, in_vain = _count_crowding([last, *best]), 0
+        while fewest > unavoidable and in_vain < PATIENCE:
+            other = _draw_order(cards, after=last, rng=own)
+            crowding, in_vain = _count_crowding([last, *other]), in_vain + 1
+            if crowding < fewest:
+                best, fewest, in_vain = other, crowding, 0
+        last = best[-1]
+        yield (tuple((card.recording, card.place) for card in best),)
 
 
 def find_crowding(trials: Iterable[Trial]) -> list[str]:
@@ -202,18 +211,6 @@ def find_crowding(trials: Iterable[Trial]) -> list[str]:
                 f"{protocol}: {touching} of {len(pairs) + 1} trials judge the reference right after another"
             )
     return found
-
-
-def _draw_best(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list[_Card]:
-    unavoidable = _count_unavoidable(cards, after=after)
-    best = _draw_order(cards, after=after, rng=rng)
-    fewest, in_vain = _count_crowding([after, *best]), 0
-    while fewest > unavoidable and in_vain < PATIENCE:
-        other = _draw_order(cards, after=after, rng=rng)
-        crowding, in_vain = _count_crowding([after, *other]), in_vain + 1
-        if crowding < fewest:
-            best, fewest, in_vain = other, crowding, 0
-    return best
 
 
 def _draw_order(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list[_Card]:
@@ -340,20 +337,22 @@ def make_order(
         if count < 1:
             raise ValueError(f"{name} must be a whole number from 1, got {count}")
     check_name(order, ORDERS, "order")
-    sections = _gather_trials(_as_items(items), _as_tasks(tasks))
+    if isinstance(tasks, str | Task):
+        raise TypeError(f"tasks must be a list, got {describe(tasks)}; write [{tasks!r}]")
+    own = [make_task(task) if isinstance(task, str) else task for task in tasks]
+    sections = _gather_trials(_as_items(items), own)
     rounds = [(section, repeat) for section in sections for repeat in range(1, repeats + 1)]
-    ordered = ORDERS[order](
-        [section.groups for section, _ in rounds], number=number, rng=as_rng(rng)
-    )
-    blocks = [
-        (*turn, block) for turn, blocks in zip(rounds, ordered, strict=True) for block in blocks
-    ]
-    drafts = (
-        replace(section.draft_trial(spot, turn=number + repeat - 1), block=place, repeat=repeat)
-        for place, (section, repeat, block) in enumerate(blocks, start=1)
-        for spot in block
-    )
-    return Trials(replace(draft, number=place) for place, draft in enumerate(drafts, start=1))
+    groups = [section.groups for section, _ in rounds]
+    ordered = ORDERS[order](groups, number=number, rng=as_rng(rng))
+    trials: list[Trial] = []
+    place = 0
+    for (section, repeat), blocks in zip(rounds, ordered, strict=True):
+        for block in blocks:
+            place += 1
+            for spot in block:
+                draft = section.draft_trial(spot, turn=number + repeat - 1)
+                trials.append(replace(draft, number=len(trials) + 1, block=place, repeat=repeat))
+    return Trials(trials)
 
 
 def _as_items(items: Any) -> Sequence[Item]:  # noqa: ANN401 - what make_order takes
@@ -363,12 +362,6 @@ def _as_items(items: Any) -> Sequence[Item]:  # noqa: ANN401 - what make_order t
     if missing := [name for name in Item.__slots__ if name not in table.columns]:
         raise ValueError(f"items must have the columns {', '.join(missing)}; add them")
     return [Item(*row) for row in table[list(Item.__slots__)].itertuples(index=False)]
-
-
-def _as_tasks(tasks: Sequence[Task | str]) -> list[Task]:
-    if isinstance(tasks, str | Task):
-        raise TypeError(f"tasks must be a list, got {describe(tasks)}; write [{tasks!r}]")
-    return [make_task(task) if isinstance(task, str) else task for task in tasks]
 
 
 def select_share(
@@ -450,23 +443,23 @@ def make_rehearsal(
 
 
 def _rehearse(section: TaskTrials, rng: Generator) -> Iterator[Trial]:
-    lessons = {spot: section.lessons[spot[0]][spot[1]] for spot in _list_spots(section.lessons)}
-    unclear = {spot for spot, comparison in lessons.items() if not _is_clear(comparison)}
+    lessons = {
+        (recording, index): comparison
+        for recording, own in section.lessons.items()
+        for index, comparison in enumerate(own)
+    }
     sides = {spot: _find_side(comparison) for spot, comparison in lessons.items()}
+    unclear = {spot for spot, comparison in lessons.items() if not _is_clear(comparison)}
     task = section.task
     count = task.training * (2 if PROTOCOLS[task.protocol].choices else 1)
     training = _choose(list(lessons), count, late=unclear, sides=sides, rng=rng)
-    spots = _list_spots(section.groups)
+    spots = [(name, index) for name, own in section.groups.items() for index in range(len(own))]
     practice = _choose(spots, task.practice, late=set(training), sides={}, rng=rng)
     # Chosen alternately; shuffled, so that nobody can count on a low answer after a high one.
     clear_first = sorted(_shuffle(training, rng), key=lambda spot: spot in unclear)
     for phase, chosen in {"training": clear_first, "practice": _shuffle(practice, rng)}.items():
         for spot in chosen:
             yield section.draft_trial(spot, turn=int(rng.integers(TURNS)), phase=phase)
-
-
-def _list_spots(groups: Groups) -> list[Spot]:
-    return [(recording, index) for recording, own in groups.items() for index in range(len(own))]
 
 
 def _is_clear(comparison: Comparison) -> bool:
@@ -479,9 +472,8 @@ def _is_clear(comparison: Comparison) -> bool:
 
 def _find_side(comparison: Comparison) -> str:
     """Find whether the right answer is high or low; empty where none is known, or both are asked for."""
-    middle = sum(RATING_RANGE) / 2
     known = [judgement.expected for judgement in comparison.judgements if judgement.expected]
-    sides = {"high" if sum(expected) / 2 > middle else "low" for expected in known}
+    sides = {"high" if sum(expected) > sum(RATING_RANGE) else "low" for expected in known}
     return sides.pop() if len(sides) == 1 else ""
 
 

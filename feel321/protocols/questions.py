@@ -61,29 +61,13 @@ Answer = float | str | None
 class Question:
     """A question page.
 
-    Parameters
-    ----------
-    name : str
-        Short name, as in `answers.csv`.
-    kind : str
-        `choice`, `number`, `text` or `likert`.
-    question : str
-        The question to the participant.
-    options : tuple of str
-        What can be chosen; the words of a Likert item's points, empty where a point has none.
-    low, high : float or None
-        Least and largest number; None for any.
-    when : str
-        `before`, `between` or `after` the trials.
-    personal : bool
-        Whether the answer is personal data: it is marked so in journal and table.
-    required : bool
-        Whether it must be answered.
+    name: as in `answers.csv`. kind: `choice`, `number`, `text` or `likert`. options: what can be chosen; the words of a
+    Likert item's points, empty where a point has none. low, high: least and largest number, None for any. personal:
+    whether the answer is personal data, which journal and table then mark so. required: whether it must be answered.
 
     Examples
     --------
-    >>> from feel321 import protocols
-    >>> protocols.Question("age", "number", "How old are you?", low=18, high=99).key
+    >>> Question("age", "number", "How old are you?", low=18, high=99).key
     'question.age'
     """
 
@@ -99,41 +83,18 @@ class Question:
 
     @property
     def key(self) -> str:
-        """The key of its page.
-
-        Returns
-        -------
-        str
-            `question.` and its name.
-        """
+        """The key of its page."""
         return f"{PREFIX}{self.name}"
 
     @property
     def choices(self) -> tuple[float | str | None, ...]:
-        """The answers to choose from.
-
-        Returns
-        -------
-        tuple
-            Options, or numbers of points from 1; empty where an answer is typed.
-        """
+        """The answers to choose from: options, or numbers of points from 1; empty where an answer is typed."""
         if self.kind == "likert":
             return tuple(float(point) for point in range(1, len(self.options) + 1))
         return self.options
 
     def find_fault(self, answer: float | str | None) -> str:
-        """Check an answer.
-
-        Parameters
-        ----------
-        answer : float or str or None
-            The answer.
-
-        Returns
-        -------
-        str
-            `unanswered`, `out_of_range`, `too_long` or `not_offered`; empty if it is one.
-        """
+        """Check an answer: `unanswered`, `out_of_range`, `too_long` or `not_offered`; empty if it is one."""
         if answer is None or answer == "":
             return "unanswered" if self.required else ""
         if self.choices:
@@ -146,13 +107,7 @@ class Question:
         return "" if is_number and low <= float(answer) <= high else "out_of_range"
 
     def describe_range(self) -> str:
-        """Describe the numbers that are answers.
-
-        Returns
-        -------
-        str
-            Such as `18 – 99`; `≥ 18` where there is no largest.
-        """
+        """Describe the numbers that are answers, such as `18 – 99`, or `≥ 18` where there is no largest."""
         ends = ["" if end is None else f"{end:g}" for end in (self.low, self.high)]
         if all(ends):
             return " – ".join(ends)
@@ -171,35 +126,34 @@ def check_label(name: str) -> str:
 def check_question(question: Question) -> None:
     """Refuse a question that nobody could answer."""
     kind, low, high = question.kind, question.low, question.high
+    options, named = question.options, [text for text in question.options if text.strip()]
+    has_options, is_number = kind in {"choice", "likert"}, kind == "number"
     check_name(kind, KINDS, "kind")
     check_name(question.when, TIMES, "when")
-    if not question.question.strip():
-        raise ValueError(
-            "question must be what the participant reads, got nothing; write question = '...'"
-        )
-    _check_options(question)
-    if kind != "number" and (low is not None or high is not None):
-        raise ValueError(
-            f"low and high must not be numbers for kind {kind!r}; use kind 'number', or remove them"
-        )
+    faults = {
+        "question must be what the participant reads, got nothing; write question = '...'": (
+            not question.question.strip()
+        ),
+        f"options must be {LEAST_OPTIONS} to {MOST_OPTIONS} texts for kind {kind!r}, got {len(options)}": (
+            has_options and not LEAST_OPTIONS <= len(options) <= MOST_OPTIONS
+        ),
+        "options must be different texts, none of them empty": (
+            kind == "choice" and len(set(named)) < len(options)
+        ),
+        "options must name both ends; set low and high, or every option": (
+            kind == "likert" and not all(text.strip() for text in (*options[:1], *options[-1:]))
+        ),
+        f"options must be left out for kind {kind!r}, got {len(options)}; remove them": (
+            not has_options and bool(options)
+        ),
+        f"low and high must not be numbers for kind {kind!r}; use kind 'number', or remove them": (
+            not is_number and (low is not None or high is not None)
+        ),
+    }
+    if fault := next((words for words, holds in faults.items() if holds), ""):
+        raise ValueError(fault)
     if low is not None and high is not None and low >= high:
         raise ValueError(f"low must be below high, got {low:g} and {high:g}")
-
-
-def _check_options(question: Question) -> None:
-    kind, count = question.kind, len(question.options)
-    if kind in {"choice", "likert"}:
-        if not LEAST_OPTIONS <= count <= MOST_OPTIONS:
-            raise ValueError(
-                f"options must be {LEAST_OPTIONS} to {MOST_OPTIONS} texts for kind {kind!r}, got {count}"
-            )
-        named = [text for text in question.options if text.strip()]
-        if kind == "choice" and (len(named) < count or len(set(named)) < count):
-            raise ValueError("options must be different texts, none of them empty")
-        if kind == "likert" and not (question.options[0].strip() and question.options[-1].strip()):
-            raise ValueError("options must name both ends; set low and high, or every option")
-    elif count:
-        raise ValueError(f"options must be left out for kind {kind!r}, got {count}; remove them")
 
 
 def read_ready(name: str, texts: Mapping[str, Any], *, when: str = TIMES[0]) -> list[Question]:

@@ -31,6 +31,12 @@ MODEL = "en"
 COPY_FILE = "texts.toml"
 """A study's own texts, as `write_copy` writes them."""
 
+MOST_GUESSES = 20
+"""So many unknown texts are told what they may have meant: each takes some milliseconds."""
+
+SCALE = {"question", "low_label", "high_label"}
+"""The texts of a scale; it may have `anchors` too."""
+
 
 @dataclass(frozen=True, slots=True)
 class PageText:
@@ -84,41 +90,43 @@ def make_scales(texts: Mapping[str, Any]) -> dict[str, Scale]:
     return scales
 
 
-def read_pages(language: str | PathLike = MODEL) -> dict[str, PageText]:
-    """Read the texts of all pages, by key."""
-    return {key: PageText(key, **entry) for key, entry in read_texts(language)["pages"].items()}
-
-
-def read_refusals(language: str | PathLike = MODEL) -> dict[str, str]:
-    """Read the messages for acts that are not accepted, by reason; `{parts}` stands for the parts concerned."""
-    return dict(read_texts(language)["refusals"])
-
-
 def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
     """Read all texts of a language, by kind: scales, pages, refusals, prompts, parts, keys."""
-    if isinstance(language, os.PathLike) or str(language).endswith(".toml"):
-        return _read_own(Path(language))
-    check_name(language, list_languages(), "language")
-    return tomllib.loads((CATALOG / f"{language}.toml").read_text(encoding="utf-8"))
+    if not (isinstance(language, os.PathLike) or str(language).endswith(".toml")):
+        check_name(language, list_languages(), "language")
+        return tomllib.loads((CATALOG / f"{language}.toml").read_text(encoding="utf-8"))
+    path = Path(language)
+    own, base = _parse_own(path)
+    texts = _merge(base, own)
+    if gaps := find_gaps(_leave_out_own_scales(texts), read_texts()):
+        known = [place for place, _ in _flatten(base)]
+        unknown = [gap for gap in gaps if " is not a known text" in gap][:MOST_GUESSES]
+        lines = []
+        for gap in gaps:
+            place = gap.partition(" is not a known text")[0]
+            near = get_close_matches(place, known, n=1, cutoff=0.5) if gap in unknown else []
+            hint = f", did you mean {near[0]}?" if near else ""
+            lines.append(f"{path}: {gap}{hint}; compare protocols/catalog/{MODEL}.toml")
+        raise ValueError("\n".join(lines))
+    return texts
 
 
 def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> list[str]:
     """Compare the texts of a language with those of another."""
     own, wanted = dict(_flatten(texts)), dict(_flatten(model))
-    gaps = [
-        fault
-        for place in wanted
-        if place in own and (fault := _find_fault(place, own[place], wanted[place]))
+    faults = (_find_fault(place, own[place], wanted[place]) for place in wanted if place in own)
+    return [
+        *filter(None, faults),
+        *(f"{place} is missing" for place in wanted if place not in own),
+        *(f"{place} is not a known text" for place in own if place not in wanted),
     ]
-    gaps += [f"{place} is missing" for place in wanted if place not in own]
-    return gaps + [f"{place} is not a known text" for place in own if place not in wanted]
 
 
 def list_borrowed(path: Path) -> list[str]:
     """List the texts of the catalogue that an own file does without, if it has most of its own: a translation."""
     own, base = _parse_own(path)
-    places = [place for place, _ in _flatten(base)]
-    borrowed = [place for place in places if place not in dict(_flatten(own))]
+    known, places = dict(_flatten(own)), [place for place, _ in _flatten(base)]
+    borrowed = [place for place in places if place not in known]
     return borrowed if 2 * len(borrowed) < len(places) else []
 
 
@@ -137,47 +145,32 @@ language = "{language}"  # of all that is not changed here
     return "\n".join([head, *lines, ""])
 
 
-def _read_own(path: Path) -> dict[str, Any]:
-    own, base = _parse_own(path)
-    texts = _merge(base, own)
-    if gaps := find_gaps(_leave_out_own_scales(texts), read_texts()):
-        known = [place for place, _ in _flatten(base)]
-        raise ValueError("\n".join(f"{path}: {gap}{_advise(gap, known)}" for gap in gaps))
-    return texts
-
-
-_SCALE = {"question", "low_label", "high_label"}
-"""The texts of a scale; it may have `anchors` too."""
-
-
 def _leave_out_own_scales(texts: dict[str, Any]) -> dict[str, Any]:
     """Leave out scales of a lab's own that have all their texts, and the pages of its own protocols."""
-    scales = texts["scales"]
-    if not isinstance(scales, dict) or not isinstance(texts["pages"], dict):
+    scales, pages = texts["scales"], texts["pages"]
+    if not isinstance(scales, dict) or not isinstance(pages, dict):
         return texts
     known = read_texts()["scales"]
     own = {name for name, entry in scales.items() if name not in known and _is_scale(entry)}
-    pages = {
-        key: entry
-        for key, entry in texts["pages"].items()
-        if key.removeprefix("instructions.") not in own or not _is_page(entry)
-    }
-    return texts | {"scales": {k: scales[k] for k in scales if k not in own}, "pages": pages}
-
-
-def _is_page(entry: object) -> bool:
-    return (
-        isinstance(entry, dict)
+    own_pages = {
+        key
+        for key, entry in pages.items()
+        if key.removeprefix("instructions.") in own
+        and isinstance(entry, dict)
         and entry.keys() == {"title", "text"}
         and not any(_find_fault("", text, "") for text in entry.values())
-    )
+    }
+    return texts | {
+        "scales": {name: entry for name, entry in scales.items() if name not in own},
+        "pages": {key: entry for key, entry in pages.items() if key not in own_pages},
+    }
 
 
 def _is_scale(entry: object) -> bool:
-    if not isinstance(entry, dict) or not _SCALE <= entry.keys() <= _SCALE | {"anchors"}:
+    if not isinstance(entry, dict) or not SCALE <= entry.keys() <= SCALE | {"anchors"}:
         return False
     anchors = entry.get("anchors", ["-"])
-    words = [*(entry[name] for name in _SCALE), *(anchors if isinstance(anchors, list) else [0])]
+    words = [*(entry[name] for name in SCALE), *(anchors if isinstance(anchors, list) else [0])]
     return all(isinstance(word, str) and word.strip() for word in words)
 
 
@@ -198,20 +191,11 @@ def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _merge(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """Put texts into tables in place of those of the same name; lists are replaced as a whole."""
-    merged = dict(base)
-    for key, entry in own.items():
-        before = base.get(key)
-        if isinstance(before, dict) and isinstance(entry, dict):
-            entry = _merge(before, entry)  # noqa: PLW2901 - what it becomes
-        merged[key] = entry
+    merged = base | own
+    for key in base.keys() & own.keys():
+        if isinstance(base[key], dict) and isinstance(own[key], dict):
+            merged[key] = _merge(base[key], own[key])
     return merged
-
-
-def _advise(gap: str, known: list[str]) -> str:
-    place, is_unknown, _ = gap.partition(" is not a known text")
-    near = get_close_matches(place, known, n=1, cutoff=0.5) if is_unknown else []
-    hint = f", did you mean {near[0]}?" if near else ""
-    return f"{hint}; compare protocols/catalog/{MODEL}.toml"
 
 
 def _flatten(texts: object, place: str = "") -> Iterator[tuple[str, object]]:

@@ -25,15 +25,15 @@ References
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from feel321.doors import Registry, as_rng, describe
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from feel321.types import Samples
 
@@ -167,19 +167,30 @@ def predict_correct(
 class Procedure:
     """Ask/tell form of both procedures: the trials' order, what was answered, and the posterior given that."""
 
+    name = ""
+
     def __init__(self, plan: ThresholdPlan) -> None:
         import numpy as np
 
         self.plan = plan
         self.shown: list[Presentation] = []
         self.answers: list[int] = []
-        self._order = _draw_order(plan)
-        self._weights = np.ones_like(_predict_grid(plan, plan.start_db))
-        self._weights /= self._weights.sum()
+        self.weights = np.ones_like(_predict_grid(plan, plan.start_db))
+        self.weights /= self.weights.sum()
+        # Each trial's interval, and whether it is a catch trial.
+        rng, silent, every = as_rng(plan.seed, "seed"), [False] * plan.trials, plan.catch_every
+        for block in reversed(range(plan.trials // every if every else 0)):
+            silent.insert(block * every + int(rng.integers(1, every + 1)), True)
+        self._order = list(zip(rng.integers(1, 3, len(silent)).tolist(), silent, strict=True))
+
+    @property
+    def left(self) -> int:
+        """Number of trials that are not answered."""
+        return len(self._order) - len(self.answers)
 
     def next(self) -> Presentation | None:
         """Return the trial to present, the same one until it is answered; None when all are done."""
-        if len(self.answers) == len(self._order):
+        if not self.left:
             return None
         interval, silent = self._order[len(self.answers)]
         return Presentation(interval, None if silent else self._choose_level())
@@ -196,8 +207,8 @@ class Procedure:
         if trial.level_db is not None:
             correct = answer == trial.interval
             chances = _predict_grid(self.plan, trial.level_db)
-            weights = self._weights * (chances if correct else 1 - chances)
-            self._weights = weights / weights.sum()
+            weights = self.weights * (chances if correct else 1 - chances)
+            self.weights = weights / weights.sum()
             self._learn(trial.level_db, correct=correct)
 
     def _choose_level(self) -> float:
@@ -214,6 +225,8 @@ class Staircase(Procedure):
     intervals are those of the posterior given all answers, as in the Bayesian procedure: reversals depend on each
     other, and hold no slope.
     """
+
+    name = "staircase"
 
     def __init__(self, plan: ThresholdPlan) -> None:
         super().__init__(plan)
@@ -236,11 +249,6 @@ class Staircase(Procedure):
         self._level = min(max(moved, self.plan.lowest_db), self.plan.highest_db)
         self._direction = direction
 
-    def _list_late(self) -> list[float]:
-        """List the reversals of the estimate: as many peaks as valleys, all with the last step, in dB."""
-        late = self.reversals[len(self.plan.steps_db) - 1 :]
-        return late[len(late) % 2 :]
-
 
 class Bayesian(Procedure):
     """Posterior of threshold and slope [2]_, [3]_, each level chosen for the least expected entropy after its answer.
@@ -249,19 +257,21 @@ class Bayesian(Procedure):
     binary entropy h. It is rounded before levels are compared, so that another processor's last bit changes nothing.
     """
 
+    name = "bayesian"
+
     def __init__(self, plan: ThresholdPlan) -> None:
         super().__init__(plan)
         self._levels, self._chances, self._entropies = _make_tables(replace(plan, seed=0))
 
     def _choose_level(self) -> float:
-        weights = self._weights.ravel()
+        weights = self.weights.ravel()
         expected = _binary_entropy(self._chances @ weights)
         gained = expected - self._entropies @ weights
         return float(self._levels[gained.round(9).argmax()])
 
 
 PROCEDURES: Registry[type[Procedure]] = Registry(
-    "procedure", {"staircase": Staircase, "bayesian": Bayesian}
+    "procedure", {one.name: one for one in (Staircase, Bayesian)}
 )
 """Procedures by name."""
 
@@ -281,92 +291,53 @@ def resume(name: str, plan: ThresholdPlan, *, answers: Sequence[int] = ()) -> Pr
     return procedure
 
 
-def write_state(procedure: Procedure) -> dict[str, Any]:
-    """Write a procedure as what JSON can hold."""
-    name = next(name for name, one in PROCEDURES.items() if one is type(procedure))
-    return {"procedure": name, "plan": asdict(procedure.plan), "answers": [*procedure.answers]}
-
-
-def read_state(state: Mapping[str, Any]) -> Procedure:
-    """Make the procedure that `write_state` has written."""
-    plan = ThresholdPlan(**state["plan"] | {"steps_db": tuple(state["plan"]["steps_db"])})
-    return resume(state["procedure"], plan, answers=state["answers"])
-
-
 def estimate_threshold(procedure: Procedure) -> ThresholdEstimate:
     """Estimate threshold and slope from the answers so far."""
     plan, answered = procedure.plan, list(zip(procedure.shown, procedure.answers, strict=True))
-    felt = [
-        (one.level_db, one.interval == got) for one, got in answered if one.level_db is not None
-    ]
+    levels = [one.level_db for one, _ in answered if one.level_db is not None]
     silent = [one.interval == got for one, got in answered if one.level_db is None]
-    weights, (thresholds, slopes) = procedure._weights, _make_grid(plan)
-    late = procedure._list_late() if isinstance(procedure, Staircase) else []
-    mean, low, high = _summarise(thresholds[:, 0], weights.sum(axis=1))
+    thresholds, slopes = _make_grid(plan)
+    mean, low, high = _summarise(thresholds[:, 0], procedure.weights.sum(axis=1))
+    late: list[float] = []
     if isinstance(procedure, Staircase):
+        # As many peaks as valleys, all with the last step.
+        late = procedure.reversals[len(plan.steps_db) - 1 :]
+        late = late[len(late) % 2 :]
         mean = sum(late) / len(late) if late else math.nan
-    at_limit = sum(level in {plan.lowest_db, plan.highest_db} for level, _ in felt)
+    is_beyond = low < plan.lowest_db or high > plan.highest_db
+    answers, left = procedure.answers, procedure.left
+    first, caught = answers.count(1), sum(silent)
+    one_sided = 2 * find_tail(max(first, len(answers) - first), len(answers)) < UNLIKELY
+    notes = {
+        "no threshold: too few reversals with the last step": math.isnan(mean),
+        "the threshold from reversals lies outside the interval from all answers: "
+        "lapses, or a change during the measurement": mean < low or mean > high,
+        "the interval reaches beyond the rig's levels: the threshold may lie outside them": is_beyond,
+        f"broken off: {left} trials not answered": left > 0,
+        f"{caught} of {len(silent)} silent catch trials correct: the vibration may be known "
+        "by something else than feeling it": find_tail(caught, len(silent)) < UNLIKELY,
+        f"interval 1 answered in {first} of {len(answers)} trials": one_sided,
+    }
     return ThresholdEstimate(
-        write_state(procedure)["procedure"],
+        procedure.name,
         mean,
         low,
         high,
-        *_summarise(slopes[0], weights.sum(axis=0)),
+        *_summarise(slopes[0], procedure.weights.sum(axis=0)),
         plan.proportion,
-        trials=len(felt),
-        at_limit=at_limit,
+        trials=len(levels),
+        at_limit=sum(level in {plan.lowest_db, plan.highest_db} for level in levels),
         reversals=len(late),
         catch_trials=len(silent),
-        catch_correct=sum(silent),
-        is_beyond=low < plan.lowest_db or high > plan.highest_db,
-        notes=(*_note_range(plan, (mean, low, high)), *_note_answers(procedure, silent)),
+        catch_correct=caught,
+        is_beyond=is_beyond,
+        notes=tuple(note for note, holds in notes.items() if holds),
     )
-
-
-def _note_range(plan: ThresholdPlan, estimate: tuple[float, float, float]) -> list[str]:
-    """Say what speaks against a threshold."""
-    threshold, low, high = estimate
-    notes = {
-        "no threshold: too few reversals with the last step": math.isnan(threshold),
-        "the threshold from reversals lies outside the interval from all answers: "
-        "lapses, or a change during the measurement": threshold < low or threshold > high,
-        "the interval reaches beyond the rig's levels: the threshold may lie outside them": (
-            low < plan.lowest_db or high > plan.highest_db
-        ),
-    }
-    return [note for note, holds in notes.items() if holds]
-
-
-def _note_answers(procedure: Procedure, silent: Sequence[bool]) -> list[str]:
-    """Say what is remarkable about the answers."""
-    answers, left = procedure.answers, len(procedure._order) - len(procedure.answers)
-    first = answers.count(1)
-    notes = {
-        f"broken off: {left} trials not answered": left > 0,
-        f"{sum(silent)} of {len(silent)} silent catch trials correct: the vibration may be known "
-        "by something else than feeling it": find_tail(sum(silent), len(silent)) < UNLIKELY,
-        f"interval 1 answered in {first} of {len(answers)} trials": 2
-        * find_tail(max(first, len(answers) - first), len(answers))
-        < UNLIKELY,
-    }
-    return [note for note, holds in notes.items() if holds]
 
 
 def find_tail(hits: int, trials: int) -> float:
     """Probability of so many hits or more by guessing."""
     return sum(math.comb(trials, count) for count in range(hits, trials + 1)) / (1 << trials)
-
-
-def _draw_order(plan: ThresholdPlan) -> list[tuple[int, bool]]:
-    """Draw each trial's interval, and whether it is a catch trial."""
-    rng, order = as_rng(plan.seed, "seed"), [False] * plan.trials
-    every = plan.catch_every
-    for block in reversed(range(plan.trials // every if every else 0)):
-        order.insert(block * every + int(rng.integers(1, every + 1)), True)
-    return [
-        (int(interval), silent)
-        for interval, silent in zip(rng.integers(1, 3, len(order)), order, strict=True)
-    ]
 
 
 def _make_grid(plan: ThresholdPlan) -> tuple[Samples, Samples]:

@@ -28,7 +28,10 @@ ORIGINAL = "original"
 """Name of the recording itself as a reference."""
 
 MATCHING = "matching"
-"""Protocol, scale and phase of the trials of `protocols.matching`."""
+"""Protocol, scale and phase of the trials of a matching block (`protocols.blocks`)."""
+
+THRESHOLD = "threshold"
+"""Protocol, scale and phase of the trials of a threshold block; its practice has the phase of all practice."""
 
 FLAGS = ("underrun", "clipped", "device_error", "not_delivered", "too_fast", "not_felt")
 """What can be wrong with an attempt at a trial."""
@@ -233,11 +236,6 @@ class Trial:
 class Trials(tuple[Trial, ...]):
     """The trials of one participant, in order: a tuple, with a table of them.
 
-    Parameters
-    ----------
-    iterable : iterable of Trial
-        The trials.
-
     Examples
     --------
     >>> from feel321 import protocols
@@ -250,38 +248,20 @@ class Trials(tuple[Trial, ...]):
     __slots__ = ()
 
     def to_frame(self) -> DataFrame:
-        """Return the judgements of all trials as a table.
-
-        Returns
-        -------
-        DataFrame
-            One row per judgement, in order.
-        """
+        """Return the judgements of all trials as a table: one row per judgement, in order."""
         import pandas as pd
 
-        columns = [
-            "number",
-            "phase",
-            "block",
-            "repeat",
-            "protocol",
-            "scale",
-            "timing",
-            "recording",
-            "catch",
-        ]
+        own = ["number", "phase", "block", "repeat", "protocol", "scale", "timing", "recording"]
+        of_trial = [*own, "catch"]
+        of_judgement = ["part", "stimulus_id", "reference_id"]
         rows = [
-            {
-                **{name: getattr(trial, name) for name in columns},
-                "scale": judgement.scale or trial.scale,
-                "part": judgement.part,
-                "stimulus_id": judgement.stimulus_id,
-                "reference_id": judgement.reference_id,
-            }
+            {name: getattr(trial, name) for name in of_trial}
+            | {name: getattr(judgement, name) for name in of_judgement}
+            | {"scale": judgement.scale or trial.scale}
             for trial in self
             for judgement in trial.judgements
         ]
-        return pd.DataFrame(rows, columns=[*columns, "part", "stimulus_id", "reference_id"])
+        return pd.DataFrame(rows, columns=[*of_trial, *of_judgement])
 
     def __repr__(self) -> str:
         """Describe the trials in one line."""

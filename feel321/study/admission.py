@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 from feel321 import intake
 from feel321.doors import describe
 from feel321.extensions import call, find_method, is_given
-from feel321.protocols.detection import THRESHOLD
 from feel321.protocols.tasks import PROTOCOLS, Protocol
 from feel321.protocols.trial import (
     MATCHING,
     RATING_RANGE,
     SURFACE,
+    THRESHOLD,
     TIMINGS,
     Comparison,
     Judgement,
@@ -30,7 +30,7 @@ from feel321.protocols.trial import (
 
 if TYPE_CHECKING:
     from feel321.extensions import Method
-    from feel321.protocols.arms import Comparisons, Items
+    from feel321.protocols.compare import Comparisons, Items
     from feel321.protocols.trial import Task
 
 OURS = tuple(name for name, one in PROTOCOLS.items() if not one.sha256)

@@ -30,7 +30,8 @@ from feel321.study.checkpoints import note_checkpoint
 from feel321.study.folder import DELIVERED
 from feel321.study.keys import USUAL
 from feel321.study.minutes import read_pace
-from feel321.study.observer.participant import Participant, identify_observer
+from feel321.study.observer.model import identify_observer
+from feel321.study.observer.simulated import Participant
 from feel321.study.people import read_progress
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from feel321.study.session.ports import Place, Presenter
     from feel321.study.settings.schema import Settings
 
-from feel321.study.observer.casting import Casting, cast_observers, find_person
+from feel321.study.observer.model import Casting, cast_observers, find_person
 from feel321.study.provenance import require_current_set
 from feel321.study.sessions import lead_session, list_rig_problems, open_room, plan_sessions
 

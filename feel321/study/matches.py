@@ -15,7 +15,7 @@ from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import write_table
-from feel321.protocols.matching import SECOND, Matching
+from feel321.protocols.blocks import SECOND, Matching
 from feel321.protocols.trial import MATCHING
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.events import TrialRated

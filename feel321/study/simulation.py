@@ -11,8 +11,15 @@ from pathlib import Path
 from threading import Event, Lock
 from typing import TYPE_CHECKING, NamedTuple
 
-from feel321.study.observer.casting import Casting, cast_observers, find_person, make_model
-from feel321.study.observer.participant import Touch, expect_rating, identify_observer
+from feel321.study.observer.model import (
+    Casting,
+    Touch,
+    cast_observers,
+    expect_rating,
+    find_person,
+    identify_observer,
+    make_model,
+)
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import Journal, list_journals, read_journal

@@ -21,7 +21,7 @@ from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Flow
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.observer.participant import ObserverModel
+from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
 from feel321.study.session.plan import Design, Stale, create_plan, make_plan, open_session

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from figures import Figure
 
-from feel321.protocols.detection import ThresholdBlock
+from feel321.protocols.blocks import ThresholdBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.observer.participant import ObserverModel
+from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
 from feel321.study.session.plan import Design, Stale, create_plan, make_plan, open_session

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.choosing import ABX_CHOICES
+from feel321.protocols.compare import CHOICES
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import list_languages, read_scales
 
@@ -99,4 +99,4 @@ def test_only_an_anchor_must_be_told_from_the_reference(make_items: MakeItems) -
 
 @pytest.mark.parametrize("language", list_languages())
 def test_the_catalogue_offers_the_choices_that_are_scored(language: str) -> None:
-    assert read_scales(language)["abx"].choices == ABX_CHOICES
+    assert read_scales(language)["abx"].choices == CHOICES

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.choosing import PAIR_CHOICES, choose_pairs
+from feel321.protocols.compare import CHOICES, choose_pairs
 from feel321.protocols.order import make_order
 from feel321.protocols.tasks import PROTOCOLS, find_other, is_as_expected, make_task, score_trial
 from feel321.protocols.texts import list_languages, read_scales
@@ -160,8 +160,8 @@ def test_a_row_names_both_stimuli_and_who_won(
         assert score_trial(trial, {"a": "a"}) == {"a": 100.0}
         assert score_trial(trial, {"a": "b"}) == {"a": 0.0}
         if trial.catch:
-            choices = {choice: is_as_expected(trial, {"a": choice}) for choice in PAIR_CHOICES}
-            assert choices == {choice: "original" in str(felt[choice]) for choice in PAIR_CHOICES}
+            choices = {choice: is_as_expected(trial, {"a": choice}) for choice in CHOICES}
+            assert choices == {choice: "original" in str(felt[choice]) for choice in CHOICES}
 
 
 @both
@@ -184,4 +184,4 @@ def test_other_tasks_have_no_other_stimulus(make_items: MakeItems) -> None:
 @pytest.mark.parametrize("language", list_languages())
 @both
 def test_the_catalogue_offers_the_choices_that_are_scored(name: str, language: str) -> None:
-    assert read_scales(language)[name].choices == PAIR_CHOICES
+    assert read_scales(language)[name].choices == CHOICES

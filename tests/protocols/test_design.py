@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.balance import measure_balance, williams_square
+from feel321.protocols.balance import count_rows, measure_balance
 from feel321.protocols.order import ORDERS, arrange_sections, make_order, order_tasks
 from feel321.protocols.tasks import PROTOCOLS, find_other, make_task
 from feel321.protocols.trial import Item
@@ -172,7 +172,7 @@ def test_a_full_cycle_balances_place_and_carry_over_in_every_recording_and_round
 def test_a_full_cycle_balances_the_recordings_in_every_round(
     n_recordings: int, repeat: int
 ) -> None:
-    cycle = len(williams_square(n_recordings))
+    cycle = count_rows(n_recordings)
     sessions = [
         order(list_items(n_recordings, 2), number, 3, seed=n_recordings)
         for number in range(1, cycle + 1)
@@ -249,7 +249,7 @@ def test_four_participants_meet_every_arrangement_of_abx_once(start: int) -> Non
 
 @given(st.integers(0, 40), st.integers(2, 7))
 def test_every_stimulus_stands_in_every_slot_of_a_page_equally_often(start: int, n: int) -> None:
-    cycle = len(williams_square(n))
+    cycle = count_rows(n)
     slots = Counter(
         (j.stimulus_id, j.part)
         for number in range(start + 1, start + 1 + cycle)
@@ -387,7 +387,7 @@ def test_tasks_are_as_often_at_each_place_and_after_each_other(n_tasks: int) -> 
     tasks = [make_task(protocol) for protocol in TASKS[:n_tasks]]
     rows = [
         [task.protocol for task in order_tasks(tasks, number=number)]
-        for number in range(1, len(williams_square(n_tasks)) + 1)
+        for number in range(1, count_rows(n_tasks) + 1)
     ]
     balance = measure_balance(rows)
     assert (balance.position_index, balance.carry_over_index, balance.repeats) == (0, 0, 0)

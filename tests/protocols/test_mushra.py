@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.tasks import MUSHRA_MOST, PROTOCOLS, make_task
+from feel321.protocols.compare import MUSHRA_MOST
+from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import Part
 
 if TYPE_CHECKING:

@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from feel321.protocols.options import refine_task
 from feel321.protocols.order import make_order, make_rehearsal
-from feel321.protocols.tasks import PROTOCOLS, is_as_expected, make_task, score_trial
+from feel321.protocols.tasks import PROTOCOLS, is_as_expected, make_task, refine_task, score_trial
 from feel321.protocols.trial import Item, Judgement, ask_on_scales
 
 ITEMS = [
@@ -16,7 +15,11 @@ ITEMS = [
     Item("oak-sax321", "oak", "sax321", "as_is", "test"),
     Item("oak-anchor", "oak", "anchor_low", "as_is", "anchor"),
 ]
-SLIDERS = [name for name, protocol in PROTOCOLS.items() if protocol.has_slider]
+SLIDERS = [
+    name
+    for name, protocol in PROTOCOLS.items()
+    if not (protocol.choices or "free" in protocol.timings)
+]
 
 
 @pytest.mark.parametrize("name", SLIDERS)

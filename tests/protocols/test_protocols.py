@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.protocols.arms import EXPECTED
+from feel321.protocols.compare import EXPECTED
 from feel321.protocols.tasks import PROTOCOLS, make_task, measure_chance
 from feel321.protocols.texts import list_languages, read_scales
 from feel321.protocols.trial import RATING_RANGE, SURFACE, TIMINGS, Judgement, Trial

@@ -6,22 +6,21 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.choosing import ABX_CHOICES, PAIR_CHOICES
-from feel321.protocols.detection import INTERVALS, THRESHOLD
+from feel321.protocols.blocks import INTERVALS
+from feel321.protocols.compare import CHOICES
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import (
     CATALOG,
     MODEL,
+    PageText,
     find_gaps,
     list_borrowed,
     list_languages,
-    read_pages,
-    read_refusals,
     read_scales,
     read_texts,
     write_copy,
 )
-from feel321.protocols.trial import MATCHING, PAGES, SURFACE, Item
+from feel321.protocols.trial import MATCHING, PAGES, SURFACE, THRESHOLD, Item
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,6 +54,16 @@ ALONG = {
     "en": ("Bad", "Poor", "Fair", "Good", "Excellent"),
     "de": ("Schlecht", "Dürftig", "Ordentlich", "Gut", "Ausgezeichnet"),
 }
+
+
+def read_pages(language: str | Path) -> dict[str, PageText]:
+    return {key: PageText(key, **entry) for key, entry in read_texts(language)["pages"].items()}
+
+
+def read_refusals(language: str | Path) -> dict[str, str]:
+    refusals: dict[str, str] = read_texts(language)["refusals"]
+    return refusals
+
 
 MOST_CHARACTERS = 400  # what can be read at a glance from 1 m
 
@@ -90,9 +99,9 @@ def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
         for scale in scales.values()
     )
     assert {name: scale.choices for name, scale in scales.items() if scale.choices} == {
-        "abx": ABX_CHOICES,
-        "triplet": PAIR_CHOICES,
-        "preference": PAIR_CHOICES,
+        "abx": CHOICES,
+        "triplet": CHOICES,
+        "preference": CHOICES,
         THRESHOLD: INTERVALS,
     }
     assert {name: len(scale.anchors) for name, scale in scales.items() if scale.anchors} == {

@@ -15,7 +15,7 @@ import pytest
 from scipy.stats import ttest_1samp
 
 from feel321.analysis.table.reading import Further
-from feel321.protocols.matching import ATTENUATION_DB, DB_PER_POINT, MOST_START_DB, MatchingBlock
+from feel321.protocols.blocks import ATTENUATION_DB, DB_PER_POINT, MOST_START_DB, MatchingBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import MATCHING, Flow
 from feel321.stimuli.sets.manifest import read_stimuli
@@ -24,7 +24,8 @@ from feel321.study.auditing.replay import audit_steps
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import create_study
 from feel321.study.matches import MATCHES_FILE, describe_matches, summarise_matches, write_matches
-from feel321.study.observer.participant import ObserverModel, Participant
+from feel321.study.observer.model import ObserverModel
+from feel321.study.observer.simulated import Participant
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session.engine import run_session
 from feel321.study.session.plan import (

@@ -19,7 +19,7 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.thresholds import acceleration_threshold
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import create_study
-from feel321.study.observer.participant import ObserverModel
+from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import ROSTER_FILE
 from feel321.study.ratings import write_ratings

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from feel321.protocols.detection import ThresholdBlock, name_tone
+from feel321.protocols.blocks import ThresholdBlock, name_tone
 from feel321.stimuli.recording import check_finite
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.stimuli.wav import read_wav

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.agenda import Agenda
-from feel321.protocols.matching import Matching
+from feel321.protocols.blocks import Matching
 from feel321.protocols.trial import Scale
 from feel321.study.session import events, ports
 from feel321.study.session.engine import Setup, find_choices, follow_agenda

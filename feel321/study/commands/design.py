@@ -366,7 +366,7 @@ def demo(*, out: Out = Path("demo-study")) -> None:
 
 def _open_demo(folder: Path) -> StudyFolder:
     """Begin the demonstration, or resume it; a folder with anything else in it is left alone."""
-    from feel321.study.observer.casting import NUMBERED
+    from feel321.study.observer.model import NUMBERED
 
     study = StudyFolder(folder)
     if not folder.exists() or not any(folder.iterdir()):

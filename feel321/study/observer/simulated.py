@@ -1,19 +1,31 @@
-"""The presenter of simulated participants: it needs no screen and no actuator, and answers by itself."""
+"""Simulated participants: what they answer and remember, and the presenter that needs no screen and no actuator."""
 
 from __future__ import annotations
 
+import math
+from math import ceil, floor
+from types import MappingProxyType
 from typing import TYPE_CHECKING
+from zlib import crc32
 
-from feel321.protocols.matching import SECOND
-from feel321.protocols.trial import MATCHING, Page, Part, Scale, Trial
-from feel321.study.observer.participant import (
+from feel321.protocols.blocks import ASKED, DB_PER_POINT, FIRST, INTERVALS, MIDDLE, SECOND
+from feel321.protocols.threshold import predict_correct
+from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Page, Part, Scale, Trial
+from feel321.stimuli.sets.anchors import to_db
+from feel321.stimuli.thresholds import acceleration_threshold
+from feel321.study.observer.model import (
+    HALF,
+    RANDOM_CLICKER,
     REAL,
-    STROKE_S,
+    STRAIGHT_LINER,
     Experience,
     Location,
-    Participant,
-    feel_level,
+    ObserverModel,
+    Touch,
+    draw_rater,
+    find_sure_end,
 )
+from feel321.study.session.events import TrialRated
 from feel321.study.session.ports import (
     Act,
     Confirm,
@@ -27,10 +39,165 @@ from feel321.study.session.ports import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
-    from feel321.protocols.questions import Question
+    import numpy as np
+
+    from feel321.protocols.questions import Answer, Question
     from feel321.stimuli.sets.manifest import Stimulus
+    from feel321.study.observer.percepts import Percept
+    from feel321.study.session.journal import Record
+
+STROKE_S = 3.0  # duration of a stroke over the real surface
+
+SIMULATED_TEXT = "simulated"
+"""The answer of simulated participants to a question that asks for a text."""
+
+FATIGUE_TRIALS = 100  # trials for which the size of fatigue is given
+
+
+class Participant:
+    """A simulated participant: what they answer to what they felt, and what they remember of it.
+
+    elapsed_s: time in s since their session began.
+    """
+
+    def __init__(
+        self,
+        model: ObserverModel,
+        *,
+        seed: int,
+        number: int,
+        percepts: Mapping[str, Percept] = MappingProxyType({}),
+        elapsed_s: float = 0.0,
+    ) -> None:
+        self._seed, self._number, self._time_s = seed, number, elapsed_s
+        self.touch = Touch(model, percepts, seed)
+        self.rater = draw_rater(model, self._draw_from(0, 0))
+        self.before: Experience | None = None
+
+    def recall(
+        self, records: Iterable[Record], trials: Iterable[Trial], *, stimuli: Mapping[str, Stimulus]
+    ) -> None:
+        """Recall the trial that was answered last before a session was interrupted."""
+        main = {trial.number: trial for trial in trials if trial.phase == "main"}
+        rated = [record.data["trial"] for record in records if record.event == TrialRated.event]
+        if answered := [main[number] for number in rated if number in main]:
+            self.before = self.imagine(answered[-1], stimuli)
+
+    def imagine(self, trial: Trial, stimuli: Mapping[str, Stimulus]) -> Experience:
+        """Compute how all parts of a trial feel."""
+        felt = {
+            part.name: stimuli[part.stimulus_id] if part.stimulus_id else None
+            for part in trial.parts
+        }
+        return Experience(
+            trial, {name: self.touch.locate(stimulus) for name, stimulus in felt.items()}
+        )
+
+    def answer(
+        self, experience: Experience, scale: Scale, place: Place
+    ) -> tuple[dict[str, float | str], float]:
+        """Answer a trial: the values by part, and the time that this took in s."""
+        trial, model = experience.trial, self.touch.model
+        rng = self._draw_from(trial.number, place.attempt)
+        if trial.protocol == THRESHOLD:
+            return {ASKED: self._detect(experience.tones, rng)}, self.rater.draw_time(rng)
+        if trial.protocol == MATCHING:
+            points = self._match(experience.levels_db, rng)
+            return {SECOND: points}, self.rater.draw_time(rng)
+        tired = place.done / FATIGUE_TRIALS
+        growth = 1 + model.fatigue_noise * tired
+        values: dict[str, float | str] = {}
+        for judgement in trial.judgements:
+            if judgement.part in scale.choices and judgement.reference_id is None:
+                percepts = {name: self.touch.feel(experience.find(name)) for name in scale.choices}
+                values[judgement.part] = self.rater.prefer(percepts, growth=growth, rng=rng)
+            elif scale.choices:
+                distances = self.touch.compare(experience, judgement, scale.choices)
+                values[judgement.key] = self.rater.choose(distances, growth=growth, rng=rng)
+            else:
+                # Further scales have draws of their own, which leave those of the first as they are.
+                own = self._draw_from(trial.number, place.attempt, crc32(judgement.scale.encode()))
+                values[judgement.key] = self.rater.rate(
+                    self.touch.judge(experience, judgement),
+                    sure=find_sure_end(trial),
+                    shift=model.fatigue * tired - self._find_contrast(trial),
+                    growth=growth,
+                    rng=own if judgement.scale else rng,
+                )
+        return values, len(values) * self.rater.draw_time(rng)
+
+    def answer_question(self, question: Question, *, occasion: int) -> tuple[Answer, float]:
+        """Answer a question page with anything that is an answer, and the time that this took in s."""
+        rng = self._draw_from(0, 2, crc32(question.name.encode()), occasion)
+        value: Answer = SIMULATED_TEXT
+        if question.choices:
+            value = question.choices[rng.integers(len(question.choices))]
+        elif question.kind == "number":
+            low, high = question.low, question.high
+            low = (0.0 if high is None else min(0.0, high - 1)) if low is None else low
+            high = low + 100.0 if high is None else high
+            value = (
+                low if ceil(low) > floor(high) else float(rng.integers(ceil(low), floor(high) + 1))
+            )
+        return value, self.rater.draw_time(rng)
+
+    def find_threshold(self, frequency_hz: float) -> float:
+        """Find the participant's own detection threshold, RMS at the hand in dB re 1 m/s²."""
+        model = self.touch.model
+        curve = acceleration_threshold(frequency_hz, threshold=model.detection_curve)
+        shared, own = (
+            self._draw_from(0, 1, *places).normal(0, model.detection_sd * math.sqrt(HALF))
+            for places in ((), (round(1000 * frequency_hz),))
+        )
+        return to_db(float(curve) / math.sqrt(2)) + float(shared + own)
+
+    def _detect(self, tones: Mapping[str, Tone], rng: np.random.Generator) -> str:
+        """Choose the interval that vibrated; where neither did, the second is right as often as not."""
+        right = next((n for n in tones if tones[n].level_db is not None), INTERVALS[-1])
+        tone, chance = tones[right], HALF
+        if tone.level_db is not None:
+            chance = float(
+                predict_correct(
+                    tone.level_db,
+                    threshold_db=self.find_threshold(tone.frequency_hz),
+                    slope=self.touch.model.detection_slope,
+                    lapse=self.rater.lapse_rate * HALF,  # a guess may be right
+                )
+            )
+        return self.rater.detect(chance, right, rng=rng)
+
+    def _match(self, levels_db: Mapping[str, float], rng: np.random.Generator) -> float:
+        """Move the marker until the second is as strong as the first, but for an error of one's own."""
+        guess, error_db = rng.uniform(*RATING_RANGE), rng.normal(0, self.touch.model.matching_sd)
+        points = MIDDLE + (levels_db[FIRST] - levels_db[SECOND] + error_db) / DB_PER_POINT
+        points = RATING_RANGE[1] if math.isnan(points) else points  # silence, which no marker helps
+        if self.rater.kind == RANDOM_CLICKER or rng.random() < self.rater.lapse_rate:
+            points = guess
+        elif self.rater.kind == STRAIGHT_LINER:
+            points = MIDDLE
+        return round(min(max(points, RATING_RANGE[0]), RATING_RANGE[1]))
+
+    def _find_contrast(self, trial: Trial) -> float:
+        """Compute what the trial before takes away, in points; points on another scale take nothing."""
+        before, order = self.before, self.touch.model.order
+        if not order or before is None or trial.phase != "main":
+            return 0.0
+        if before.trial.scale != trial.scale:
+            return 0.0
+        percepts = [self.touch.judge(before, judged) for judged in before.trial.judgements]
+        return order * (sum(percepts) / len(percepts) - MIDDLE)
+
+    def _draw_from(self, trial: int, attempt: int, *places: int) -> np.random.Generator:
+        import numpy as np
+
+        return np.random.default_rng([self._seed, self._number, trial, attempt, *places])
+
+
+def feel_level(scaled: Scaled) -> float:
+    """Find how far a stimulus lies over the detection threshold at another level than the study's, in dB."""
+    return scaled.stimulus.sensation_level_db + scaled.gain_db
 
 
 class SimulatedObserver(Participant):

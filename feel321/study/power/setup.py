@@ -23,7 +23,7 @@ from feel321.protocols.tasks import find_other
 from feel321.stimuli.sets import build, manifest
 from feel321.study import provenance, ratings
 from feel321.study.metrics import measure_declared
-from feel321.study.observer import casting
+from feel321.study.observer.model import make_model
 from feel321.study.power import assume, page
 from feel321.study.session import codes
 from feel321.study.session import plan as plans
@@ -262,7 +262,7 @@ def _check_points(name: str, value: float) -> float:
 
 def _find_felt(settings: Settings, steps: Mapping[str, Step]) -> dict[str, float]:
     """Find the slopes that observers feel, before the ends of the scale; 0 for metrics that they do not feel."""
-    model = casting.make_model(settings)
+    model = make_model(settings)
     if model.uses_percepts:
         raise ValueError(
             "simulated observers of [observer] feel more than the two matches, so their slopes are not known; give "

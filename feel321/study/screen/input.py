@@ -1,4 +1,4 @@
-"""Input: keys, clicks and signals, each with its time, and what they mean on the page shown.
+"""Input: keys, clicks and signals, each with its time, and what they mean for the answer on the screen.
 
 Python raises what Ctrl-C means wherever it happens to be: in the middle of a record of the journal, or in a callback
 of the window system, where the exception is printed and lost. While a screen is open, the first signal waits until a
@@ -9,18 +9,18 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import count
 from typing import Any, Literal
 
+from feel321.protocols.questions import MOST_LETTERS, Question
+from feel321.protocols.questions import Answer as QuestionAnswer
 from feel321.protocols.trial import RATING_RANGE, Scale, Trial
 from feel321.study.keys import PLAY, USUAL, KeysTable
-from feel321.study.screen.drawing import Target, find_points
+from feel321.study.screen.sheet import Target
 from feel321.study.session.ports import Move
 
-FINE, COARSE = 1.0, 10.0
-
-MOVES = {"left": -FINE, "right": FINE, "more": COARSE, "less": -COARSE}
+MOVES = {"left": -1.0, "right": 1.0, "more": 10.0, "less": -10.0}
 """How far actions move a marker, in points."""
 
 LISTS = frozenset({"rows", "scales"})  # kinds of screens with more than one slider
@@ -79,92 +79,14 @@ def drop_repeats(events: list[InputEvent]) -> list[InputEvent]:
     return kept
 
 
-# Keys over time: held ones that repeat, digits that become a number, and one that must be pressed twice.
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the participant wants to be done, by key or by mouse."""
 
-DELAY_S = 0.4  # how long a key is held before it repeats
-SPEEDS = ((0.0, 25.0), (1.0, 60.0))  # repeats per s, from when on: 100 points take 2.25 s
-COARSE_SPEEDS = ((0.0, 6.0),)  # repeats per s of keys that move far
-DIGITS_S = 0.8  # how long a number that could go on waits for its next digit
-TWICE_S = 1.0  # time within which a key counts as pressed twice
+    name: str
+    time_s: float
+    part: str = ""
 
-
-def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEEDS) -> int:
-    """Count how often a key has repeated."""
-    since_s = held_s - DELAY_S + 1e-9
-    ends = (*(start for start, _ in speeds[1:]), float("inf"))
-    parts = zip(speeds, ends, strict=True)
-    return int(sum(max(0.0, min(since_s, end) - start) * speed for (start, speed), end in parts))
-
-
-@dataclass(slots=True)
-class Held:
-    """The key that is down, if any, and how often it has repeated; only the last one repeats."""
-
-    _key: str = ""
-    _since_s: float = 0.0
-    _given: int = 0
-
-    def press(self, key: str, time_s: float) -> None:
-        """Take account of a key that went down."""
-        self._key, self._since_s, self._given = key, time_s, 0
-
-    def release(self, key: str = "") -> None:
-        """Take account of a key that went up, or of all."""
-        if key in {self._key, ""}:
-            self._key = ""
-
-    def list_due(self, time_s: float, coarse: frozenset[str]) -> list[str]:
-        """List the repeats that are due and have not been given."""
-        if not self._key:
-            return []
-        speeds = COARSE_SPEEDS if self._key in coarse else SPEEDS
-        before, self._given = self._given, count_repeats(time_s - self._since_s, speeds)
-        return [self._key] * (self._given - before)
-
-
-@dataclass(slots=True)
-class Digits:
-    """Digits that become a number of points as soon as no other digit can follow, or none has for a while."""
-
-    text: str = field(default="", init=False)
-    _time_s: float = field(default=0.0, init=False)
-
-    def type(self, digit: str, time_s: float) -> float | None:
-        """Add a digit; returns the number if it is complete."""
-        if float(self.text + digit) > RATING_RANGE[1]:
-            self.text = ""
-        self.text, self._time_s = self.text + digit, time_s
-        is_whole = float(self.text) * 10 > RATING_RANGE[1] or self.text == "00"
-        return self.take() if is_whole else None
-
-    def take(self) -> float | None:
-        """Take the number as it stands."""
-        text, self.text = self.text, ""
-        return float(text) if text else None
-
-    def take_if_due(self, time_s: float) -> float | None:
-        """Take the number if it has waited long enough."""
-        return self.take() if time_s - self._time_s >= DIGITS_S else None
-
-
-@dataclass(slots=True)
-class Twice:
-    """Something that must be done twice in a short time."""
-
-    _first_s: float | None = None
-
-    def press(self, time_s: float) -> bool:
-        """Take account of one time; returns whether it is the second."""
-        is_second = self.is_armed(time_s)
-        self._first_s = None if is_second else time_s
-        return is_second
-
-    def is_armed(self, time_s: float) -> bool:
-        """Whether it was done once, a short time ago."""
-        return self._first_s is not None and time_s - self._first_s <= TWICE_S
-
-
-# Signals that wait for the end of a frame.
 
 HELD = (signal.SIGINT, signal.SIGTERM)
 
@@ -205,6 +127,10 @@ def hold_signals() -> Iterator[Callable[[], None]]:
 
 # The answer to a trial while the participant works on it.
 
+DELAY_S = 0.4  # how long a key is held before it repeats
+SPEEDS = ((0.0, 25.0), (1.0, 60.0))  # repeats per s, from when on: 100 points take 2.25 s
+COARSE_SPEEDS = ((0.0, 6.0),)  # repeats per s of keys that move far
+DIGITS_S = 0.8  # how long a number that could go on waits for its next digit
 REST_S = 0.25  # how long a marker stands still before it has come to rest
 
 FIRST = 50.0
@@ -214,35 +140,12 @@ other, so its pull favours neither answer, and it is the same for all vibrations
 where it is put."""
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """What the participant wants to be done, by key or by mouse."""
-
-    name: str
-    time_s: float
-    part: str = ""
-
-
-class Markers:
-    """The markers of a trial, and which of them have not come to rest."""
-
-    def __init__(self) -> None:
-        self.values: dict[str, float] = {}
-        self._restless: dict[str, float] = {}
-
-    def put(self, part: str, value: float, time_s: float) -> None:
-        """Put a marker somewhere."""
-        low, high = RATING_RANGE
-        value = min(max(value, low), high)
-        if self.values.get(part) != value:
-            # A new mapping for every change: views hold the old one.
-            self.values = {**self.values, part: value}
-            self._restless[part] = time_s
-
-    def settle(self, time_s: float, *, rest_s: float = REST_S) -> list[Move]:
-        """List the markers that came to rest since the last call."""
-        rested = [part for part, moved_s in self._restless.items() if time_s - moved_s >= rest_s]
-        return [Move(self._restless.pop(part), part, self.values[part]) for part in rested]
+def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEEDS) -> int:
+    """Count how often a key has repeated."""
+    since_s = held_s - DELAY_S + 1e-9
+    ends = (*(start for start, _ in speeds[1:]), float("inf"))
+    parts = zip(speeds, ends, strict=True)
+    return int(sum(max(0.0, min(since_s, end) - start) * speed for (start, speed), end in parts))
 
 
 class Answer:
@@ -252,66 +155,75 @@ class Answer:
         self.kind = "rows" if trial.timing == "free" else "slider"
         self.kind = "choice" if scale.choices else "scales" if scale.further else self.kind
         self.rated = trial.judged
-        self.markers = Markers()
+        self.markers: dict[str, float] = {}
         self.selected = self.rated[0]
         self.chosen = ""
+        self.typed = ""
+        """Digits that have not become a value yet."""
         self.felt: frozenset[str] = frozenset()
         self.loops = False
         self._parts = [part.name for part in trial.parts]
         self._choices, self._keys = scale.choices, keys
-        self._held, self._digits = Held(), Digits()
+        self._restless: dict[str, float] = {}
+        self._typed_s = 0.0
+        self._held, self._held_s, self._repeats = "", 0.0, 0
         self._dragged: Target | None = None
-
-    @property
-    def typed(self) -> str:
-        """Digits that have not become a value yet."""
-        return self._digits.text
 
     @property
     def values(self) -> dict[str, float | str]:
         """The answer as it stands, by the part that is rated."""
         if self.kind == "choice":
             return dict.fromkeys(self.rated, self.chosen) if self.chosen else {}
-        return dict(self.markers.values)
+        return dict(self.markers)
+
+    def settle(self, time_s: float, *, rest_s: float = REST_S) -> list[Move]:
+        """List the markers that came to rest since the last call."""
+        rested = [part for part, moved_s in self._restless.items() if time_s - moved_s >= rest_s]
+        return [Move(self._restless.pop(part), part, self.markers[part]) for part in rested]
 
     def take(self, event: InputEvent, target: Target | None, *, can_answer: bool) -> Request | None:
         """Do what an event asks for, as far as it is about the answer."""
         match event.kind:
-            case "release":
-                self._held.release(self._keys.name_action(event.key) or event.key)
+            case "release" if self._held == (self._keys.name_action(event.key) or event.key):
+                self._held = ""
             case "unfocused":
-                self._held.release()
+                self._held = ""
             case "press":
                 return self._press(event, can_answer=can_answer)
             case "click":
                 return self._click(event, target)
-            case "drag" if self._dragged and self._dragged.track and can_answer:
-                value = find_points(self._dragged.track, event.x)
+            case "drag" if self._dragged and can_answer:
+                value = self._dragged.find_points(event.x)
                 self._set(self._dragged.part, value, event.time_s)
             case _:
                 pass
         return None
 
     def tick(self, time_s: float, *, can_answer: bool) -> None:
-        """Let time pass: held keys repeat, typed digits become a value."""
-        for key in self._held.list_due(time_s, FAR):
-            if can_answer:
-                self._step(key, time_s)
-        self._set(self.selected, self._digits.take_if_due(time_s), time_s)
+        """Let time pass: the key that went down last repeats while it is held, typed digits become a value."""
+        if self._held:
+            speeds = COARSE_SPEEDS if self._held in FAR else SPEEDS
+            before = self._repeats
+            self._repeats = count_repeats(time_s - self._held_s, speeds)
+            for _ in range(self._repeats - before if can_answer else 0):
+                self._step(self._held, time_s)
+        if time_s - self._typed_s >= DIGITS_S:
+            self.finish_typing(time_s)
 
     def finish_typing(self, time_s: float) -> bool:
         """Turn digits into a value at once."""
-        value = self._digits.take()
-        self._set(self.selected, value, time_s)
-        return value is not None
+        text, self.typed = self.typed, ""
+        if text:
+            self._set(self.selected, float(text), time_s)
+        return bool(text)
 
     def go_to_open(self) -> bool:
         """Where a trial has several scales and one of them was answered, go to the next that was not."""
-        if self.kind != "scales" or self.selected not in self.markers.values:
+        if self.kind != "scales" or self.selected not in self.markers:
             return False
         after = self.rated.index(self.selected)
         order = [*self.rated[after:], *self.rated[:after]]
-        still = next((key for key in order if key not in self.markers.values), None)
+        still = next((key for key in order if key not in self.markers), None)
         self.selected = still or self.selected
         return still is not None
 
@@ -321,23 +233,28 @@ class Answer:
         if action == "again":
             return self._feel_again(time_s)
         if action == "reference" or action.startswith(PLAY):
-            return self._feel_row(self._find_part(action), time_s)
+            others = [part for part in self._parts if part != "reference"]
+            number = int(action.removeprefix(PLAY)) if action.startswith(PLAY) else 0
+            known = 0 < number <= len(others)
+            return self._feel_row(others[number - 1] if known else str(number or action), time_s)
         if action == "loop" and self.kind == "rows":
             self.loops = not self.loops
         if can_answer:
-            self._held.press(action or key, time_s)
+            self._held, self._held_s, self._repeats = action or key, time_s, 0
             self._step(action, time_s)
             if self.kind == "choice":
                 self.chosen = key if key in self._choices and not action else self.chosen
             elif action == "type_values":
-                self._set(self.selected, self._digits.type(key, time_s), time_s)
+                self._type(key, time_s)
         return None
 
-    def _find_part(self, action: str) -> str:
-        """Find the part that an action plays: the reference, or one of the others in their order."""
-        others = [part for part in self._parts if part != "reference"]
-        number = int(action.removeprefix(PLAY)) if action.startswith(PLAY) else 0
-        return others[number - 1] if 0 < number <= len(others) else str(number or action)
+    def _type(self, digit: str, time_s: float) -> None:
+        """Add a digit; the number is a value as soon as no other digit can follow."""
+        highest = RATING_RANGE[1]
+        is_over = float(self.typed + digit) > highest
+        self.typed, self._typed_s = digit if is_over else self.typed + digit, time_s
+        if float(self.typed) * 10 > highest or self.typed == "00":
+            self.finish_typing(time_s)
 
     def _click(self, event: InputEvent, target: Target | None) -> Request | None:
         self._dragged = target if target and target.name == "mark" else None
@@ -348,9 +265,9 @@ class Answer:
                 return self._feel_again(event.time_s)
             case "choose" if target:
                 self.chosen = target.part
-            case "mark" if target and target.track:
-                self._digits.take()  # What was typed before does not take the marker back.
-                self._set(target.part, find_points(target.track, event.x), event.time_s)
+            case "mark" if target:
+                self.typed = ""  # What was typed before does not take the marker back.
+                self._set(target.part, target.find_points(event.x), event.time_s)
         return None
 
     def _feel_again(self, time_s: float) -> Request:
@@ -368,16 +285,95 @@ class Answer:
             ends = {"left": self._choices[0], "right": self._choices[-1]}
             self.chosen = ends.get(action, self.chosen)
         elif (step := MOVES.get(action)) is not None:
-            self._digits.take()
-            value = self.markers.values.get(self.selected)
+            self.typed = ""
+            value = self.markers.get(self.selected)
             self._set(self.selected, FIRST if value is None else value + step, time_s)
         elif self.kind in LISTS and action in ROW_STEPS:
             self.finish_typing(time_s)
             place = self.rated.index(self.selected) + ROW_STEPS[action]
             self.selected = self.rated[min(max(place, 0), len(self.rated) - 1)]
 
-    def _set(self, part: str, value: float | None, time_s: float) -> None:
-        if part in self.rated and value is not None:
-            self.selected = part
-            if self.kind != "rows" or part in self.felt:  # no vibration is rated before it was felt
-                self.markers.put(part, value, time_s)
+    def _set(self, part: str, value: float, time_s: float) -> None:
+        """Put a marker somewhere; no vibration is rated before it was felt."""
+        if part not in self.rated:
+            return
+        self.selected, (low, high) = part, RATING_RANGE
+        value = min(max(value, low), high)
+        is_felt = self.kind != "rows" or part in self.felt
+        if is_felt and self.markers.get(part) != value:
+            # A new mapping for every change: views hold the old one.
+            self.markers = {**self.markers, part: value}
+            self._restless[part] = time_s
+
+
+# The answer to a question.
+
+ENTER, BACKSPACE = "enter", "backspace"
+NUMBER_SIGNS = frozenset("0123456789.,-")
+MOST_DIGITS = 12
+
+
+class Form:
+    """The answer to a question, and what keys and clicks do to it."""
+
+    def __init__(self, question: Question, keys: KeysTable) -> None:
+        self.question, self._keys = question, keys
+        self.typed, self.chosen = "", ""
+
+    @property
+    def answer(self) -> QuestionAnswer:
+        """The answer as it stands; None where there is none, text where it is no number yet."""
+        if self.question.choices:
+            return self.question.choices[int(self.chosen)] if self.chosen else None
+        text = self.typed.strip()
+        if self.question.kind == "text" or not text:
+            return text or None
+        try:
+            return float(text.replace(",", "."))
+        except ValueError:
+            return text
+
+    def check(self) -> tuple[str, dict[str, float | str]]:
+        """Check the answer: what is wrong with it, and what it is by the name of the question."""
+        answer = self.answer
+        values = {} if answer is None else {self.question.name: answer}
+        return self.question.find_fault(answer), values
+
+    def name_action(self, key: str) -> str:
+        """Name what a key does besides answering: where an answer is typed, Enter and keys that write nothing."""
+        is_typed = not self.question.choices
+        if is_typed and key == ENTER:
+            return "next"
+        writes = len(key) == 1 or key in {"space", "comma", "period", "minus", "plus", "slash"}
+        return "" if is_typed and writes else self._keys.name_action(key)
+
+    def take(self, event: InputEvent, target: Target | None) -> None:
+        """Do what an event asks for."""
+        is_choice = bool(self.question.choices)
+        if event.kind == "click" and target is not None and target.name == "choose":
+            self.chosen = target.part
+        elif event.kind == "text" and not is_choice:
+            self._type(event.key)
+        elif event.kind == "press" and is_choice:
+            self._choose(event.key)
+
+    def _type(self, letters: str) -> None:
+        if letters == BACKSPACE:
+            self.typed = self.typed[:-1]
+            return
+        is_number = self.question.kind == "number"
+        allowed = [
+            one for one in letters if one.isprintable() and (not is_number or one in NUMBER_SIGNS)
+        ]
+        most = MOST_DIGITS if is_number else MOST_LETTERS
+        self.typed = (self.typed + "".join(allowed))[:most]
+
+    def _choose(self, key: str) -> None:
+        last = len(self.question.choices) - 1
+        action = self._keys.name_action(key)
+        if action in {"", "type_values"}:
+            if key.isdigit() and 0 < int(key) <= last + 1:
+                self.chosen = str(int(key) - 1)
+        elif (step := {"up": -1, "left": -1, "down": 1, "right": 1}.get(action)) is not None:
+            place = (0 if step > 0 else last) if not self.chosen else int(self.chosen) + step
+            self.chosen = str(min(max(place, 0), last))

@@ -12,10 +12,9 @@ from feel321.protocols.questions import Question
 from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.actuator.output import Output
-from feel321.study.screen.asking import Form, fill_in
-from feel321.study.screen.drawing import Sheet
-from feel321.study.screen.input import Answer, InputEvent, Request, Twice
+from feel321.study.screen.input import Answer, Form, InputEvent, Request
 from feel321.study.screen.layout import compose
+from feel321.study.screen.sheet import Sheet
 from feel321.study.screen.view import Hand, ScreenTexts, View
 from feel321.study.screen.window import Window
 from feel321.study.session.ports import (
@@ -33,6 +32,7 @@ from feel321.study.session.ports import (
 )
 
 DOUBLE_S = 0.4  # a second click within this time is half of a double one: it leaves no page
+TWICE_S = 1.0  # time within which a key counts as pressed twice
 
 
 class Screen:
@@ -46,7 +46,7 @@ class Screen:
         self.notice = ""
         self._answer: Answer | None = None
         self._form: Form | None = None
-        self._twice = Twice()
+        self._paused_s: float | None = None
         self._confirmed_s = -DOUBLE_S
         self._events: deque[InputEvent] = deque()
         self._composed: tuple[View, Sheet] = (self.view, Sheet(0, 0))
@@ -57,7 +57,7 @@ class Screen:
         """Begin a screen: nothing of the last one is left, no key that was pressed on it counts for this one."""
         self.view, self.notice, self._answer, self._form = view, "", answer, form
         self._events.clear()
-        self._twice = Twice()
+        self._paused_s = None
         self.show_frame()
 
     def find_answer(self) -> Answer:
@@ -73,25 +73,31 @@ class Screen:
             event = self._events.popleft()
             if event.kind in {"press", "click"}:
                 self.notice = ""
-            request = self._interpret(event)
-            if request is not None and not self._is_double(event, request):
-                yield request
+            if (request := self._interpret(event)) is None:
+                continue
+            if request.name == "confirm" and event.kind == "click":
+                if event.time_s - self._confirmed_s < DOUBLE_S:
+                    continue  # the other half of a double one
+                self._confirmed_s = event.time_s
+            yield request
         if self.view.trial is not None:
             self.find_answer().tick(self._clock(), can_answer=self.view.can_answer)
 
     def show_frame(self) -> None:
         """Show what is to be on the screen for a frame, and keep what is done in it."""
-        notice, view = self.notice, self.view
-        if self._twice.is_armed(self._clock()) and view.can_leave:
-            notice = self._texts.prompts["end_next" if view.page else "pause_next"]
-        view = replace(view, notice=notice)
-        if self._form is not None:
-            view = fill_in(view, self._form)
+        view = replace(self.view, notice=self.notice)
+        if self._is_pausing(self._clock()) and view.can_leave:
+            prompt = "end_next" if view.page else "pause_next"
+            view = replace(view, notice=self._texts.prompts[prompt])
+        if (form := self._form) is not None:
+            fault, _ = form.check()
+            felt = frozenset[str]() if fault else frozenset({form.question.name})
+            view = replace(view, typed=form.typed, chosen=form.chosen, felt=felt)
         if view.trial is not None:
             answer = self.find_answer()
             view = replace(
                 view,
-                markers=answer.markers.values,
+                markers=answer.markers,
                 selected=answer.selected,
                 chosen=answer.chosen,
                 typed=answer.typed,
@@ -115,14 +121,14 @@ class Screen:
         if event.kind == "press":
             is_theirs = page is not None and page.by == "experimenter"
             confirm = "experimenter" if is_theirs else "next"
-            keys = self._form or self._texts.own_keys
-            action = keys.name_action(event.key)
+            action = (self._form or self._texts.own_keys).name_action(event.key)
             name = {confirm: "confirm", "stop": "stop", "pause": "pause"}.get(action, "")
-        if name == "pause":
+        if name == "pause" and not (event.kind == "click" and trial):
             # A key must be pressed twice; the button of a trial is enough.
-            is_meant = (event.kind == "click" and trial) or self._twice.press(event.time_s)
-            return Request("pause", event.time_s) if is_meant else None
-        if name in {"confirm", "stop"}:
+            is_second = self._is_pausing(event.time_s)
+            self._paused_s = None if is_second else event.time_s
+            return Request("pause", event.time_s) if is_second else None
+        if name in {"confirm", "stop", "pause"}:
             return Request(name, event.time_s)
         if self._form is not None:
             self._form.take(event, target)
@@ -130,14 +136,9 @@ class Screen:
             return None
         return self.find_answer().take(event, target, can_answer=self.view.can_answer)
 
-    def _is_double(self, event: InputEvent, request: Request) -> bool:
-        """Whether a click that confirms is the other half of a double one."""
-        if request.name != "confirm" or event.kind != "click":
-            return False
-        if event.time_s - self._confirmed_s < DOUBLE_S:
-            return True
-        self._confirmed_s = event.time_s
-        return False
+    def _is_pausing(self, time_s: float) -> bool:
+        """Whether a pause was asked for once, a short time ago."""
+        return self._paused_s is not None and time_s - self._paused_s <= TWICE_S
 
 
 CLOSED = "the window was closed"
@@ -171,45 +172,35 @@ class ScreenPresenter:
 
     def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
         """Show a page until whoever it is for is done with it, for its least time at least."""
-        screen = self._screen
-        view = View(
-            "page", "reading", screen.view.screen + 1, place, page, left_s=ceil(page.least_s)
-        )
-        screen.bring_up(view)
+        return self._show(page, place)
+
+    def show_question(self, question: Question, place: Place) -> Confirm | Pause | Abort:
+        """Show a question page until it has an answer."""
+        return self._show(Page(question.key), place, Form(question, self._texts.own_keys))
+
+    def _show(self, page: Page, place: Place, form: Form | None = None) -> Confirm | Abort:
+        screen, question = self._screen, form.question if form else None
+        number, left_s = screen.view.screen + 1, ceil(page.least_s)
+        view = View("page", "reading", number, place, page, question, left_s=left_s)
+        screen.bring_up(view, form=form)
         shown_s = self._clock()
         while True:
-            left_s = max(0.0, page.least_s - self._clock() + shown_s)
-            screen.view = replace(screen.view, left_s=ceil(left_s))
+            left_s = ceil(max(0.0, page.least_s - self._clock() + shown_s))
+            screen.view = replace(screen.view, left_s=left_s)
             for request in screen.listen():
                 stood_s = max(0.0, request.time_s - shown_s)
                 if (end := find_end(request)) is not None and screen.view.can_leave:
                     return Abort(request.time_s, end.reason if isinstance(end, Abort) else LEFT)
-                if request.name in {"confirm", "close"} and stood_s >= page.least_s:
-                    return Confirm(request.time_s, {}, stood_s)
-                if request.name == "confirm":
-                    self.refuse("too_early", ())
-
-    def show_question(self, question: Question, place: Place) -> Confirm | Pause | Abort:
-        """Show a question page until it has an answer."""
-        screen, form = self._screen, Form(question, self._texts.own_keys)
-        view = View(
-            "page", "reading", screen.view.screen + 1, place, Page(question.key), question=question
-        )
-        screen.bring_up(view, form=form)
-        shown_s = self._clock()
-        while True:
-            for request in screen.listen():
-                stood_s = max(0.0, request.time_s - shown_s)
-                if (end := find_end(request)) is not None:
-                    return Abort(request.time_s, end.reason if isinstance(end, Abort) else LEFT)
-                if request.name != "confirm":
+                if request.name not in {"confirm", "close"}:
                     continue
-                answer = form.answer
-                if not (fault := question.find_fault(answer)):
-                    values = {} if answer is None else {question.name: answer}
+                values: dict[str, float | str] = {}
+                fault = "too_early" if stood_s < page.least_s else ""
+                if form is not None:
+                    fault, values = form.check()
+                if not fault:
                     return Confirm(request.time_s, values, stood_s)
-                parts = (question.describe_range(),) if fault == "out_of_range" else ()
-                self.refuse(fault, parts)
+                if request.name == "confirm":
+                    self.refuse(fault, (form.question.describe_range(),) if form else ())
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Show a trial, all markers unset."""
@@ -238,10 +229,10 @@ class ScreenPresenter:
         due_s: float | None = None,
     ) -> Playback:
         """Play a stimulus to its end, or until the participant stops it."""
-        frames = self._screen.window.frames
+        window = self._screen.window
         self._announce("feeling", part)
         self._hand.feel(part, stimulus)
-        late = frames.late
+        late = window.late_frames
         answer, goes_round = self._screen.find_answer(), self._goes_round
         goes_on, self._goes_round, self._is_switching = self._is_switching, False, False
         self._asked_s = self._asked_s if goes_round else self._clock()
@@ -258,9 +249,9 @@ class ScreenPresenter:
         is_free = answer.loops and self._clock() - self._asked_s < LOOP_S
         if is_free and self._is_at_end and not playback.error and not act:
             self._goes_round = True
-            self._acts.extend(answer.markers.settle(self._clock()))
+            self._acts.extend(answer.settle(self._clock()))
             self._acts.append(Feel(self._clock(), part.name))  # again, until something else is done
-        measured = {**playback.measured, "late_frames": frames.late - late}
+        measured = {**playback.measured, "late_frames": window.late_frames - late}
         return replace(playback, act=act, measured=measured)
 
     def prompt(self, part: Part) -> Playback:
@@ -281,7 +272,7 @@ class ScreenPresenter:
         while not self._acts:
             for request in self._screen.listen():
                 self._acts.extend(_list_acts(request, answer, possible_s=self._possible_s))
-            self._acts.extend(answer.markers.settle(self._clock()))
+            self._acts.extend(answer.settle(self._clock()))
             if limit_s is not None:
                 left_s = limit_s - self._clock() + self._possible_s
                 self._screen.view = replace(self._screen.view, left_s=max(1, ceil(left_s)))
@@ -340,9 +331,9 @@ def _list_acts(request: Request, answer: Answer, *, possible_s: float) -> Iterat
     if (end := find_end(request)) is not None:
         yield end
     elif request.name == "feel":
-        yield from answer.markers.settle(time_s, rest_s=0.0)
+        yield from answer.settle(time_s, rest_s=0.0)
         yield Feel(time_s, request.part)
     elif request.name == "confirm" and not (answer.finish_typing(time_s) or answer.go_to_open()):
         # Enter after digits that wait for another sets their value only: it must be seen before it counts.
-        yield from answer.markers.settle(time_s, rest_s=0.0)
+        yield from answer.settle(time_s, rest_s=0.0)
         yield Confirm(time_s, answer.values, max(0.0, time_s - possible_s))

@@ -13,10 +13,9 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from typing import Any
 
-from feel321.study.screen import drawing
+from feel321.study.screen import sheet
 from feel321.study.screen.input import InputEvent, drop_repeats, hold_signals, name_key
 
 Foreign = Any  # PsychoPy has no types
@@ -28,87 +27,6 @@ DESTROY_NOTIFY = 17  # X11's number of the event that a window was destroyed
 REDRAW_S = 0.5  # what has not changed is drawn again, in case something covered it
 
 
-@dataclass(slots=True)
-class FrameCounts:
-    """How many frames were shown, how many of them late, and the longest."""
-
-    shown: int = 0
-    late: int = 0
-    longest_s: float = 0.0
-
-    def count(self, took_s: float) -> None:
-        """Count one frame."""
-        self.shown += 1
-        self.late += took_s > 1.5 * FRAME_S
-        self.longest_s = max(self.longest_s, took_s)
-
-
-@dataclass(slots=True)
-class Easel:
-    """Makes PsychoPy's objects of items, and keeps them as long as they are shown."""
-
-    handle: Foreign
-    drawn: dict[drawing.Item, Foreign] = field(default_factory=dict, init=False)
-
-    def draw(self, items: tuple[drawing.Item, ...]) -> None:
-        """Draw items; the objects of those that are not shown any longer are let go."""
-        self.drawn = {item: self.drawn.get(item) or self._make(item) for item in items}
-        for stimulus in self.drawn.values():
-            stimulus.draw()
-
-    def _make(self, item: drawing.Item) -> Foreign:
-        if isinstance(item, drawing.Photo):
-            return self._make_picture(item)
-        return self._make_text(item) if isinstance(item, drawing.Text) else self._make_area(item)
-
-    def _make_text(self, text: drawing.Text) -> Foreign:
-        from psychopy.visual.text import TextStim
-
-        box = text.box
-        x = {"left": box.left, "right": box.right}.get(text.align, box.left + box.width / 2)
-        return TextStim(
-            self.handle,
-            text.words,
-            font=drawing.FONT,
-            bold=text.bold,
-            height=text.size,
-            color=text.color,
-            pos=self._turn_up(round(x), round(box.top + box.height / 2)),
-            anchorHoriz=text.align,
-            alignText=text.align,
-            anchorVert="center",
-            wrapWidth=10 * self.handle.size[0],  # lines were broken by the layout
-        )
-
-    def _make_area(self, area: drawing.Area) -> Foreign:
-        from psychopy.visual.shape import BaseShapeStim
-
-        box = area.box.grow(-area.line_px / 2) if area.line else area.box
-        return BaseShapeStim(
-            self.handle,
-            vertices=[self._turn_up(x, y) for x, y in drawing.round_corners(box, area.round_px)],
-            fillColor=area.fill or None,
-            lineColor=area.line or None,
-            lineWidth=area.line_px,
-        )
-
-    def _make_picture(self, photo: drawing.Photo) -> Foreign:
-        from psychopy.visual.image import ImageStim
-
-        box = photo.box
-        middle = self._turn_up(box.left + box.width / 2, box.top + box.height / 2)
-        image = ImageStim(self.handle, str(photo.path), pos=middle)
-        width, height = image.size
-        scale = min(box.width / width, box.height / height)
-        image.size = width * scale, height * scale
-        return image
-
-    def _turn_up(self, x: float, y: float) -> tuple[float, float]:
-        """Count from the middle, upwards, as PsychoPy does."""
-        width, height = self.handle.size
-        return x - width / 2, height / 2 - y
-
-
 class Window:
     """A window that shows items and collects events; clock: gives the time in s since the session began."""
 
@@ -116,9 +34,11 @@ class Window:
         self, handle: Foreign, clock: Callable[[], float], deliver_signals: Callable[[], None]
     ) -> None:
         self.handle, self.clock, self.deliver_signals = handle, clock, deliver_signals
-        self.frames, self.easel = FrameCounts(), Easel(handle)
+        self.drawn: dict[sheet.Item, Foreign] = {}
+        """PsychoPy's objects of the items that are shown."""
+        self.late_frames = 0
         self._events: list[InputEvent] = []
-        self._shown: tuple[drawing.Item, ...] = ()
+        self._shown: tuple[sheet.Item, ...] = ()
         self._due_s = self._redraw_s = 0.0
         self._is_closed = False
 
@@ -128,14 +48,14 @@ class Window:
         width, height = self.handle.size
         return int(width), int(height)
 
-    def show(self, items: Sequence[drawing.Item]) -> list[InputEvent]:
+    def show(self, items: Sequence[sheet.Item]) -> list[InputEvent]:
         """Show items for a frame, and collect what is done in it."""
         items = tuple(items)
         began = time.perf_counter()
         if not self._is_closed and (items != self._shown or began > self._redraw_s):
             self._draw(items)
             if items != self._shown:
-                self.frames.count(time.perf_counter() - began)
+                self.late_frames += time.perf_counter() - began > 1.5 * FRAME_S
             self._shown, self._redraw_s = items, began + REDRAW_S
         self._await_frame()
         self.deliver_signals()
@@ -150,14 +70,69 @@ class Window:
         with suppress(*_list_graphics_errors()):
             self.handle.close()
 
-    def _draw(self, items: tuple[drawing.Item, ...]) -> None:
+    def _draw(self, items: tuple[sheet.Item, ...]) -> None:
         try:
             self.handle.winHandle.switch_to()  # only then does pyglet free what texts of former screens took
-            self.easel.draw(items)
+            # The objects of what is not shown any longer are let go.
+            self.drawn = {item: self.drawn.get(item) or self._make(item) for item in items}
+            for stimulus in self.drawn.values():
+                stimulus.draw()
             self.handle.flip()
         except _list_graphics_errors():
             # Drawing fails in many ways when the window was destroyed without being asked to close.
             self._is_closed = True
+
+    def _make(self, item: sheet.Item) -> Foreign:
+        if isinstance(item, sheet.Photo):
+            return self._make_picture(item)
+        return self._make_text(item) if isinstance(item, sheet.Text) else self._make_area(item)
+
+    def _make_text(self, text: sheet.Text) -> Foreign:
+        from psychopy.visual.text import TextStim
+
+        box = text.box
+        x = {"left": box.left, "right": box.right}.get(text.align, box.left + box.width / 2)
+        return TextStim(
+            self.handle,
+            text.words,
+            font=sheet.FONT,
+            bold=text.bold,
+            height=text.size,
+            color=text.color,
+            pos=self._turn_up(round(x), round(box.top + box.height / 2)),
+            anchorHoriz=text.align,
+            alignText=text.align,
+            anchorVert="center",
+            wrapWidth=10 * self.handle.size[0],  # lines were broken by the layout
+        )
+
+    def _make_area(self, area: sheet.Area) -> Foreign:
+        from psychopy.visual.shape import BaseShapeStim
+
+        box = area.box.grow(-area.line_px / 2) if area.line else area.box
+        return BaseShapeStim(
+            self.handle,
+            vertices=[self._turn_up(x, y) for x, y in sheet.round_corners(box, area.round_px)],
+            fillColor=area.fill or None,
+            lineColor=area.line or None,
+            lineWidth=area.line_px,
+        )
+
+    def _make_picture(self, photo: sheet.Photo) -> Foreign:
+        from psychopy.visual.image import ImageStim
+
+        box = photo.box
+        middle = self._turn_up(box.left + box.width / 2, box.top + box.height / 2)
+        image = ImageStim(self.handle, str(photo.path), pos=middle)
+        width, height = image.size
+        scale = min(box.width / width, box.height / height)
+        image.size = width * scale, height * scale
+        return image
+
+    def _turn_up(self, x: float, y: float) -> tuple[float, float]:
+        """Count from the middle, upwards, as PsychoPy does."""
+        width, height = self.handle.size
+        return x - width / 2, height / 2 - y
 
     def _await_frame(self) -> None:
         """Collect events until the frame is over."""
@@ -264,7 +239,7 @@ def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Forei
             allowGUI=windowed,
             units="pix",
             monitor=monitors.Monitor("feel321", width=60, distance=100),
-            color=drawing.GROUND,
+            color=sheet.GROUND,
             checkTiming=False,
             # Nearly all edges are straight, and where a processor draws it doubles a frame's time.
             multiSample=False,
@@ -274,7 +249,7 @@ def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Forei
         raise
     from pyglet import font
 
-    for file in drawing.find_font_files():
+    for file in sheet.find_font_files():
         font.add_file(str(file))
     handle.mouseVisible = True
     return handle

@@ -14,12 +14,29 @@ from math import isfinite
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
-from feel321.protocols.detection import INTERVALS, THRESHOLD, Detection
-from feel321.protocols.matching import ATTENUATION_DB, FIRST, MIDDLE, SECOND, Matching
+from feel321.protocols.blocks import (
+    ATTENUATION_DB,
+    FIRST,
+    INTERVALS,
+    MIDDLE,
+    SECOND,
+    Detection,
+    Matching,
+)
 from feel321.protocols.questions import Question, find_question
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_scales
-from feel321.protocols.trial import FREE, MATCHING, RATING_RANGE, Flow, Page, Part, Scale, Trial
+from feel321.protocols.trial import (
+    FREE,
+    MATCHING,
+    RATING_RANGE,
+    THRESHOLD,
+    Flow,
+    Page,
+    Part,
+    Scale,
+    Trial,
+)
 from feel321.records import Result
 from feel321.study.session import events, ports
 from feel321.study.session.codes import list_by_code

@@ -18,11 +18,26 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import create_text, hold_lock
 from feel321.protocols import order as orders
 from feel321.protocols.agenda import Agenda
-from feel321.protocols.detection import THRESHOLD, Detection, ThresholdBlock, draw_block, make_block
-from feel321.protocols.matching import MatchingBlock, draw_matching
+from feel321.protocols.blocks import (
+    Detection,
+    MatchingBlock,
+    ThresholdBlock,
+    draw_block,
+    draw_matching,
+    make_block,
+)
 from feel321.protocols.questions import PREFIX, Question
 from feel321.protocols.tasks import digest_protocols, is_as_expected
-from feel321.protocols.trial import Flow, Item, Task, Trial, Trials, place_in_groups, select_group
+from feel321.protocols.trial import (
+    THRESHOLD,
+    Flow,
+    Item,
+    Task,
+    Trial,
+    Trials,
+    place_in_groups,
+    select_group,
+)
 from feel321.study.admission import require_protocols
 from feel321.study.session import events
 from feel321.study.session import journal as journals

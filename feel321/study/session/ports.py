@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
-from feel321.protocols.detection import name_tone
+from feel321.protocols.blocks import name_tone
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -15,11 +15,9 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, 
 
 from feel321 import intake
 from feel321.doors import name_of
-from feel321.protocols.detection import ThresholdBlock, name_tone
-from feel321.protocols.matching import MatchingBlock
-from feel321.protocols.options import refine_task
+from feel321.protocols.blocks import MatchingBlock, ThresholdBlock, name_tone
 from feel321.protocols.order import ORDERS, TASK_ORDERS
-from feel321.protocols.tasks import make_task
+from feel321.protocols.tasks import make_task, refine_task
 from feel321.protocols.texts import list_languages
 from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdPlan
 from feel321.protocols.trial import CHOOSING, FLAGS, Flow, Task

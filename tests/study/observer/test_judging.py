@@ -7,19 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import SURFACE, Judgement, Part, Trial
-from feel321.study.observer.participant import (
-    REAL,
-    SURE_ENDS,
-    Experience,
-    Location,
-    ObserverModel,
-    Touch,
-    find_percept,
-    measure_distances,
-)
+from feel321.study.observer.model import REAL, Experience, Location, ObserverModel, Touch
 from feel321.study.observer.percepts import Percept, Sensation
 
 
@@ -55,7 +44,7 @@ def make_experience(
 
 
 def ask(experience: Experience, *, touch: Touch = TOUCH) -> float:
-    return find_percept(experience, experience.trial.judgements[0], touch=touch)
+    return touch.judge(experience, experience.trial.judgements[0])
 
 
 def test_realism_is_the_stated_sum() -> None:
@@ -89,9 +78,10 @@ def test_two_that_lose_as_much_in_different_ways_are_apart(protocol: str) -> Non
     )
     expected = MODEL.threshold_spectral * 20.0  # dB, in both bands
     if protocol == "abx":
-        assert measure_distances(
-            experience, Judgement("x", "?"), ("first", "test"), touch=TOUCH
-        ) == pytest.approx({"first": expected, "test": 0.0})
+        assert TOUCH.compare(experience, Judgement("x", "?"), ("first", "test")) == pytest.approx({
+            "first": expected,
+            "test": 0.0,
+        })
     else:
         answer = ask(experience)
         assert (100 - answer if protocol == "similarity" else answer) == pytest.approx(expected)
@@ -135,7 +125,7 @@ def test_an_explicit_reference_may_be_judged_hidden_too() -> None:
     judgement = Judgement("1", "code", "code")
     trial = Trial(1, 1, 1, "mushra", "mushra", "free", "oak", parts, (judgement,))
     experience = Experience(trial, {"reference": WEAK, "1": WEAK})
-    assert find_percept(experience, judgement, touch=TOUCH) == 100
+    assert TOUCH.judge(experience, judgement) == 100
 
 
 def test_the_real_surface_is_where_the_original_is() -> None:
@@ -143,12 +133,12 @@ def test_the_real_surface_is_where_the_original_is() -> None:
     judgement = Judgement("test", "code", SURFACE)
     trial = Trial(1, 1, 1, "similarity", "similarity", "replay", "oak", parts, (judgement,))
     experience = Experience(trial, {"reference": TOUCH.locate(None), "test": WEAK})
-    assert find_percept(experience, judgement, touch=TOUCH) == pytest.approx(20 + TOUCH.feel(WEAK))
+    assert TOUCH.judge(experience, judgement) == pytest.approx(20 + TOUCH.feel(WEAK))
 
 
 def test_candidates_are_as_far_as_they_feel_from_what_is_asked() -> None:
     experience = make_experience("abx", {"a": WEAK, "b": STRONG, "x": STRONG})
-    assert measure_distances(experience, Judgement("x", "?"), ("a", "b"), touch=TOUCH) == {
+    assert TOUCH.compare(experience, Judgement("x", "?"), ("a", "b")) == {
         "a": pytest.approx(48),
         "b": 0.0,
     }
@@ -158,16 +148,9 @@ def test_of_two_the_distances_from_the_reference_count() -> None:
     parts = {"reference": REAL, "a": WEAK, "b": STRONG}
     experience = make_experience("triplet", parts, reference="reference")
     judgement = replace(experience.trial.judgements[0], part="a")
-    assert measure_distances(experience, judgement, ("a", "b"), touch=TOUCH) == {
+    assert TOUCH.compare(experience, judgement, ("a", "b")) == {
         "a": pytest.approx(TOUCH.measure_distance(REAL, WEAK)),
         "b": pytest.approx(TOUCH.measure_distance(REAL, STRONG)),
-    }
-
-
-def test_every_protocol_with_a_slider_can_be_judged() -> None:
-    scales = read_scales("en")
-    assert set(SURE_ENDS) == {
-        name for name, protocol in PROTOCOLS.items() if not scales[protocol.scale].choices
     }
 
 

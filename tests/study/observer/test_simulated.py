@@ -8,7 +8,7 @@ import pytest
 
 from feel321.protocols.trial import SURFACE, Judgement, Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
-from feel321.study.observer.participant import SPECTRAL, ObserverModel, Touch, identify_observer
+from feel321.study.observer.model import SPECTRAL, ObserverModel, Touch, identify_observer
 from feel321.study.observer.percepts import Percept
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.journal import Record

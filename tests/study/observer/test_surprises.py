@@ -14,7 +14,7 @@ from feel321.analysis.mixed.model import fit_mixed
 from feel321.protocols.trial import Judgement, Part, Trial
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.folder import StudyFolder
-from feel321.study.observer.participant import (
+from feel321.study.observer.model import (
     REAL,
     UNCHANGED,
     Experience,
@@ -22,9 +22,7 @@ from feel321.study.observer.participant import (
     ObserverModel,
     Touch,
     draw_rater,
-    find_percept,
     identify_observer,
-    measure_distances,
 )
 from feel321.study.observer.percepts import Percept
 from feel321.study.settings.read import read_settings
@@ -53,7 +51,7 @@ def ask(protocol: str, test: Location, reference: Location | None) -> float:
     parts = tuple(Part(name, name) for name in felt)
     judgement = Judgement("test", "test", reference and "reference")
     trial = Trial(1, 1, 1, protocol, protocol, "replay", "oak", parts, (judgement,))
-    return find_percept(Experience(trial, felt), judgement, touch=Touch(MODEL, {}))
+    return Touch(MODEL, {}).judge(Experience(trial, felt), judgement)
 
 
 def test_slopes_differ_between_recordings_alike_for_everybody(stimuli: StimulusSet) -> None:
@@ -119,7 +117,7 @@ def test_choices_feel_it_too(stimuli: StimulusSet) -> None:
     parts = tuple(Part(name, name) for name in felt)
     asked = Judgement("x", "x")
     trial = Trial(1, 1, 1, "abx", "abx", "replay", "oak", parts, (asked,))
-    away = measure_distances(Experience(trial, felt), asked, ("a", "b"), touch=Touch(MODEL, {}))
+    away = Touch(MODEL, {}).compare(Experience(trial, felt), asked, ("a", "b"))
     assert away["a"] == pytest.approx(40 * 0.8 + 30 * 0.5 + 15 - 55)
     assert away["b"] == pytest.approx(40 * 0.1 + 30 * 0.8 + 15 - 10)
 

@@ -13,13 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.protocols.detection import INTERVALS, THRESHOLD
+from feel321.protocols.blocks import INTERVALS
 from feel321.protocols.questions import Question, label_points, read_ready
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_texts
 from feel321.protocols.trial import (
     MATCHING,
     PAGES,
+    THRESHOLD,
     Judgement,
     Page,
     Part,
@@ -27,8 +28,8 @@ from feel321.protocols.trial import (
     Trial,
     ask_on_scales,
 )
-from feel321.study.screen.drawing import LEADING, Text, measure
 from feel321.study.screen.layout import compose
+from feel321.study.screen.sheet import LEADING, Text, measure
 from feel321.study.screen.view import View, make_screen_texts
 from feel321.study.screen.window import open_screen
 from feel321.study.session.ports import Place
@@ -256,7 +257,7 @@ def write_picture(path: Path) -> Path:
 
 def check_widths(window: Window) -> None:
     """The window's own letters are no wider than the layout took them for."""
-    for item, stimulus in window.easel.drawn.items():
+    for item, stimulus in window.drawn.items():
         if isinstance(item, Text):
             width, height = stimulus.boundingBox
             assert width <= measure(item.words, item.size, bold=item.bold) + 2, item
@@ -265,7 +266,7 @@ def check_widths(window: Window) -> None:
 
 def capture(window: Window, path: Path) -> None:
     """Save what is on the screen as a picture."""
-    for stimulus in window.easel.drawn.values():
+    for stimulus in window.drawn.values():
         stimulus.draw()
     window.handle.getMovieFrame(buffer="back")  # the front buffer reads black under Xvfb
     window.handle.flip()

@@ -198,7 +198,7 @@ def main(spec: dict[str, Any]) -> bool:
         except Stopped as stop:
             tell(event="ended", reason=stop.args[0])
         finally:
-            tell(frames=asdict(window.frames))
+            tell(late_frames=window.late_frames)
     tell(event="closed")
     return not window._is_closed
 

@@ -7,10 +7,9 @@ import pytest
 from feel321.protocols.questions import MOST_LETTERS, Question, label_points
 from feel321.protocols.texts import read_texts
 from feel321.study.keys import USUAL, KeysTable
-from feel321.study.screen.asking import Form
-from feel321.study.screen.drawing import Box, Target
-from feel321.study.screen.input import InputEvent
+from feel321.study.screen.input import Form, InputEvent
 from feel321.study.screen.layout import find_overflows
+from feel321.study.screen.sheet import Box, Target
 from feel321.study.screen.view import make_screen_texts
 
 HAND = Question("hand", "choice", "Which?", ("left", "right", "both"))

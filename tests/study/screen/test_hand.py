@@ -9,9 +9,8 @@ import pytest
 from feel321.protocols.texts import read_scales
 from feel321.protocols.trial import Judgement, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
-from feel321.study.observer.casting import find_person
-from feel321.study.observer.participant import ObserverModel, Participant
-from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.observer.model import ObserverModel, find_person
+from feel321.study.observer.simulated import Participant, SimulatedObserver
 from feel321.study.screen.input import MOVES
 from feel321.study.screen.robot import RETRIES, RETRY_S, THINKING_S, PressingHand
 from feel321.study.screen.view import View

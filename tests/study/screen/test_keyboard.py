@@ -1,23 +1,42 @@
+"""What keys and clicks do to the answer to a trial."""
+
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from feel321.protocols.texts import read_scales
-from feel321.study.screen.drawing import Box, Target
 from feel321.study.screen.input import (
     COARSE_SPEEDS,
     Answer,
-    Digits,
-    Held,
     InputEvent,
-    Markers,
-    Twice,
     count_repeats,
     drop_repeats,
     name_key,
 )
+from feel321.study.screen.sheet import Box, Target
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+TRACK = Target(Box(0.0, 0.0, 200.0, 10.0), "mark", "test", Box(0.0, 0.0, 200.0, 10.0))
+
+
+@pytest.fixture
+def answer(gallery: dict[str, Any]) -> Answer:
+    trial = gallery["make_trial"]("realism")
+    return Answer(trial, read_scales()[trial.scale])
+
+
+@pytest.fixture
+def do(answer: Answer) -> Callable[..., None]:
+    def act(
+        kind: Any, time_s: float, key: str = "", target: Target | None = None, **at: float
+    ) -> None:
+        answer.take(InputEvent(kind, time_s, key, **at), target, can_answer=True)
+
+    return act
 
 
 def test_held_keys_cross_the_scale_in_three_seconds() -> None:
@@ -28,42 +47,64 @@ def test_held_keys_cross_the_scale_in_three_seconds() -> None:
     assert count_repeats(2.0, COARSE_SPEEDS) == 9
 
 
-def test_only_the_last_key_repeats_and_none_when_released() -> None:
-    held = Held()
-    held.press("left", 0.0)
-    held.press("right", 0.1)
-    assert held.list_due(0.7, frozenset()) == ["right"] * 5
-    assert held.list_due(0.7, frozenset()) == []
-    held.release("right")
-    assert held.list_due(2.0, frozenset()) == []
+@pytest.mark.parametrize(("key", "value"), [("left", 43.0), ("pagedown", 40.0)])
+def test_keys_that_move_far_repeat_slowly(
+    answer: Answer, do: Callable[..., None], key: str, value: float
+) -> None:
+    do("press", 0.0, key)
+    answer.tick(0.7, can_answer=True)
+    assert answer.values == {"test": value}
+
+
+def test_only_the_last_key_repeats_and_none_when_released(
+    answer: Answer, do: Callable[..., None]
+) -> None:
+    do("press", 0.0, "left")
+    do("press", 0.1, "right")
+    answer.tick(0.7, can_answer=True)
+    answer.tick(0.7, can_answer=True)
+    assert answer.values == {"test": 51.0 + 5}
+    do("release", 0.8, "left")
+    do("release", 0.8, "right")
+    answer.tick(2.0, can_answer=True)
+    assert answer.values == {"test": 56.0}
 
 
 @pytest.mark.parametrize(
-    ("keys", "values"),
-    [("75", [None, 75.0]), ("100", [None, None, 100.0]), ("10", [None, None]), ("00", [None, 0.0])],
+    ("keys", "at_once", "later"),
+    [
+        ("75", 75.0, 75.0),
+        ("100", 100.0, 100.0),
+        ("10", None, 10.0),
+        ("00", 0.0, 0.0),
+        ("9", None, 9.0),
+    ],
 )
-def test_digits(keys: str, values: list[float | None]) -> None:
-    digits = Digits()
-    assert [digits.type(key, 0.0) for key in keys] == values
+def test_digits_become_a_value_when_none_can_follow_or_none_has(
+    answer: Answer, do: Callable[..., None], keys: str, at_once: float | None, later: float
+) -> None:
+    for key in keys:
+        do("press", 1.0, key)
+    answer.tick(1.7, can_answer=True)
+    assert answer.markers.get("test") == at_once
+    answer.tick(1.9, can_answer=True)
+    assert (answer.markers["test"], answer.typed) == (later, "")
 
 
-def test_digits_wait_for_the_next_one() -> None:
-    digits = Digits()
-    digits.type("9", 1.0)
-    assert digits.take_if_due(1.5) is None
-    assert digits.take_if_due(1.9) == 9.0
-    assert digits.take_if_due(9.0) is None
+def test_what_was_typed_does_not_take_a_click_back(answer: Answer, do: Callable[..., None]) -> None:
+    do("press", 0.0, "8")
+    do("click", 0.1, target=TRACK, x=50.0, y=5.0)
+    answer.tick(2.0, can_answer=True)
+    assert answer.values == {"test": 25.0}
 
 
-def test_twice_means_within_a_second() -> None:
-    twice = Twice()
-    assert [twice.press(time_s) for time_s in (0.0, 1.5, 2.0, 2.1, 2.2)] == [
-        False,
-        False,
-        True,
-        False,
-        True,
-    ]
+def test_markers_report_where_they_rest(answer: Answer, do: Callable[..., None]) -> None:
+    do("click", 0.0, target=TRACK, x=80.0)
+    do("drag", 0.1, x=300.0)
+    assert answer.settle(0.2) == []
+    (move,) = answer.settle(0.4)
+    assert (move.part, move.value, move.time_s) == ("test", 100.0, 0.1)
+    assert answer.settle(9.0) == []
 
 
 def test_keys_have_one_name_on_the_main_block_and_on_the_number_block() -> None:
@@ -71,45 +112,10 @@ def test_keys_have_one_name_on_the_main_block_and_on_the_number_block() -> None:
     assert [name_key(symbol) for symbol in symbols] == ["enter", "7", "7", "pageup", "pageup", "r"]
 
 
-def test_what_a_held_key_makes_up_is_dropped() -> None:
+def test_what_a_held_key_makes_up_is_dropped_and_a_real_second_press_is_not() -> None:
     made_up = [InputEvent("release", 1.0, "left"), InputEvent("press", 1.001, "left")]
     real = InputEvent("press", 1.002, "r")
     assert drop_repeats([*made_up, real]) == [real]
-
-
-def test_a_real_second_press_is_no_repeat() -> None:
     kinds = ("press", "release", "press")
     events = [InputEvent(kind, n / 100, "escape") for n, kind in enumerate(kinds)]
     assert drop_repeats(events) == events
-
-
-def test_markers_report_where_they_rest() -> None:
-    markers = Markers()
-    markers.put("1", 40.0, 0.0)
-    markers.put("1", 140.0, 0.1)
-    assert markers.settle(0.2) == []
-    (move,) = markers.settle(0.4)
-    assert (move.part, move.value, move.time_s) == ("1", 100.0, 0.1)
-    assert markers.settle(9.0) == []
-
-
-def make_answer(gallery: dict[str, Any]) -> Answer:
-    trial = gallery["make_trial"]("realism")
-    return Answer(trial, read_scales()[trial.scale])
-
-
-@pytest.mark.parametrize(("key", "value"), [("left", 43.0), ("pagedown", 40.0)])
-def test_keys_that_move_far_repeat_slowly(gallery: dict[str, Any], key: str, value: float) -> None:
-    answer = make_answer(gallery)
-    answer.take(InputEvent("press", 0.0, key), None, can_answer=True)
-    answer.tick(0.7, can_answer=True)
-    assert answer.values == {"test": value}
-
-
-def test_what_was_typed_does_not_take_a_click_back(gallery: dict[str, Any]) -> None:
-    answer, track = make_answer(gallery), Box(0.0, 0.0, 200.0, 10.0)
-    answer.take(InputEvent("press", 0.0, "8"), None, can_answer=True)
-    target = Target(track, "mark", "test", track)
-    answer.take(InputEvent("click", 0.1, x=50.0, y=5.0), target, can_answer=True)
-    answer.tick(2.0, can_answer=True)
-    assert answer.values == {"test": 25.0}

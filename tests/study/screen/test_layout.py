@@ -13,20 +13,20 @@ import pytest
 
 from feel321.protocols.texts import PageText, list_languages, read_scales, read_texts
 from feel321.protocols.trial import Page
-from feel321.study.screen import view as screen_view
-from feel321.study.screen.drawing import (
+from feel321.study.screen import sheet as ui
+from feel321.study.screen.layout import compose, find_overflows
+from feel321.study.screen.sheet import (
     LEADING,
     Area,
     Box,
     Photo,
     Sheet,
+    Target,
     Text,
-    find_points,
     measure,
     round_corners,
 )
-from feel321.study.screen.layout import compose, find_overflows
-from feel321.study.screen.view import BODY, View, make_screen_texts
+from feel321.study.screen.view import View, make_screen_texts
 from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
@@ -123,8 +123,7 @@ def test_slider_has_no_marker_until_it_was_moved(gallery: dict[str, Any]) -> Non
         )
         items = compose(views[name], texts, size=(1920, 1080)).items
         return sum(
-            isinstance(i, Area) and i.fill == screen_view.BLUE and overlap(i.box, target.box)
-            for i in items
+            isinstance(i, Area) and i.fill == ui.BLUE and overlap(i.box, target.box) for i in items
         )
 
     assert (count_blue("similarity fresh"), count_blue("similarity answered")) == (0, 1)
@@ -152,9 +151,7 @@ def find_luminance(color: str) -> float:
     ],
 )
 def test_contrast(ink: str, ground: str) -> None:
-    high, low = sorted(
-        (find_luminance(getattr(screen_view, name)) for name in (ink, ground)), reverse=True
-    )
+    high, low = sorted((find_luminance(getattr(ui, name)) for name in (ink, ground)), reverse=True)
     assert (high + 0.05) / (low + 0.05) >= 7.0  # WCAG 2, level AAA
 
 
@@ -171,7 +168,7 @@ def test_long_texts_shrink_and_braces_stay(size: tuple[int, int]) -> None:
     lines = [item for item in texts if "{us} 3" in item.words]
     sheet = Sheet(*size)
     # Where there is less room.
-    assert (lines[0].size < 1.1 * BODY * sheet.unit) == (size[0] / size[1] > 1.5)
+    assert (lines[0].size < 1.1 * ui.BODY * sheet.unit) == (size[0] / size[1] > 1.5)
     assert lines[0].size >= LEAST * sheet.unit * 100
     assert max(line.box.bottom for line in lines) <= sheet.find_strip("body").bottom
 
@@ -189,7 +186,8 @@ def test_corners_lie_on_circles() -> None:
 
 def test_a_place_on_a_slider_is_a_value() -> None:
     track = Box(100, 0, 200, 10)
-    assert [find_points(track, x) for x in (0.0, 250.0, 400.0)] == [0.0, 75.0, 100.0]
+    slider = Target(track, "mark", "test", track)
+    assert [slider.find_points(x) for x in (0.0, 250.0, 400.0)] == [0.0, 75.0, 100.0]
 
 
 def test_texts_break_where_they_are_too_wide() -> None:
@@ -266,14 +264,15 @@ def test_mushra_has_its_words_in_five_bands_with_lines_between_them(
     """ITU-R BS.1534-3: each word stands over the middle of its fifth of the sliders."""
     view = gallery["make_views"](read_scales(), read_texts())["mushra of five"]
     sheet = compose(view, make_screen_texts(read_texts()), size=(1920, 1080))
-    track = next(t.track for t in sheet.targets if t.name == "mark")
+    slider = next(t for t in sheet.targets if t.name == "mark")
+    track = slider.track
     assert track is not None
     words = {item.words: find_ink(item) for item in sheet.items if isinstance(item, Text)}
     for place, word in enumerate(read_scales()["mushra"].anchors):
         middle = words[word].left + words[word].width / 2
-        assert find_points(track, middle) == pytest.approx(10 + 20 * place, abs=1)
+        assert slider.find_points(middle) == pytest.approx(10 + 20 * place, abs=1)
     lines = {
-        find_points(track, item.box.left + item.box.width / 2)
+        slider.find_points(item.box.left + item.box.width / 2)
         for item in sheet.items
         if isinstance(item, Area) and item.box.height > 5 * track.height
     }
@@ -290,8 +289,7 @@ def test_only_what_was_felt_can_be_rated_and_continue_is_dim_until_all_is_done(
         sheet = compose(view, texts, size=(1280, 720))
         button = next(t.box for t in sheet.targets if t.name == "confirm")
         is_lit = any(
-            isinstance(i, Area) and i.box == button and i.fill == screen_view.BLUE
-            for i in sheet.items
+            isinstance(i, Area) and i.box == button and i.fill == ui.BLUE for i in sheet.items
         )
         return {t.part for t in sheet.targets if t.name == "mark"}, is_lit
 

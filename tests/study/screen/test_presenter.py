@@ -446,7 +446,7 @@ def test_interrupt_leaves_silence(seat: Callable[..., Any]) -> None:
     assert here.process.wait(120.0) != 0
     assert "KeyboardInterrupt" in here.read_errors()
     assert any("stopped" in words for words in here.told)
-    assert any("frames" in words for words in here.told)
+    assert any("late_frames" in words for words in here.told)
 
 
 @pytest.mark.soak

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.agenda import Agenda
-from feel321.protocols.detection import THRESHOLD, ThresholdBlock
+from feel321.protocols.blocks import ThresholdBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL
-from feel321.protocols.trial import Flow, Page
+from feel321.protocols.trial import THRESHOLD, Flow, Page
 from feel321.study.auditing.replay import audit_steps
-from feel321.study.observer.participant import ObserverModel
+from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
 from feel321.study.session.plan import (

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.options import refine_task
-from feel321.protocols.tasks import make_task
+from feel321.protocols.tasks import make_task, refine_task
 from feel321.protocols.trial import Flow
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.minutes import Sitting
-from feel321.study.observer.participant import ObserverModel
+from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.pace import LATE_S, Schedule
 from feel321.study.session.plan import make_plan

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.options import refine_task
-from feel321.protocols.tasks import make_task
+from feel321.protocols.tasks import make_task, refine_task
 from feel321.protocols.texts import make_scales, read_texts
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.ratings import _judge

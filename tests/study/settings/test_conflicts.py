@@ -124,7 +124,7 @@ def test_a_page_of_mushra_has_its_limit(tmp_path: Path, monkeypatch: pytest.Monk
     text = "[session]\nprotocols = ['mushra']"
     assert tell(tmp_path, text) == []
     # There are just as many reducers as a page holds: one place less, and it is too full.
-    monkeypatch.setattr("feel321.protocols.tasks.MUSHRA_MOST", 11)
+    monkeypatch.setattr("feel321.protocols.compare.MUSHRA_MOST", 11)
     (told,) = tell(tmp_path, text)
     assert told.startswith(
         "tasks.mushra: recording 'bumps', level 'as_is': a page of mushra must have at most 11"

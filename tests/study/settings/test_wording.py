@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.texts import CATALOG, read_refusals, read_texts
+from feel321.protocols.texts import CATALOG, read_texts
 from feel321.study.session.ports import REFUSALS
 from feel321.study.settings.read import find_language, read_settings, read_study_texts
 
@@ -16,7 +16,7 @@ SHORTEST = '[[recordings]]\nscene = "bumps"\n[session]\n'
 
 @pytest.mark.parametrize("language", ["en", "de"])
 def test_every_refusal_has_its_text(language: str) -> None:
-    assert tuple(read_refusals(language)) == REFUSALS
+    assert tuple(read_texts(language)["refusals"]) == REFUSALS
 
 
 def test_consent_is_the_labs_own_where_it_has_one(study: StudyFolder) -> None:

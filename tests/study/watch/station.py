@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.folder import StudyFolder
-from feel321.study.observer.casting import cast_observers
-from feel321.study.observer.participant import identify_observer
+from feel321.study.observer.model import cast_observers, identify_observer
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.journal import utc_now
 from feel321.study.sessions import lead_session, open_room, plan_sessions

@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from feel321.protocols.detection import ThresholdBlock
-from feel321.protocols.matching import MatchingBlock
-from feel321.protocols.options import refine_task
+from feel321.protocols.blocks import MatchingBlock, ThresholdBlock
 from feel321.protocols.questions import Question, label_points
-from feel321.protocols.tasks import make_task
+from feel321.protocols.tasks import make_task, refine_task
 from feel321.protocols.texts import read_scales
 from feel321.protocols.threshold import USUAL
 from feel321.protocols.trial import Flow, Scale
@@ -26,7 +24,7 @@ from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.numbers import Station, plan_participants
-from feel321.study.observer.participant import ObserverModel, identify_observer
+from feel321.study.observer.model import ObserverModel, identify_observer
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import write_roster
 from feel321.study.ratings import write_ratings

@@ -39,37 +39,34 @@ stimuli, pages and answers take, so that a session of an hour is over in a secon
 
 from __future__ import annotations
 
+import hashlib
 import math
+import re
 from bisect import bisect_right
 from dataclasses import dataclass, field
 from itertools import accumulate
-from math import ceil, floor
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 from zlib import crc32
 
-from feel321.protocols.detection import ASKED, INTERVALS, THRESHOLD
-from feel321.protocols.matching import DB_PER_POINT, FIRST, MIDDLE, SECOND
+from feel321.protocols.blocks import INTERVALS
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.threshold import predict_correct
-from feel321.protocols.trial import MATCHING, RATING_RANGE, SURFACE, Judgement, Scale, Trial
-from feel321.stimuli.sets.anchors import to_db
+from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Trial
 from feel321.stimuli.sets.recipe import ORIGINAL
-from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold
-from feel321.study.observer.percepts import Percept, compare_percepts
-from feel321.study.session.events import TrialRated
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
+from feel321.study.observer.percepts import Percept, compare_percepts, read_percepts
 from feel321.study.settings.fields import one_of
 from feel321.study.settings.schema import ObserverTable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     import numpy as np
 
-    from feel321.protocols.questions import Answer, Question
-    from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.session.journal import Record
-    from feel321.study.session.ports import Place, Scaled, Tone
+    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.study.session.ports import Tone
+    from feel321.study.settings.schema import Settings
+
+LOW, HIGH = RATING_RANGE
 
 # Simulated raters: careful ones, each with their own way of using a slider, and bad ones.
 
@@ -118,23 +115,22 @@ class Rater:
         self,
         percept: float,
         *,
-        sure: float = RATING_RANGE[0],
+        sure: float = LOW,
         shift: float,
         growth: float,
         rng: np.random.Generator,
     ) -> float:
         """Set a slider; percept: what was felt, shift: what order and fatigue add, both in points."""
-        low, high = RATING_RANGE
-        guess, lapsed = rng.uniform(low, high), rng.random() < self.lapse_rate
+        guess, lapsed = rng.uniform(LOW, HIGH), rng.random() < self.lapse_rate
         noise = rng.normal(0, self.noise_sd * growth)
         points = sure + self.gain * (percept - sure) + self.bias + shift + noise
         if self.kind == STRAIGHT_LINER:
-            points = low + (high - low) * self.favourite + rng.normal(0, STRAIGHT_SD)
+            points = LOW + (HIGH - LOW) * self.favourite + rng.normal(0, STRAIGHT_SD)
         elif self.kind == RANDOM_CLICKER or lapsed:
             points = guess
         elif self.kind == SCALE_REVERSER:
-            points = low + high - points
-        return round(min(max(points, low), high), 1)
+            points = LOW + HIGH - points
+        return round(min(max(points, LOW), HIGH), 1)
 
     def choose(
         self, distances: Mapping[str, float], *, growth: float, rng: np.random.Generator
@@ -216,22 +212,21 @@ def expect_rating(model: ObserverModel, percepts: Sequence[float]) -> list[float
     if len(percepts) > AT_ONCE:
         parts = (percepts[start : start + AT_ONCE] for start in range(0, len(percepts), AT_ONCE))
         return [rating for part in parts for rating in expect_rating(model, part)]
-    low, high = RATING_RANGE
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     weights /= weights.sum()
     gain = np.exp(model.gain_sd * nodes)[:, None, None]
     noise = model.noise_sd * np.exp(model.noise_spread * nodes)
     spread = np.hypot(model.bias_sd, noise)[None, :, None] + 1e-12
-    mean = low + gain * (np.asarray(percepts, dtype=np.float64) - low)
-    below, above = (low - mean) / spread, (high - mean) / spread
+    mean = LOW + gain * (np.asarray(percepts, dtype=np.float64) - LOW)
+    below, above = (LOW - mean) / spread, (HIGH - mean) / spread
     cut = (
-        low * norm.cdf(below)
-        + high * norm.sf(above)
+        LOW * norm.cdf(below)
+        + HIGH * norm.sf(above)
         + mean * (norm.cdf(above) - norm.cdf(below))
         + spread * (norm.pdf(below) - norm.pdf(above))
     )
     careful = np.einsum("i,j,ijk->k", weights, weights, cut)
-    found: list[float] = (careful + model.lapse_rate * ((low + high) / 2 - careful)).tolist()
+    found: list[float] = (careful + model.lapse_rate * ((LOW + HIGH) / 2 - careful)).tolist()
     return found
 
 
@@ -363,202 +358,80 @@ class Touch:
             - bonus
         )
 
+    def judge(self, experience: Experience, judgement: Judgement) -> float:
+        """Compute the slider answer, uncut, of a participant without bias, noise or habit, in points."""
+        sure, point = find_sure_end(experience.trial), experience.find(judgement.part)
+        if judgement.reference_id is None:
+            return self.feel(point)
+        reference = experience.find_reference(judgement)
+        if sure == LOW:
+            return self.measure_distance(point, reference)
+        return sure - self.measure_shortfall(point, reference)
 
-SURE_ENDS = {name: task.sure_end for name, task in PROTOCOLS.items() if not task.choices}
-"""Protocol -> the end of its slider that means the same to everybody."""
+    def compare(
+        self, experience: Experience, judgement: Judgement, choices: Sequence[str]
+    ) -> dict[str, float]:
+        """Compute how far each candidate is from the part asked about, or from the reference of a choice, in points."""
+        if judgement.part in choices:
+            asked = experience.find_reference(judgement)
+            return {name: self.measure_shortfall(experience.find(name), asked) for name in choices}
+        asked = experience.find(judgement.part)
+        return {name: self.measure_distance(experience.find(name), asked) for name in choices}
 
 
 def find_sure_end(trial: Trial) -> float:
     """Find the end of a trial's slider that means the same to everybody."""
     protocol = PROTOCOLS.get(trial.protocol)
     if protocol is None or protocol.choices:
+        sliders = ", ".join(name for name, one in PROTOCOLS.items() if not one.choices)
         raise ValueError(
-            f"simulated observer: the protocol of a slider must be one of {', '.join(SURE_ENDS)}; "
-            f"got {trial.protocol!r}"
+            f"simulated observer: the protocol of a slider must be one of {sliders}; got {trial.protocol!r}"
         )
     return protocol.sure_end
 
 
-def find_percept(experience: Experience, judgement: Judgement, *, touch: Touch) -> float:
-    """Compute the slider answer, uncut, of a participant without bias, noise or habit, in points."""
-    sure, point = find_sure_end(experience.trial), experience.find(judgement.part)
-    if judgement.reference_id is None:
-        return touch.feel(point)
-    reference = experience.find_reference(judgement)
-    if sure == RATING_RANGE[0]:
-        return touch.measure_distance(point, reference)
-    return sure - touch.measure_shortfall(point, reference)
+# Who the simulated participants of a study are.
+
+NUMBERED = re.compile(r"sim(\d+)")
+"""Codes that hold the number of a simulated person."""
 
 
-def measure_distances(
-    experience: Experience, judgement: Judgement, choices: Sequence[str], *, touch: Touch
-) -> dict[str, float]:
-    """Compute how far each candidate is from the part asked about, or from the reference of a choice, in points."""
-    of_reference = judgement.part in choices
-    measure = touch.measure_shortfall if of_reference else touch.measure_distance
-    asked = (
-        experience.find_reference(judgement) if of_reference else experience.find(judgement.part)
+@dataclass(frozen=True, slots=True)
+class Casting:
+    """The simulated participants of a study: their model, seed and percepts."""
+
+    model: ObserverModel
+    seed: int
+    percepts: Mapping[str, Percept]
+
+
+def make_model(settings: Settings) -> ObserverModel:
+    """Make the observers of a study, who feel by the spectral match that it declares."""
+    declared = [name for name in settings.analysis.metrics if name in SPECTRAL]
+    return ObserverModel(
+        **settings.observer.model_dump(),
+        spectral_metric=(declared or SPECTRAL)[0],
+        detection_curve=settings.stimuli.threshold,
     )
-    return {name: measure(experience.find(name), asked) for name in choices}
 
 
-# What they answer and remember.
-
-STROKE_S = 3.0  # duration of a stroke over the real surface
-
-SIMULATED_TEXT = "simulated"
-"""The answer of simulated participants to a question that asks for a text."""
-
-FATIGUE_TRIALS = 100  # trials for which the size of fatigue is given
+def cast_observers(settings: Settings, stimuli: StimulusSet, *, seed: int) -> Casting:
+    """Set the observer parameters of a study's simulated participants, by the spectral match that it declares."""
+    model = make_model(settings)
+    return Casting(model, seed, read_percepts(stimuli) if model.uses_percepts else {})
 
 
-class Participant:
-    """A simulated participant: what they answer to what they felt, and what they remember of it.
+def find_person(participant: str) -> int:
+    """Find the simulated person of a code: always the same one, with or without a hand, whatever the design.
 
-    elapsed_s: time in s since their session began.
+    Examples
+    --------
+    >>> find_person("sim007"), find_person("p07") == find_person("p07"), find_person("p07") == find_person("p08")
+    (7, True, False)
     """
-
-    def __init__(
-        self,
-        model: ObserverModel,
-        *,
-        seed: int,
-        number: int,
-        percepts: Mapping[str, Percept] = MappingProxyType({}),
-        elapsed_s: float = 0.0,
-    ) -> None:
-        self._seed, self._number, self._time_s = seed, number, elapsed_s
-        self.touch = Touch(model, percepts, seed)
-        self.rater = draw_rater(model, self._draw_from(0, 0))
-        self.before: Experience | None = None
-
-    def recall(
-        self, records: Iterable[Record], trials: Iterable[Trial], *, stimuli: Mapping[str, Stimulus]
-    ) -> None:
-        """Recall the trial that was answered last before a session was interrupted."""
-        main = {trial.number: trial for trial in trials if trial.phase == "main"}
-        rated = [record.data["trial"] for record in records if record.event == TrialRated.event]
-        if answered := [main[number] for number in rated if number in main]:
-            self.before = self.imagine(answered[-1], stimuli)
-
-    def imagine(self, trial: Trial, stimuli: Mapping[str, Stimulus]) -> Experience:
-        """Compute how all parts of a trial feel."""
-        felt = {
-            part.name: stimuli[part.stimulus_id] if part.stimulus_id else None
-            for part in trial.parts
-        }
-        return Experience(
-            trial, {name: self.touch.locate(stimulus) for name, stimulus in felt.items()}
-        )
-
-    def answer(
-        self, experience: Experience, scale: Scale, place: Place
-    ) -> tuple[dict[str, float | str], float]:
-        """Answer a trial: the values by part, and the time that this took in s."""
-        trial, model = experience.trial, self.touch.model
-        rng = self._draw_from(trial.number, place.attempt)
-        if trial.protocol == THRESHOLD:
-            return {ASKED: self._detect(experience.tones, rng)}, self.rater.draw_time(rng)
-        if trial.protocol == MATCHING:
-            points = self._match(experience.levels_db, rng)
-            return {SECOND: points}, self.rater.draw_time(rng)
-        tired = place.done / FATIGUE_TRIALS
-        growth = 1 + model.fatigue_noise * tired
-        values: dict[str, float | str] = {}
-        for judgement in trial.judgements:
-            if judgement.part in scale.choices and judgement.reference_id is None:
-                percepts = {name: self.touch.feel(experience.find(name)) for name in scale.choices}
-                values[judgement.part] = self.rater.prefer(percepts, growth=growth, rng=rng)
-            elif scale.choices:
-                distances = measure_distances(
-                    experience, judgement, scale.choices, touch=self.touch
-                )
-                values[judgement.key] = self.rater.choose(distances, growth=growth, rng=rng)
-            else:
-                # Further scales have draws of their own, which leave those of the first as they are.
-                own = self._draw_from(trial.number, place.attempt, crc32(judgement.scale.encode()))
-                values[judgement.key] = self.rater.rate(
-                    find_percept(experience, judgement, touch=self.touch),
-                    sure=find_sure_end(trial),
-                    shift=model.fatigue * tired - self._find_contrast(trial),
-                    growth=growth,
-                    rng=own if judgement.scale else rng,
-                )
-        return values, len(values) * self.rater.draw_time(rng)
-
-    def answer_question(self, question: Question, *, occasion: int) -> tuple[Answer, float]:
-        """Answer a question page with anything that is an answer, and the time that this took in s."""
-        rng = self._draw_from(0, 2, crc32(question.name.encode()), occasion)
-        value: Answer = SIMULATED_TEXT
-        if question.choices:
-            value = question.choices[rng.integers(len(question.choices))]
-        elif question.kind == "number":
-            low, high = question.low, question.high
-            low = (0.0 if high is None else min(0.0, high - 1)) if low is None else low
-            high = low + 100.0 if high is None else high
-            value = (
-                low if ceil(low) > floor(high) else float(rng.integers(ceil(low), floor(high) + 1))
-            )
-        return value, self.rater.draw_time(rng)
-
-    def find_threshold(self, frequency_hz: float) -> float:
-        """Find the participant's own detection threshold, RMS at the hand in dB re 1 m/s²."""
-        model = self.touch.model
-        curve = acceleration_threshold(frequency_hz, threshold=model.detection_curve)
-        shared, own = (
-            self._draw_from(0, 1, *places).normal(0, model.detection_sd * math.sqrt(HALF))
-            for places in ((), (round(1000 * frequency_hz),))
-        )
-        return to_db(float(curve) / math.sqrt(2)) + float(shared + own)
-
-    def _detect(self, tones: Mapping[str, Tone], rng: np.random.Generator) -> str:
-        """Choose the interval that vibrated; where neither did, the second is right as often as not."""
-        right = next((n for n in tones if tones[n].level_db is not None), INTERVALS[-1])
-        tone, chance = tones[right], HALF
-        if tone.level_db is not None:
-            chance = float(
-                predict_correct(
-                    tone.level_db,
-                    threshold_db=self.find_threshold(tone.frequency_hz),
-                    slope=self.touch.model.detection_slope,
-                    lapse=self.rater.lapse_rate * HALF,  # a guess may be right
-                )
-            )
-        return self.rater.detect(chance, right, rng=rng)
-
-    def _match(self, levels_db: Mapping[str, float], rng: np.random.Generator) -> float:
-        """Move the marker until the second is as strong as the first, but for an error of one's own."""
-        guess, error_db = rng.uniform(*RATING_RANGE), rng.normal(0, self.touch.model.matching_sd)
-        points = MIDDLE + (levels_db[FIRST] - levels_db[SECOND] + error_db) / DB_PER_POINT
-        points = RATING_RANGE[1] if math.isnan(points) else points  # silence, which no marker helps
-        if self.rater.kind == RANDOM_CLICKER or rng.random() < self.rater.lapse_rate:
-            points = guess
-        elif self.rater.kind == STRAIGHT_LINER:
-            points = MIDDLE
-        return round(min(max(points, RATING_RANGE[0]), RATING_RANGE[1]))
-
-    def _find_contrast(self, trial: Trial) -> float:
-        """Compute what the trial before takes away, in points; points on another scale take nothing."""
-        before, order = self.before, self.touch.model.order
-        if not order or before is None or trial.phase != "main":
-            return 0.0
-        if before.trial.scale != trial.scale:
-            return 0.0
-        percepts = [
-            find_percept(before, judgement, touch=self.touch)
-            for judgement in before.trial.judgements
-        ]
-        return order * (sum(percepts) / len(percepts) - MIDDLE)
-
-    def _draw_from(self, trial: int, attempt: int, *places: int) -> np.random.Generator:
-        import numpy as np
-
-        return np.random.default_rng([self._seed, self._number, trial, attempt, *places])
-
-
-def feel_level(scaled: Scaled) -> float:
-    """Find how far a stimulus lies over the detection threshold at another level than the study's, in dB."""
-    return scaled.stimulus.sensation_level_db + scaled.gain_db
+    if numbered := NUMBERED.fullmatch(participant):
+        return int(numbered[1])
+    return int.from_bytes(hashlib.sha256(participant.encode()).digest()[:8], "big")
 
 
 def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:
