@@ -135,7 +135,9 @@ def _describe_metric(name: str) -> str:
     ends = f"{info.low:g} to {info.high:g}".replace("-inf to", "at most").replace(
         " to inf", " or more"
     )
-    notes, sources = _take_notes(METRICS[name], words.get("formula", ""))
+    notes, sources = _take_notes(
+        getattr(METRICS[name], "measure", METRICS[name]), words.get("formula", "")
+    )
     code = f"from docsite.methods import draw_metric\n\ndraw_metric('{name}')"
     return "\n".join([
         title(name, "-"),

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NamedTuple, TypeGuard, cast, overload
+from typing import TYPE_CHECKING, NamedTuple, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,10 +24,9 @@ from feel321.names import MATCHES
 from feel321.stimuli import recording
 from feel321.stimuli.guard import OwnReducer
 from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
-from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.metrics import METRICS, RivalMetric
 from feel321.stimuli.recording import Recording, Reduced
 from feel321.stimuli.reducers.registry import REDUCERS, reduce, with_window
-from feel321.stimuli.rivals import catalog, pairs
 from feel321.types import Metric, Reducer, Samples
 
 if TYPE_CHECKING:
@@ -54,32 +53,11 @@ class _Piece(NamedTuple):
 
     def cut(self, samples: int) -> Iterator[_Piece]:
         """Cut into pieces of so many samples per axis, or of one signal."""
-        size = max(1, samples // max(1, np.shape(self.signals[0])[-1])) if self.places else 1
-        for start in range(0, len(self.places), size):
-            part = slice(start, start + size)
-            yield _Piece(
-                self.places[part],
-                self.names[part],
-                self.signals[part],
-                self.rate_hz,
-                self.reduced[part],
-            )
-
-
-class _Batch(NamedTuple):
-    """The pieces of a batch, each a job; the Recordings, or the shape of the array."""
-
-    pieces: list[_Piece]
-    recordings: Sequence[Recording] = ()
-    shape: tuple[int, ...] = ()
-
-    def run(
-        self, work: Callable[..., Samples], workers: int | Workers, **how: object
-    ) -> Iterator[tuple[_Piece, Samples]]:
-        """Do the work on each piece; yields the piece and what was made of it."""
-        todo = [(work, (piece,), how) for piece in self.pieces]
-        for number, found in run_jobs(todo, workers=as_workers(workers)):
-            yield self.pieces[number], found
+        places, names, signals, rate_hz, reduced = self
+        size = max(1, samples // max(1, np.shape(signals[0])[-1])) if places else 1
+        for start in range(0, len(places), size):
+            at = slice(start, start + size)
+            yield _Piece(places[at], names[at], signals[at], rate_hz, reduced[at])
 
 
 @overload
@@ -148,22 +126,15 @@ def reduce_many(
            [ 9., 12.],
            [ 9., 12.]])
     """
-    batch = _cut_batch(recordings, rate_hz)
+    pieces, own = _cut_batch(recordings, rate_hz)
     function, name = with_window(REDUCERS.find(reducer), window_s), name_of(reducer)
     ours = reducer in REDUCERS or reducer in REDUCERS.values() or isinstance(function, OwnReducer)
-    found = batch.run(_reduce_piece, workers, function=function, name=name, together=ours)
-    if batch.shape:
-        reduced = np.empty((batch.shape[0], batch.shape[-1]))
-        for piece, samples in found:
-            reduced[piece.places] = samples
-        return reduced
-    rows = {
-        place: row for piece, own in found for place, row in zip(piece.places, own, strict=True)
-    }
-    return [
-        Reduced(rows[place], one.rate_hz, name, one.name)
-        for place, one in enumerate(batch.recordings)
-    ]
+    rows = _run(pieces, _reduce_piece, workers, function=function, name=name, together=ours)
+    if own is not None:
+        return [
+            Reduced(row, one.rate_hz, name, one.name) for row, one in zip(rows, own, strict=True)
+        ]
+    return np.array(rows, dtype=np.float64).reshape(len(rows), np.shape(recordings)[-1])
 
 
 def match_many(
@@ -211,63 +182,64 @@ def match_many(
     """
     import pandas as pd
 
-    batch = _cut_batch(recordings, rate_hz, reduced)
+    pieces, own = _cut_batch(recordings, rate_hz, reduced)
     chosen = METRICS.choose(metrics)
-    rows = {
-        place: row
-        for piece, own in batch.run(_match_piece, workers, chosen=chosen)
-        for place, row in zip(piece.places, own, strict=True)
-    }
-    names = range(batch.shape[0]) if batch.shape else [one.name for one in batch.recordings]
-    index = pd.Index(names, name="recording")
-    return pd.DataFrame([rows[place] for place in range(len(rows))], index, columns=[*chosen])
+    rows = _run(pieces, _match_piece, workers, chosen=chosen)
+    names = range(len(rows)) if own is None else [one.name for one in own]
+    return pd.DataFrame(rows, pd.Index(names, name="recording"), columns=[*chosen])
+
+
+def _run(
+    pieces: Sequence[_Piece], work: Callable[..., Samples], workers: int | Workers, **how: object
+) -> list[Samples]:
+    """Do the work on each piece, and return a row per recording, in the order of the batch."""
+    jobs = [(work, (piece,), how) for piece in pieces]
+    rows: dict[int, Samples] = {}
+    for number, found in run_jobs(jobs, workers=as_workers(workers)):
+        rows |= zip(pieces[number].places, found, strict=True)
+    return [rows[place] for place in sorted(rows)]
 
 
 def _cut_batch(
     given: Sequence[Recording] | ArrayLike,
     rate_hz: float | None,
     reduced: Sequence[ArrayLike] | ArrayLike | None = None,
-) -> _Batch:
-    """Check a batch and cut it into pieces."""
+) -> tuple[list[_Piece], Sequence[Recording] | None]:
+    """Check a batch, and cut it into pieces of one length and rate; of Recordings these come too."""
     if isinstance(given, Recording):
         raise TypeError("recordings must be many, got one Recording; write [recording]")
-    if isinstance(given, Sequence) and not isinstance(given, str) and _are_recordings(given):
-        return _Batch([*_group(given, rate_hz, reduced)], given)
+    is_list = isinstance(given, Sequence) and not isinstance(given, str)
+    several = cast("Sequence[object]", given if is_list else [given])
+    others = [one for one in several if not isinstance(one, Recording)]
+    if 0 < len(others) < len(several):
+        raise TypeError(f"recordings must each be a Recording, got {describe(others[0])}")
+    if not others:
+        recordings = cast("Sequence[Recording]", given)
+        own = _list_reduced(reduced, len(recordings))
+        groups: dict[tuple[int, float], list[int]] = {}
+        for place, one in enumerate(recordings):
+            _, rate = recording.as_pair(one, own[place] if own else None, rate_hz)
+            groups.setdefault((one.n_samples, rate), []).append(place)
+        pieces = [
+            _Piece(
+                places,
+                [repr(recordings[place].name) for place in places],
+                [recordings[place].acceleration for place in places],
+                rate,
+                [own[place] for place in places] if own else (),
+            )
+            for (_, rate), places in groups.items()
+        ]
+        return [one for piece in pieces for one in piece.cut(PIECE)], recordings
     samples = np.asarray(given)
     if samples.ndim != 3 or samples.shape[1] != recording.AXES:  # noqa: PLR2004 - signals x axes x samples
         raise ValueError(
             f"recordings must be Recordings, or an array of shape (k, 3, n); got the shape {samples.shape}"
         )
     _, rate = recording.as_signal(samples, rate_hz)
-    places, own = range(len(samples)), _list_reduced(reduced, len(samples))
-    whole = _Piece(places, [str(place) for place in places], samples, rate, own)
-    return _Batch([*whole.cut(PIECE)], shape=samples.shape)
-
-
-def _are_recordings(given: Sequence[object]) -> TypeGuard[Sequence[Recording]]:
-    """Whether all are Recordings; some of them are refused."""
-    others = [one for one in given if not isinstance(one, Recording)]
-    if others and len(others) < len(given):
-        raise TypeError(f"recordings must each be a Recording, got {describe(others[0])}")
-    return not others
-
-
-def _group(
-    recordings: Sequence[Recording],
-    rate_hz: float | None,
-    reduced: Sequence[ArrayLike] | ArrayLike | None,
-) -> Iterator[_Piece]:
-    """Group recordings by length and rate."""
-    own = _list_reduced(reduced, len(recordings))
-    groups: dict[tuple[int, float], list[int]] = {}
-    for place, one in enumerate(recordings):
-        _, rate = recording.as_pair(one, own[place] if own else None, rate_hz)
-        groups.setdefault((one.n_samples, rate), []).append(place)
-    for (_, rate), places in groups.items():
-        names = [repr(recordings[place].name) for place in places]
-        signals = [recordings[place].acceleration for place in places]
-        some = [own[place] for place in places] if own else ()
-        yield from _Piece(places, names, signals, rate, some).cut(PIECE)
+    places = range(len(samples))
+    signals = _list_reduced(reduced, len(samples))
+    return [*_Piece(places, [*map(str, places)], samples, rate, signals).cut(PIECE)], None
 
 
 def _list_reduced(reduced: Sequence[ArrayLike] | ArrayLike | None, k: int) -> Sequence[ArrayLike]:
@@ -283,36 +255,22 @@ def _list_reduced(reduced: Sequence[ArrayLike] | ArrayLike | None, k: int) -> Se
 
 
 def _reduce_piece(piece: _Piece, *, function: Reducer, name: str, together: bool) -> Samples:
-    reduced = np.empty((len(piece.places), np.shape(piece.signals[0])[-1]))
-    done = 0
+    """Reduce signals, together where that is worth it; a refusal is repeated for the one that it is about."""
+    found: list[Samples] = []
     for chunk in piece.cut(AT_A_TIME):
-        rows = slice(done, done := done + len(chunk.places))
-        if together:
-            reduced[rows] = _reduce_chunk(chunk, function, name=name)
-        else:
-            reduced[rows] = _one_by_one(chunk, function)
-    return reduced
-
-
-def _reduce_chunk(chunk: _Piece, function: Reducer, *, name: str) -> Samples:
-    """Reduce signals together: (k, n). A refusal is repeated for the signal that it is about."""
-    n = np.shape(chunk.signals[0])[-1]
-    if len(chunk.places) == 1 or n > LONGEST:
-        return _one_by_one(chunk, function)
-    try:
-        samples = recording.coerce_acceleration(np.ascontiguousarray(chunk.signals))
-        reduced = recording.coerce_real(function(samples, chunk.rate_hz), name)
-        recording.check_finite(reduced, name)
-    except ValueError:
-        return _one_by_one(chunk, function)
-    return reduced
-
-
-def _one_by_one(chunk: _Piece, function: Reducer) -> Samples:
-    found = []
-    for name, one in zip(chunk.names, chunk.signals, strict=True):
-        with _named(name):
-            found.append(reduce(one, function, rate_hz=chunk.rate_hz).samples)
+        if together and len(chunk.places) > 1 and np.shape(chunk.signals[0])[-1] <= LONGEST:
+            try:
+                samples = recording.coerce_acceleration(np.ascontiguousarray(chunk.signals))
+                reduced = recording.coerce_real(function(samples, chunk.rate_hz), name)
+                recording.check_finite(reduced, name)
+            except ValueError:
+                pass
+            else:
+                found += [*reduced]
+                continue
+        for one, signal in zip(chunk.names, chunk.signals, strict=True):
+            with _named(one):
+                found.append(reduce(signal, function, rate_hz=chunk.rate_hz).samples)
     return np.array(found)
 
 
@@ -326,38 +284,34 @@ def _named(name: str) -> Iterator[None]:
 
 
 def _match_piece(piece: _Piece, *, chosen: Mapping[str, Metric]) -> Samples:
-    return np.concatenate([_match_chunk(chunk, chosen) for chunk in piece.cut(AT_A_TIME)])
-
-
-def _match_chunk(chunk: _Piece, chosen: Mapping[str, Metric]) -> Samples:
     """Match signals: (k, metrics). Those of unusual strength, and by a lab's own metrics, one by one."""
-    found = _match_together(chunk, [name for name, one in chosen.items() if _is_ours(name, one)])
     rows = []
-    for place, name in enumerate(chunk.names):
-        with _named(name):
-            signal = recording.coerce_real(chunk.reduced[place], "reduced")
-            pair = chunk.signals[place], signal, chunk.rate_hz
-            rows.append([
-                found[key][place] if key in found else metric(*pair)
-                for key, metric in chosen.items()
-            ])
+    for chunk in piece.cut(AT_A_TIME):
+        found = _match_together(chunk, [name for name, one in chosen.items() if METRICS.get(name) is one])  # fmt: skip
+        for place, name in enumerate(chunk.names):
+            with _named(name):
+                signal = recording.coerce_real(chunk.reduced[place], "reduced")
+                pair = chunk.signals[place], signal, chunk.rate_hz
+                rows.append([
+                    found[key][place] if key in found else metric(*pair)
+                    for key, metric in chosen.items()
+                ])
     return np.array(rows, float)
-
-
-def _is_ours(name: str, metric: Metric) -> bool:
-    return METRICS.get(name) is metric
 
 
 def _match_together(chunk: _Piece, names: Sequence[str]) -> dict[str, Samples]:
     """Match signals by our own metrics, (k,) each; nothing where they need a scale or are to be refused."""
+    from feel321.stimuli.rivals.pairs import make_pairs
+
     try:
-        pair = pairs.make_pairs(np.array(chunk.signals), np.array(chunk.reduced), chunk.rate_hz)
+        pair = make_pairs(np.array(chunk.signals), np.array(chunk.reduced), chunk.rate_hz)
     except ValueError:
         return {}
     samples, reduced = pair.samples, pair.reduced
     if not (np.isscalar(pair.scale) and recording.is_safe(np.abs(reduced).max(axis=-1)).all()):
         return {}
-    found = {name: catalog.RIVALS[name].measure(pair) for name in names if name in catalog.RIVALS}
+    rivals = [(name, METRICS[name]) for name in names]
+    found = {name: one.measure(pair) for name, one in rivals if isinstance(one, RivalMetric)}
     if "temporal_match" in names:
         found["temporal_match"] = mean_over_axes(axis_correlations(samples, reduced))
     if not {"spectral_match", "spectral_match_bounded"}.isdisjoint(names):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
 from feel321.doors import Registry, name_of
-from feel321.names import MATCHES
+from feel321.names import MATCHES, METRIC_INFO, WRITTEN
 from feel321.stimuli.guard import find_metric
 from feel321.stimuli.match import (
     spectral_match,
@@ -18,11 +19,40 @@ from feel321.stimuli.match import (
 )
 from feel321.stimuli.recording import Reduced, Signal, as_pair, check_acceleration, coerce_real
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.rivals.catalog import RIVALS
-from feel321.types import Metric, Reducer
+from feel321.types import Metric, Reducer, Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from feel321.stimuli.rivals.pairs import Pair
+
+
+@dataclass(frozen=True, slots=True)
+class RivalMetric:
+    """A rival metric, which is imported when it is first called: a build without rivals needs none."""
+
+    name: str
+
+    @property
+    def __name__(self) -> str:
+        """The name."""
+        return self.name
+
+    @property
+    def measure(self) -> Callable[[Pair], Samples]:
+        """What measures it on pairs."""
+        from feel321.stimuli.rivals.catalog import RIVALS
+
+        return RIVALS[self.name].measure
+
+    def __call__(
+        self, acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None
+    ) -> float:
+        """Compare three axes, (3, n), with one, (n,)."""
+        from feel321.stimuli.rivals.pairs import make_pair
+
+        return float(self.measure(make_pair(acceleration, reduced, rate_hz)))
+
 
 METRICS: Registry[Metric] = Registry(
     "metric",
@@ -31,7 +61,7 @@ METRICS: Registry[Metric] = Registry(
         "temporal_match": temporal_match,
         "spectral_match_bounded": spectral_match_bounded,
         "temporal_match_windowed": temporal_match_windowed,
-        **{name: rival.metric for name, rival in RIVALS.items()},
+        **{name: RivalMetric(name) for name in METRIC_INFO if name not in WRITTEN},
     },
     find=find_metric,
 )

@@ -90,25 +90,12 @@ def test_recordings_of_all_kinds_keep_their_order() -> None:
     assert list(table.index) == [one.name for one in given]
 
 
-def test_signals_go_together_only_as_far_as_the_cache_reaches(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_how_a_batch_is_cut_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     samples = np.random.default_rng(0).standard_normal((40, 3, 1500))
     wanted = stimuli.reduce_many(samples, "pca321", rate_hz=1000)
-    sizes: list[int] = []
-
-    def watch(chunk: batch._Piece, *args: object, **named: object) -> np.ndarray:
-        sizes.append(len(chunk.places))
-        return reduce_chunk(chunk, *args, **named)
-
-    reduce_chunk = batch._reduce_chunk
-    monkeypatch.setattr(batch, "_reduce_chunk", watch)
-    monkeypatch.setattr(batch, "PIECE", 15_000)
-    assert np.array_equal(stimuli.reduce_many(samples, "pca321", rate_hz=1000), wanted)
-    assert sizes == [10, 10, 10, 10]
-    monkeypatch.setattr(batch, "PIECE", 1 << 20)
-    assert np.array_equal(stimuli.reduce_many(samples, "pca321", rate_hz=1000), wanted)
-    assert sizes[4:] == [16, 16, 8]
+    for name, size in (("PIECE", 15_000), ("AT_A_TIME", 1), ("LONGEST", 1)):
+        monkeypatch.setattr(batch, name, size)
+        assert np.array_equal(stimuli.reduce_many(samples, "pca321", rate_hz=1000), wanted)
 
 
 @pytest.mark.parametrize("place", [0, 17, 39])

@@ -34,10 +34,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from feel321.stimuli.recording import Signal
-from feel321.stimuli.rivals.pairs import Pair, make_pair
+from feel321.stimuli.rivals.pairs import Pair
 from feel321.types import Samples
 
 BLOCK_S = 0.064
@@ -56,11 +54,9 @@ _NOT_FELT = 1e-6
 _SILENT = 1e-12
 
 
-def st_sim(acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None) -> float:
-    r"""Compute the spectral temporal similarity, 0 to 1.
+def st_sim(pair: Pair) -> Samples:
+    r"""Measure the spectral temporal similarity [1]_, 0 to 1.
 
-    Notes
-    -----
     With :math:`p(f) = \Phi(L(f) / 12)` the chance that a level L over the threshold is felt, p of the recording and q
     of the reduced signal, r the share of the block's motion (its mean removed) that goes along with the reduced
     signal, and means over blocks of 64 ms (see the module for what differs from the original, and why),
@@ -71,18 +67,7 @@ def st_sim(acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = Non
 
     The unit matters: samples must be in m/s². 0 for a silent reduced signal. NaN if no block of the recording can be
     felt.
-
-    Examples
-    --------
-    >>> u = np.random.default_rng(0).normal(size=4000)
-    >>> round(st_sim([u, 0 * u, 0 * u], -u, 4000), 9)
-    1.0
     """
-    return float(measure_st_sim(make_pair(acceleration, reduced, rate_hz)))
-
-
-def measure_st_sim(pair: Pair) -> Samples:
-    """Measure `st_sim` of pairs."""
     from scipy.special import ndtr
 
     blocks = _cut(pair)
@@ -103,11 +88,9 @@ def measure_st_sim(pair: Pair) -> Samples:
     return pair.settle(np.where(heard, np.minimum(np.asarray(value), 1.0), np.nan))
 
 
-def spqi(acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None) -> float:
-    r"""Compute the spectral perceptual quality index, 0 to 1.
+def spqi(pair: Pair) -> Samples:
+    r"""Measure the spectral perceptual quality index [2]_, 0 to 1.
 
-    Notes
-    -----
     With W the energies over the threshold of a block's frequencies, of the recording and of the reduced signal, and a
     mean over blocks of 64 ms (see the module for what differs from the original, and why),
 
@@ -116,18 +99,7 @@ def spqi(acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None)
 
     A silent reduced signal scores (1 - tanh 2) / 2 = 0.018, as does one of twice the energy: both are errors of 0 dB.
     An error of -6.7 dB, a fifth of the energy lacking or in excess, scores 1/2. One factor on both changes nothing.
-
-    Examples
-    --------
-    >>> u = np.random.default_rng(0).normal(size=4000)
-    >>> round(spqi([u, 0 * u, 0 * u], 0 * u, 4000), 6)
-    0.017986
     """
-    return float(measure_spqi(make_pair(acceleration, reduced, rate_hz)))
-
-
-def measure_spqi(pair: Pair) -> Samples:
-    """Measure `spqi` of pairs."""
     blocks = _cut(pair)
     if blocks is None:
         return np.full(pair.nothing.shape, np.nan)
