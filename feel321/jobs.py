@@ -16,7 +16,6 @@ import pickle
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
-from contextlib import closing
 from contextvars import copy_context
 from dataclasses import astuple, dataclass
 from importlib.util import find_spec
@@ -79,6 +78,10 @@ class Workers:
 ALONE = Workers()
 """This process only."""
 
+AGAIN = "check scheduler and workers and run the command again: what is finished is kept"
+MODULES = ("feel321", "numpy", "scipy", "soxr")
+"""What decides the bytes of results, besides Python's minor version."""
+
 
 def as_workers(workers: int | Workers) -> Workers:
     """Take a number of processes for that many workers."""
@@ -94,15 +97,15 @@ def run_jobs(
     elif workers.count == 1:
         # Each thread has a context of its own, in which it can say what is being done.
         with ThreadPoolExecutor(threads) as pool:
-            yield from _run_futures(
+            yield from _keep_busy(
                 jobs,
-                lambda place, job: pool.submit(copy_context().run, _run_numbered, place, job),
+                lambda place, job: pool.submit(copy_context().run, _do, place, job),
                 count_threads=lambda: threads,
             )
     else:
         from joblib import Parallel, delayed
 
-        numbered = (delayed(_run_numbered)(place, job) for place, job in enumerate(jobs))
+        numbered = (delayed(_do)(place, job) for place, job in enumerate(jobs))
         yield from Parallel(n_jobs=workers.count, return_as="generator_unordered")(numbered)
 
 
@@ -117,12 +120,12 @@ def gather_results(
     return [found[place] for place in sorted(found)]
 
 
-def _run_numbered(place: int, job: Job) -> Numbered:
+def _do(place: int, job: Job) -> Numbered:
     function, arguments, named = job
     return place, function(*arguments, **named)
 
 
-def _run_futures(
+def _keep_busy(
     jobs: Iterable[Job],
     submit: Callable[[int, Job], Future[Numbered]],
     *,
@@ -142,75 +145,53 @@ def _run_futures(
             yield one.result()
 
 
-# On a cluster.
-
-
 def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
     if find_spec("distributed") is None:
         raise ModuleNotFoundError(
             "a Dask cluster needs distributed, not installed here; run pip install 'feel321[cluster]'"
         )
-    from distributed.scheduler import KilledWorker
-
-    with closing(_connect(address)) as client:
-        crew, versions = client.get_executor(), find_versions()
-        replies = _run_futures(
-            jobs,
-            lambda place, job: crew.submit(_do, place, _pack(job), versions),
-            count_threads=lambda: sum(client.nthreads().values()),
-        )
-        try:
-            yield from map(_open, replies)
-        except (CancelledError, KilledWorker) as error:
-            what = str(error) or "its scheduler is gone"
-            raise OSError(f"{address}: the Dask cluster failed ({what}); {AGAIN}") from None
-        finally:
-            crew.shutdown(wait=False)  # what waits is cancelled
-
-
-def _open(reply: Numbered) -> Numbered:
-    """Return the result of a job, or raise what it raised."""
-    place, (result, error) = reply
-    if error is not None:
-        raise error
-    return place, result
-
-
-AGAIN = "check scheduler and workers and run the command again: what is finished is kept"
-
-
-def _connect(address: str) -> Any:  # noqa: ANN401 - distributed's own types are incomplete
-    """Connect to a cluster that has a worker."""
     from distributed import Client
+    from distributed.scheduler import KilledWorker
 
     try:
         client = Client(address, set_as_default=False)  # type: ignore[no-untyped-call]  # distributed's types
         client.wait_for_workers(1, timeout=PATIENCE_S)
     except (OSError, TypeError, ValueError) as error:
         raise OSError(f"{address}: no Dask cluster answers ({error}); {AGAIN}") from None
-    return client
+    crew, versions = client.get_executor(), _find_versions()  # type: ignore[no-untyped-call]  # likewise
+    try:
+        for place, (result, failure) in _keep_busy(
+            jobs,
+            lambda place, job: crew.submit(_do_there, place, _pack(job), versions),
+            count_threads=lambda: sum(client.nthreads().values()),  # type: ignore[no-untyped-call]  # likewise
+        ):
+            if failure is not None:
+                raise failure
+            yield place, result
+    except (CancelledError, KilledWorker) as error:
+        what = str(error) or "its scheduler is gone"
+        raise OSError(f"{address}: the Dask cluster failed ({what}); {AGAIN}") from None
+    finally:
+        crew.shutdown(wait=False)  # what waits is cancelled
+        client.close()  # type: ignore[no-untyped-call]  # distributed's types
 
 
-MODULES = ("feel321", "numpy", "scipy", "soxr")
-"""What decides the bytes of results, besides Python's minor version."""
-
-
-def find_versions() -> dict[str, str]:
+def _find_versions() -> dict[str, str]:
     """Find the versions that all machines must have."""
     found = {name: str(__import__(name).__version__) for name in MODULES}
     return {**found, "Python": f"{sys.version_info.major}.{sys.version_info.minor}"}
 
 
-def _do(
+def _do_there(
     place: int, content: bytes, versions: dict[str, str]
 ) -> tuple[int, tuple[Any, Exception | None]]:
     """Do a job on a worker, unless its versions are others; what a job raises is part of the reply."""
+    own = _find_versions()
+    other = ", ".join(f"{k} {own[k]} instead of {v}" for k, v in versions.items() if own[k] != v)
+    if other:
+        message = f"a worker has {other}; install the same versions there, or stop it"
+        return place, (None, ValueError(message))
     try:
-        if (own := find_versions()) != versions:
-            other = ", ".join(
-                f"{k} {own[k]} instead of {v}" for k, v in versions.items() if own[k] != v
-            )
-            raise ValueError(f"a worker has {other}; install the same versions there, or stop it")  # noqa: TRY301 - told like other failures of a job
         function, arguments, named = pickle.loads(content)  # noqa: S301 - what a worker is there for
         return place, (function(*arguments, **named), None)
     except Exception as error:  # noqa: BLE001 - whatever it is, it is raised where the job was sent from

@@ -38,13 +38,15 @@ References
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.stimuli.recording import add_squares, admit, check_rate
 from feel321.types import Samples
+
+_OneAxis: TypeAlias = Callable[[ArrayLike, float], Samples]
 
 DEFAULT_WINDOW_S = 0.035
 """Window of 35 ms: the paper's value, 10 ms below the shortest delay noticed between sight and touch."""
@@ -66,13 +68,7 @@ class BlockProcessor(Protocol):
 
 
 def window_samples(window_s: float, rate_hz: float) -> int:
-    """Length of the window in samples: even, because frames overlap by half, and at least 2.
-
-    Examples
-    --------
-    >>> window_samples(0.035, 10000), window_samples(0.035, 1000), window_samples(1e-9, 1000)
-    (350, 36, 2)
-    """
+    """Length of the window in samples: even, because frames overlap by half, and at least 2."""
     rate = check_rate(rate_hz)
     if not (math.isfinite(window_s) and window_s > 0):
         raise ValueError(f"window_s must be a finite time in s above 0, got {window_s!r}")
@@ -131,30 +127,10 @@ def cut_blocks(samples: Samples, hop: int, n_blocks: int) -> tuple[Samples, NDAr
     return samples.reshape(*samples.shape[:-1], n_blocks, hop), valid
 
 
-def sax321(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's x axis."""
-    return _axis(acceleration, rate_hz, 0)
-
-
-def say321(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's y axis."""
-    return _axis(acceleration, rate_hz, 1)
-
-
-def saz321(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's z axis."""
-    return _axis(acceleration, rate_hz, 2)
-
-
 def soc321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """Add the three axes.
 
     Axes in phase interfere constructively (three equal axes: three times the energy), axes in anti-phase cancel.
-
-    Examples
-    --------
-    >>> soc321([[1, 2], [3, 4], [-4, 6]], 1000)
-    array([ 0., 12.])
     """
     admitted = admit(acceleration, rate_hz)
     return admitted.restore(admitted.samples.sum(axis=-2))
@@ -164,21 +140,11 @@ def mag321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """Take the length of the acceleration vector.
 
     Never negative, so it has an offset that the vibration did not have, and frequencies are doubled and mixed.
-
-    Examples
-    --------
-    >>> mag321([[1, -3], [2, 0], [2, 4]], 1000)
-    array([3., 5.])
     """
     admitted = admit(acceleration, rate_hz)
     return admitted.restore(
         np.sqrt(np.einsum("...in,...in->...n", admitted.samples, admitted.samples))
     )
-
-
-def _axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> Samples:
-    admitted = admit(acceleration, rate_hz)
-    return admitted.restore(admitted.samples[..., axis, :].copy())
 
 
 # Below this the sum of an axis's components is rounding, and cannot choose its sign.
@@ -196,11 +162,6 @@ def pca321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     -----
     The sign is the one whose correlation with x + y + z is not negative. Where it is 0 (an axis perpendicular to the
     sensor's diagonal, as for anti-phase axes), the axis's largest component is positive, the first among equals.
-
-    Examples
-    --------
-    >>> np.round(pca321([[3, -3, 3, -3], [4, -4, 4, -4], [0, 0, 0, 0]], 1000), 12)
-    array([ 5., -5.,  5., -5.])
     """
     admitted = admit(acceleration, rate_hz)
     return admitted.restore(_project(admitted.samples)[0])
@@ -346,50 +307,6 @@ def match_energy(total: Samples, kept: Samples) -> Samples:
     )
 
 
-def sax321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's x axis, with one gain, at most 10, that gives it the energy of all three axes."""
-    return _match_axis(acceleration, rate_hz, 0)
-
-
-def say321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's y axis, with one gain, at most 10, that gives it the energy of all three axes."""
-    return _match_axis(acceleration, rate_hz, 1)
-
-
-def saz321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's z axis, with one gain, at most 10, that gives it the energy of all three axes."""
-    return _match_axis(acceleration, rate_hz, 2)
-
-
-def pca321_matched(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Project on the principal axis of the whole signal, with one gain that gives it the energy of all three axes.
-
-    Examples
-    --------
-    >>> np.round(pca321_matched([[3, -3, 3, -3], [4, -4, 4, -4], [3.75, 3.75, -3.75, -3.75]], 1000), 9)
-    array([ 6.25, -6.25,  6.25, -6.25])
-    """
-    admitted = admit(acceleration, rate_hz)
-    kept, centred = _project(admitted.samples)
-    gain = match_energy(add_squares(centred, 2), add_squares(kept))
-    return admitted.restore(gain[..., None] * kept)
-
-
-def sax321_matched_running(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's x axis, with a gain, at most 10, that gives it the energy of all axes in the recent past."""
-    return _run_axis(acceleration, rate_hz, 0)
-
-
-def say321_matched_running(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's y axis, with a gain, at most 10, that gives it the energy of all axes in the recent past."""
-    return _run_axis(acceleration, rate_hz, 1)
-
-
-def saz321_matched_running(acceleration: ArrayLike, rate_hz: float) -> Samples:
-    """Keep the sensor's z axis, with a gain, at most 10, that gives it the energy of all axes in the recent past."""
-    return _run_axis(acceleration, rate_hz, 2)
-
-
 def pca321_matched_windowed(
     acceleration: ArrayLike, rate_hz: float, *, window_s: float = DEFAULT_WINDOW_S
 ) -> Samples:
@@ -504,14 +421,52 @@ def _forget(duration_s: float) -> float:
     return math.exp(-duration_s / FORGETTING_S)
 
 
-def _match_axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> Samples:
-    admitted = admit(acceleration, rate_hz)
-    kept = admitted.samples[..., axis, :]
-    gain = match_energy(add_squares(admitted.samples, 2), add_squares(kept))
-    return admitted.restore(gain[..., None] * kept)
+def _name(reducer: _OneAxis, name: str, does: str) -> _OneAxis:
+    """Name a reducer that was made, as if it had been written out."""
+    reducer.__name__ = reducer.__qualname__ = name
+    reducer.__doc__ = does
+    return reducer
 
 
-def _run_axis(acceleration: ArrayLike, rate_hz: float, axis: int) -> Samples:
-    admitted = admit(acceleration, rate_hz)
-    running = RunningAxis(admitted.samples.shape[:-2], axis, rate_hz)
-    return admitted.restore(running.push(admitted.samples))
+def _match(keep: Callable[[Samples], tuple[Samples, Samples]]) -> _OneAxis:
+    """Give what is kept of the samples one gain that makes it as strong as all axes; keep: (kept, all axes)."""
+
+    def match(acceleration: ArrayLike, rate_hz: float) -> Samples:
+        admitted = admit(acceleration, rate_hz)
+        kept, samples = keep(admitted.samples)
+        gain = match_energy(add_squares(samples, 2), add_squares(kept))
+        return admitted.restore(gain[..., None] * kept)
+
+    return match
+
+
+def _make_axis(axis: int) -> tuple[_OneAxis, _OneAxis, _OneAxis]:
+    """Make the reducers to one sensor axis: as it is, with one gain, and with the gain of the recent past."""
+
+    def keep(acceleration: ArrayLike, rate_hz: float) -> Samples:
+        admitted = admit(acceleration, rate_hz)
+        return admitted.restore(admitted.samples[..., axis, :].copy())
+
+    def run(acceleration: ArrayLike, rate_hz: float) -> Samples:
+        admitted = admit(acceleration, rate_hz)
+        running = RunningAxis(admitted.samples.shape[:-2], axis, rate_hz)
+        return admitted.restore(running.push(admitted.samples))
+
+    match = _match(lambda samples: (samples[..., axis, :], samples))
+    name, does = f"sa{'xyz'[axis]}321", f"Keep the sensor's {'xyz'[axis]} axis"
+    limited = f"{does}, with one gain, at most {MOST_GAIN:g}, that gives it the energy of all"
+    return (
+        _name(keep, name, f"{does}."),
+        _name(match, f"{name}_matched", f"{limited} three axes."),
+        _name(run, f"{name}_matched_running", f"{limited} axes in the recent past."),
+    )
+
+
+sax321, sax321_matched, sax321_matched_running = _make_axis(0)
+say321, say321_matched, say321_matched_running = _make_axis(1)
+saz321, saz321_matched, saz321_matched_running = _make_axis(2)
+pca321_matched = _name(
+    _match(_project),
+    "pca321_matched",
+    "Project on the principal axis of the whole signal, with one gain that gives it the energy of all three axes.",
+)

@@ -43,38 +43,10 @@ from feel321.stimuli.recording import (
 from feel321.stimuli.reducers import axes, bands, fourier
 from feel321.types import OnGap, Reducer, Samples
 
+_OURS = vars(axes) | vars(fourier) | vars(bands)
+
 REDUCERS: Registry[Reducer] = Registry(
-    "reducer",
-    dict(
-        zip(
-            REDUCER_NAMES,
-            (
-                axes.sax321,
-                axes.say321,
-                axes.saz321,
-                axes.soc321,
-                axes.mag321,
-                axes.pca321,
-                axes.pca321_adaptive,
-                fourier.dft321,
-                fourier.dft321_windowed,
-                fourier.dft321_principal,
-                fourier.dft321_principal_windowed,
-                axes.sax321_matched,
-                axes.say321_matched,
-                axes.saz321_matched,
-                axes.pca321_matched,
-                axes.sax321_matched_running,
-                axes.say321_matched_running,
-                axes.saz321_matched_running,
-                axes.pca321_matched_windowed,
-                bands.dft321_bands,
-                bands.dft321_filtered,
-            ),
-            strict=True,
-        )
-    ),
-    find=find_reducer,
+    "reducer", {name: _OURS[name] for name in REDUCER_NAMES}, find=find_reducer
 )
 """Name -> reducer, in the order of the paper, simplest first; later ones follow."""
 
@@ -143,11 +115,16 @@ def with_window(reducer: Reducer, window_s: float | None) -> Reducer:
     return partial(function, window_s=window_s)
 
 
+def _run_axis(axis: int, rate_hz: float) -> Callable[[Samples], Samples]:
+    return axes.RunningAxis((), axis, rate_hz).push
+
+
 _NO_MEMORY = ("sax321", "say321", "saz321", "soc321", "mag321")
 _RUNNING: dict[str, Callable[[float], Callable[[Samples], Samples]]] = {
-    "sax321_matched_running": lambda rate_hz: axes.RunningAxis((), 0, rate_hz).push,
-    "say321_matched_running": lambda rate_hz: axes.RunningAxis((), 1, rate_hz).push,
-    "saz321_matched_running": lambda rate_hz: axes.RunningAxis((), 2, rate_hz).push,
+    **{
+        f"sa{letter}321_matched_running": partial(_run_axis, axis)
+        for axis, letter in enumerate("xyz")
+    },
     "dft321_filtered": lambda rate_hz: bands.FilterBank((), rate_hz).push,
 }
 _IN_FRAMES: dict[str, Callable[[float], Callable[[tuple[int, ...], int], axes.BlockProcessor]]] = {
@@ -156,18 +133,17 @@ _IN_FRAMES: dict[str, Callable[[float], Callable[[tuple[int, ...], int], axes.Bl
     "dft321_principal_windowed": lambda _: fourier.TrackingFrames,
     "pca321_matched_windowed": lambda rate_hz: partial(axes.MatchedFrames, rate_hz=rate_hz),
 }
+_WHOLE = {
+    "pca321": ("axis and its mean need", "pca321_adaptive"),
+    "dft321": ("spectrum needs", "dft321_windowed"),
+    "dft321_principal": ("axis needs", "dft321_principal_windowed"),
+    **{f"sa{one}321_matched": ("gain needs", f"sa{one}321_matched_running") for one in "xyz"},
+    "pca321_matched": ("axis and its gain need", "pca321_matched_windowed"),
+    "dft321_bands": ("bands' axes need", "dft321_filtered"),
+}
 WHY_NOT_STREAMING = {
     name: f"its {needs} the whole recording; stream {instead} instead"
-    for name, needs, instead in (
-        ("pca321", "axis and its mean need", "pca321_adaptive"),
-        ("dft321", "spectrum needs", "dft321_windowed"),
-        ("dft321_principal", "axis needs", "dft321_principal_windowed"),
-        ("sax321_matched", "gain needs", "sax321_matched_running"),
-        ("say321_matched", "gain needs", "say321_matched_running"),
-        ("saz321_matched", "gain needs", "saz321_matched_running"),
-        ("pca321_matched", "axis and its gain need", "pca321_matched_windowed"),
-        ("dft321_bands", "bands' axes need", "dft321_filtered"),
-    )
+    for name, (needs, instead) in _WHOLE.items()
 }
 """Name -> reason, for the reducers that cannot run causally."""
 
