@@ -5,14 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.stimuli.reducers.axes import (
-    MOST_GAIN,
-    match_energy,
-    pca321,
-    pca321_matched,
-    pca321_matched_windowed,
-)
-from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
+from feel321.stimuli.reducers.axes import pca321, pca321_matched, pca321_matched_windowed
+from feel321.stimuli.reducers.registry import REDUCERS
 
 RATE = 1000.0
 MATCHED = [name for name in REDUCERS if "matched" in name]
@@ -27,11 +21,6 @@ def noise(*shape: int, seed: int = 0) -> np.ndarray:
 def change(before: np.ndarray, after: np.ndarray) -> float:
     apart = min(np.linalg.norm(after - before), np.linalg.norm(after + before))
     return float(apart / np.linalg.norm(before))
-
-
-def test_they_are_not_among_a_studys_default_nine() -> None:
-    assert len(DEFAULT_REDUCERS) == 9
-    assert not set(MATCHED) & set(DEFAULT_REDUCERS)
 
 
 @given(seed=st.integers(0, 999), shares=st.tuples(*[st.floats(0.7, 2.0)] * 3))
@@ -72,17 +61,6 @@ def test_a_silent_axis_stays_silent_and_a_weak_one_is_not_blown_up(name: str) ->
     acceleration[axis, ::50] = 1e-4
     reduced = REDUCERS[name](acceleration, RATE)
     np.testing.assert_allclose(reduced, 10 * acceleration[axis])  # 20 dB
-
-
-@given(seed=st.integers(0, 99), place=st.integers(0, 299))
-def test_a_running_gain_never_spikes(seed: int, place: int) -> None:
-    acceleration = noise(3, 300, seed=seed)
-    acceleration[1, :place] = 0.0
-    for name in RUNNING:
-        reduced = REDUCERS[name](acceleration, RATE)
-        assert np.all(
-            np.abs(reduced) <= MOST_GAIN * np.abs(acceleration["xyz".index(name[2])]) * (1 + 1e-12)
-        )
 
 
 @pytest.mark.parametrize("name", RUNNING)
@@ -126,13 +104,6 @@ def test_the_axis_of_a_circle_is_held_where_it_is() -> None:
     assert np.sum(once**2) == pytest.approx(np.sum(circle**2), rel=0.05)
 
 
-def test_an_axis_that_begins_after_silence_is_there_at_once() -> None:
-    tap = np.zeros(400)
-    tap[200:260] = np.exp(-np.arange(60) / 15) * np.sin(np.arange(60))
-    reduced = pca321_matched_windowed(np.outer((0.0, 0.8, -0.6), tap), RATE)
-    np.testing.assert_allclose(reduced, tap, atol=1e-9)
-
-
 def test_noise_before_a_tap_does_not_hold_the_axis() -> None:
     taps = np.zeros((3, 600))
     for axis, period in enumerate((7.0, 11.0, 17.0)):
@@ -142,8 +113,3 @@ def test_noise_before_a_tap_does_not_hold_the_axis() -> None:
     hiss = 1e-3 * np.linalg.norm(taps) / np.sqrt(taps.size) * noise(3, 600, seed=6)
     once = pca321_matched_windowed(taps, RATE)
     assert change(once, pca321_matched_windowed(taps + hiss, RATE)) < 0.02
-
-
-def test_gains_where_there_is_nothing_to_divide_by() -> None:
-    total, kept = np.array([0.0, 4.0, 4.0, 4.0]), np.array([0.0, 0.0, 1.0, 1e-9])
-    np.testing.assert_allclose(match_energy(total, kept), [0.0, MOST_GAIN, 2.0, MOST_GAIN])

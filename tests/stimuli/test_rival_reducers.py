@@ -103,14 +103,3 @@ def test_the_filter_bank_has_the_energy_of_all_axes_and_no_delay() -> None:
     late[:, 60] = 1.0
     assert np.flatnonzero(reduce("dft321_filtered", late))[0] == 60
     assert StreamingReducer("dft321_filtered", RATE).latency_samples == 0
-
-
-def test_the_stream_gives_what_the_whole_recording_gives() -> None:
-    recording = noise(3, 1000)
-    stream = StreamingReducer("dft321_filtered", RATE)
-    cuts = [0, 1, 1, 8, 300, 301, 1000]
-    pieces = [stream.process(recording[:, a:b]) for a, b in itertools.pairwise(cuts)]
-    np.testing.assert_allclose(
-        np.concatenate(pieces), reduce("dft321_filtered", recording), atol=1e-12
-    )
-    assert stream.flush().size == 0
