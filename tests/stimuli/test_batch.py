@@ -59,14 +59,6 @@ def test_every_metric_of_a_batch_is_that_of_the_loop(given: tuple[np.ndarray, fl
     np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize("n", [3000, batch.LONGEST, batch.LONGEST + 1, 12_289])
-@pytest.mark.parametrize("name", ["pca321", "dft321_principal", "sax321_matched", "pca321_matched"])
-def test_long_signals_whose_sums_are_cut(n: int, name: str) -> None:
-    samples = np.random.default_rng(n).standard_normal((6, 3, n))
-    wanted = [stimuli.REDUCERS[name](one, 1000.0) for one in samples]
-    assert np.array_equal(stimuli.reduce_many(samples, name, rate_hz=1000.0), wanted)
-
-
 def recordings() -> list[stimuli.Recording]:
     """Unequal lengths and rates, in no order, some equal."""
     rng = np.random.default_rng(5)

@@ -18,7 +18,6 @@ from feel321.stimuli.match import (
     spectral_match_details,
 )
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.rotation import random_rotations
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -88,14 +87,6 @@ def test_it_lies_between_0_and_1_and_one_factor_changes_nothing(
 
 
 @settings(deadline=None, max_examples=30)
-@given(SIZES, st.integers(0, 9))
-def test_it_does_not_matter_which_is_the_recording(size: float, seed: int) -> None:
-    one, other = noise(2, 800, seed=seed) * [[1.0], [size]]
-    forth = spectral_match_bounded(stand_in(one), other, RATE)
-    assert spectral_match_bounded(stand_in(other), one, RATE) == pytest.approx(forth, abs=1e-9)
-
-
-@settings(deadline=None, max_examples=30)
 @given(st.floats(0.0, 1.0), st.integers(0, 9))
 def test_it_is_the_papers_where_the_reduced_signal_is_the_weaker(share: float, seed: int) -> None:
     acceleration = noise(3, 900, seed=seed)
@@ -106,15 +97,6 @@ def test_it_is_the_papers_where_the_reduced_signal_is_the_weaker(share: float, s
     assert spectral_match_bounded(acceleration, one_axis, RATE) == pytest.approx(
         spectral_match(acceleration, one_axis, RATE), abs=1e-12
     )
-
-
-@pytest.mark.parametrize(
-    ("gain", "expected"), [(2.0, 0.5), (0.5, 0.5), (10.0, 0.1), (1e9, 1e-9), (1.0, 1.0)]
-)
-def test_a_gain_of_the_energy_scores_itself_or_its_inverse(gain: float, expected: float) -> None:
-    acceleration = noise(3, 3000)
-    reduced = np.sqrt(gain) * REDUCERS["dft321"](acceleration, RATE)
-    assert spectral_match_bounded(acceleration, reduced, RATE) == pytest.approx(expected, rel=1e-9)
 
 
 def test_energy_in_bands_that_the_recording_left_empty_is_seen() -> None:
@@ -142,16 +124,6 @@ def test_silence_of_one_scores_zero_and_of_both_nothing() -> None:
     assert np.isnan(spectral_match_bounded(stand_in(silence + 9.81), silence + 3.0, RATE))
 
 
-def test_turning_the_sensor_changes_nothing() -> None:
-    acceleration = noise(3, 900) * np.array([[1.0], [5.0], [0.1]])
-    reduced = 1.4 * acceleration[0]
-    expected = spectral_match_bounded(acceleration, reduced, RATE)
-    for turn in random_rotations(5, np.random.default_rng(0)):
-        assert spectral_match_bounded(turn @ acceleration, reduced, RATE) == pytest.approx(
-            expected, rel=1e-9
-        )
-
-
 def test_many_signals_at_once_are_matched_as_each_alone() -> None:
     acceleration, reduced = noise(3, 700), noise(2, 4, 700, seed=2)
     original = OriginalSpectrum(acceleration, RATE)
@@ -164,15 +136,6 @@ def test_many_signals_at_once_are_matched_as_each_alone() -> None:
             spectral_match_bounded(acceleration, reduced[place], RATE), abs=1e-12
         )
     np.testing.assert_array_equal(original.match(reduced), plain)
-
-
-@pytest.mark.parametrize("grid", ["linear", "log"])
-def test_both_grids(grid: str) -> None:
-    acceleration = noise(3, 50_000)
-    reduced = 2 * REDUCERS["dft321"](acceleration, RATE)
-    assert spectral_match_bounded(acceleration, reduced, RATE, grid=grid) == pytest.approx(
-        0.25, rel=1e-9
-    )
 
 
 def test_the_published_exception_stays_within_bounds_on_real_recordings(

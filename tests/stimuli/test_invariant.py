@@ -67,19 +67,6 @@ def test_turning_or_mirroring_the_sensor_changes_nothing(
         )
 
 
-@pytest.mark.parametrize("counterpart", INVARIANTS.values(), ids=list(INVARIANTS))
-@settings(max_examples=60, deadline=None)
-@given(seed=SEEDS, n=st.integers(4, 500), size=st.floats(-300, 300), exponent=st.floats(-300, 300))
-def test_between_0_and_1_whatever_the_signals(
-    counterpart: object, seed: int, n: int, size: float, exponent: float
-) -> None:
-    assert (
-        0
-        <= counterpart(10.0**exponent * uneven(n, seed), 10.0**size * noise(n, seed=seed), RATE)
-        <= 1
-    )
-
-
 # --- temporal --------------------------------------------------------------------------------------------------------
 
 
@@ -112,35 +99,11 @@ def test_bounds_between_the_papers_temporal_match_and_its_counterpart(seed: int,
     assert paper * np.sqrt(3 * shares.min()) <= own + 1e-9
 
 
-def test_on_equally_strong_axes_it_is_at_least_the_papers() -> None:
-    for seed in range(20):
-        acceleration, reduced = uneven(200, seed), noise(200, seed=seed)
-        acceleration /= np.linalg.norm(acceleration, axis=1, keepdims=True)
-        paper, own = (
-            temporal_match(acceleration, reduced),
-            temporal_match_invariant(acceleration, reduced),
-        )
-        assert own / np.sqrt(3) <= paper <= own
-
-
-def test_motion_along_one_line_is_matched_by_itself_in_any_unit() -> None:
-    wave = noise(500)
-    assert temporal_match_invariant(np.outer((1, -2, 3e-5), wave), -7e-200 * wave) == pytest.approx(
-        1.0, abs=1e-12
-    )
-
-
 def test_a_whisper_on_one_axis_does_not_count_as_much_as_the_motion() -> None:
     wave, whisper = noise(2, 5000)
     acceleration = np.array([wave, 1e-3 * whisper, 1e-3 * whisper])
     assert temporal_match(acceleration, whisper) > 0.6
     assert temporal_match_invariant(acceleration, whisper) < 0.05
-
-
-def test_silence_in_time_matches_nothing() -> None:
-    assert np.isnan(temporal_match_invariant(np.zeros((3, 9)), np.ones(9)))
-    assert temporal_match_invariant(np.ones((3, 9)), np.zeros(9)) == 0.0
-    assert np.isnan(temporal_match_invariant(np.zeros((3, 9)), np.zeros(9)))
 
 
 # --- spectral --------------------------------------------------------------------------------------------------------
@@ -161,16 +124,6 @@ def test_it_is_the_ratio_of_minima_to_maxima_and_obeys_its_bounds(
     assert own >= 1 - np.abs(there - kept).sum() / there.sum() - 1e-9
     assert own >= 1 - (np.abs(there - kept) / there).max() - 1e-9
     assert own <= min(there.sum(), kept.sum()) / max(there.sum(), kept.sum()) + 1e-9
-
-
-@settings(max_examples=40, deadline=None)
-@given(gain=st.floats(1e-3, 1e3))
-def test_a_gain_of_the_energy_scores_itself_or_its_inverse(gain: float) -> None:
-    acceleration = noise(3, 2000)
-    reduced = np.sqrt(gain) * REDUCERS["dft321"](acceleration, RATE)
-    assert spectral_match_energy_weighted(acceleration, reduced, RATE) == pytest.approx(
-        min(gain, 1 / gain), rel=1e-9
-    )
 
 
 def test_it_is_one_where_the_papers_is_and_equals_it_for_a_loss_alike_everywhere() -> None:
@@ -194,22 +147,10 @@ def test_bands_without_energy_do_not_explode() -> None:
     assert spectral_match_energy_weighted(acceleration, reduced, RATE) > 0.98
 
 
-def test_silence_in_frequency_agrees_with_nothing() -> None:
-    silence, sound = np.zeros((3, 300)), noise(3, 300)
-    assert np.isnan(spectral_match_energy_weighted(silence, silence[0], RATE))
-    assert spectral_match_energy_weighted(sound, silence[0], RATE) == 0.0
-    assert spectral_match_energy_weighted(silence, sound[0], RATE) == 0.0
-
-
 def test_an_offset_alone_is_silence() -> None:
     offset = np.outer((0.1, 9.81, 0.3), np.ones(4001))
     assert np.isnan(spectral_match_energy_weighted(offset, REDUCERS["dft321"](offset, RATE), RATE))
     assert spectral_match_energy_weighted(offset, offset[1] + 0.01 * noise(4001), RATE) < 1e-6
-
-
-@pytest.mark.parametrize("n", [1, 2, 3])
-def test_signals_too_short_for_a_frequency_have_no_match(n: int) -> None:
-    assert np.isnan(spectral_match_energy_weighted(noise(3, n), noise(n), RATE))
 
 
 @pytest.mark.parametrize("counterpart", INVARIANTS.values(), ids=list(INVARIANTS))

@@ -22,56 +22,6 @@ def noise(*shape: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(shape)
 
 
-def brute_spectral_match(acceleration: np.ndarray, reduced: np.ndarray, rate_hz: float) -> float:
-    """Equation 1 with the smoothing window laid out bin by bin, one frequency after the other."""
-    n = reduced.size
-    original = (np.abs(np.fft.rfft(acceleration)) ** 2).sum(axis=0)
-    kept = np.abs(np.fft.rfft(reduced)) ** 2
-    bins = np.arange(original.size)
-    deviations = []
-    for k in bins:
-        if not 20 <= k * rate_hz / n <= 1000:
-            continue
-        half = max(0.11 * k, 0.5)
-        low, high = max(k + 0.5 - half, 0), min(k + 0.5 + half, original.size)
-        covered = np.clip(np.minimum(bins + 1, high) - np.maximum(bins, low), 0, 1)
-        deviations.append(abs(covered @ original - covered @ kept) / (covered @ original))
-    return 1 - float(np.mean(deviations))
-
-
-@pytest.mark.parametrize("n", [401, 2000, 3001])
-@pytest.mark.parametrize("name", ["sax321", "soc321", "mag321", "pca321", "dft321_windowed"])
-def test_spectral_match_against_brute_force(name: str, n: int) -> None:
-    acceleration = noise(3, n, seed=n) * np.array([[1.0], [2.0], [0.3]])
-    reduced = REDUCERS[name](acceleration, RATE)
-    assert spectral_match(acceleration, reduced, RATE) == pytest.approx(
-        brute_spectral_match(acceleration, reduced, RATE), abs=1e-12
-    )
-
-
-@pytest.mark.parametrize(
-    ("axis", "expected"), [("sax321", 1 / 6), ("say321", 2 / 6), ("saz321", 3 / 6)]
-)
-def test_white_axes_with_energies_1_2_3(axis: str, expected: float) -> None:
-    acceleration = noise(3, 100_000) * np.sqrt([[1.0], [2.0], [3.0]])
-    assert spectral_match(acceleration, REDUCERS[axis](acceleration, RATE), RATE) == pytest.approx(
-        expected, abs=0.01
-    )
-
-
-def test_anti_phase_axes_cancel_in_their_sum() -> None:
-    wave = noise(5000)
-    acceleration = np.array([wave, -wave, 0 * wave])
-    assert spectral_match(acceleration, REDUCERS["soc321"](acceleration, RATE), RATE) == 0.0
-
-
-def test_three_equal_axes_triple_in_their_sum() -> None:
-    acceleration = np.tile(noise(5000), (3, 1))
-    assert spectral_match(
-        acceleration, REDUCERS["soc321"](acceleration, RATE), RATE
-    ) == pytest.approx(-1.0, abs=1e-12)
-
-
 @settings(max_examples=40)
 @given(
     exponent=st.integers(-900, 900), seed=st.integers(0, 99), name=st.sampled_from(list(REDUCERS))
@@ -82,17 +32,6 @@ def test_scaling_a_recording_changes_neither_metric(exponent: int, seed: int, na
     for metric in map(METRICS.get, MATCHES):
         once = metric(acceleration, REDUCERS[name](acceleration, RATE), RATE)
         assert metric(scaled, REDUCERS[name](scaled, RATE), RATE) == pytest.approx(once, abs=1e-9)
-
-
-@settings(max_examples=40)
-@given(gain=st.floats(0, 3))
-def test_spectral_match_of_a_gain_is_known(gain: float) -> None:
-    """A reduced signal with g squared times the energy everywhere scores 1 - |1 - g squared|."""
-    acceleration = noise(3, 2000)
-    reduced = gain * REDUCERS["dft321"](acceleration, RATE)
-    assert spectral_match(acceleration, reduced, RATE) == pytest.approx(
-        1 - abs(1 - gain**2), abs=1e-9
-    )
 
 
 def test_spectral_match_is_blind_to_time_and_temporal_match_to_gain() -> None:
@@ -173,20 +112,6 @@ def test_temporal_match_is_the_mean_absolute_correlation() -> None:
     assert temporal_match(acceleration, reduced) == pytest.approx(expected, rel=1e-12)
 
 
-def test_temporal_match_identity_and_bounds() -> None:
-    wave = noise(500)
-    assert temporal_match([wave, -2 * wave, 5 * wave], 3 * wave) == pytest.approx(1.0, abs=1e-12)
-    assert 0 <= temporal_match(noise(3, 500, seed=1), wave) <= 1
-
-
-@pytest.mark.parametrize("size", [1e-280, 1e-100, 1e100, 1e280])
-def test_temporal_match_takes_any_unit_of_either(size: float) -> None:
-    acceleration, reduced = noise(3, 700), noise(700, seed=9)
-    expected = temporal_match(acceleration, reduced)
-    assert temporal_match(acceleration, size * reduced) == pytest.approx(expected, rel=1e-12)
-    assert temporal_match(size * acceleration, reduced) == pytest.approx(expected, rel=1e-12)
-
-
 @pytest.mark.parametrize("size", [1e145, 1e200])
 def test_an_absurd_reduced_signal_is_refused_not_scored(size: float) -> None:
     with pytest.raises(ValueError, match="are they in the same unit"):
@@ -207,14 +132,6 @@ def test_a_tone_counts_from_a_share_of_1e_12_of_the_energy_per_bin(
     loud, weak = (np.sin(2 * np.pi * f * np.arange(4000) / RATE) for f in (100, 700))
     recording = np.array([loud + size * weak, 0 * loud, 0 * loud])
     assert (700 in spectral_match_details(recording, loud, RATE).frequencies_hz) == counts
-
-
-def test_a_silent_axis_is_left_out_and_reported() -> None:
-    wave, other = noise(2, 500)
-    details = temporal_match_details([wave, 0 * wave, other], wave)
-    assert details.silent_axes == (1,)
-    assert np.isnan(details.correlations[1])
-    assert details.value == pytest.approx((1 + details.correlations[2]) / 2)
 
 
 def test_a_silent_reduced_signal_scores_zero_and_is_reported() -> None:

@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from feel321.stimuli.match import spectral_match
 from feel321.stimuli.reducers.axes import pca321_adaptive
@@ -128,14 +126,6 @@ def test_pca_keeps_the_largest_energy_that_a_fixed_axis_can() -> None:
     assert reduced.var() == pytest.approx(largest, rel=1e-12)
 
 
-@settings(max_examples=50)
-@given(st.integers(0, 2**32 - 1))
-def test_pca_never_correlates_negatively_with_the_sum(seed: int) -> None:
-    acceleration = noise(3, 60, seed=seed) * np.random.default_rng(seed).uniform(0.1, 3, (3, 1))
-    reduced = REDUCERS["pca321"](acceleration, RATE)
-    assert reduced @ (acceleration - acceleration.mean(axis=1, keepdims=True)).sum(axis=0) >= -1e-9
-
-
 def test_adaptive_pca_follows_an_axis_that_turns_without_jumping() -> None:
     n = 20000
     # Half a turn: the axis ends where it began, pointing the other way.
@@ -178,12 +168,6 @@ def test_adaptive_pca_keeps_its_axis_through_rest_and_ignores_a_constant_offset(
     np.testing.assert_allclose(pca321_adaptive(acceleration, RATE), wave, atol=1e-9)
     moved = acceleration + np.array([[0.0], [0.0], [9.8]])
     np.testing.assert_allclose(pca321_adaptive(moved, RATE), wave - 9.8 * 0.6, atol=1e-6)
-
-
-def test_a_whisper_on_a_large_offset_has_an_axis_of_its_own() -> None:
-    whisper = 1e-7 * noise(500)
-    reduced = pca321_adaptive([np.ones(500), whisper, np.zeros(500)], RATE)[50:-50]
-    assert np.abs(reduced).max() < 1e-5  # along the diagonal it would be 0.58
 
 
 def test_adaptive_pca_against_a_loop_over_segments() -> None:

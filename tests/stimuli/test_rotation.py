@@ -67,25 +67,6 @@ def test_what_turning_the_sensor_cannot_change() -> None:
     assert find(acceleration, "dft321").spectral_mean == pytest.approx(1.0)
 
 
-def test_a_single_axis_of_one_line_of_motion() -> None:
-    """Of motion along one line the x axis keeps the share cos^2, uniform orientation: mean 1/3, sd sqrt(4/45)."""
-    acceleration = np.outer((0.6, 0.0, 0.8), np.random.default_rng(2).standard_normal(300))
-    found = find(acceleration, "sax321", rotations=5000)
-    assert found.spectral_mean == pytest.approx(1 / 3, abs=0.015)
-    assert found.spectral_sd == pytest.approx(np.sqrt(4 / 45), abs=0.01)
-    assert found.temporal_mean == pytest.approx(1.0)
-
-
-def test_silence_has_no_statistics() -> None:
-    found = find(np.zeros((3, 50)), "dft321")
-    assert np.isnan([
-        found.spectral_mean,
-        found.temporal_mean,
-        found.bounded_mean,
-        found.bounded_sd,
-    ]).all()
-
-
 def test_no_orientation_changes_the_bounded_match_of_what_none_changes() -> None:
     acceleration = np.random.default_rng(2).standard_normal((3, 400)) * np.array([
         [1.0],

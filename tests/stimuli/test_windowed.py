@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
-from feel321.names import METRIC_INFO
 from feel321.stimuli.match import temporal_match, temporal_match_windowed
-from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.recording import Recording
 
 RATE = 1000.0
 N = 4000
@@ -40,12 +35,6 @@ def brute_force(acceleration: np.ndarray, reduced: np.ndarray, count: int) -> fl
     ]
     weights = [float((a**2).sum()) for a, _ in parts]
     return float(np.average([temporal_match(a, r) for a, r in parts], weights=weights))
-
-
-def test_it_is_a_metric_with_bounds() -> None:
-    assert METRICS["temporal_match_windowed"] is temporal_match_windowed
-    info = METRIC_INFO["temporal_match_windowed"]
-    assert (info.higher, info.low, info.high, info.unit) == ("better", 0.0, 1.0, "")
 
 
 @pytest.mark.parametrize("n", [1, 2, 30, 100, 149])
@@ -102,16 +91,3 @@ def test_silence_in_windows_has_no_say() -> None:
     assert windowed(padded + 1e-6 * noise(*padded.shape), output) == pytest.approx(
         expected, abs=1e-3
     )
-
-
-def test_nothing_to_match_is_nan_and_a_silent_output_scores_0() -> None:
-    assert math.isnan(windowed(np.zeros((3, N)), noise(N)))
-    assert windowed(noise(3, N), np.zeros(N)) == 0.0
-
-
-def test_the_rate_is_needed_and_a_recording_has_its_own() -> None:
-    acceleration, reduced = noise(3, N), noise(N, seed=1)
-    with pytest.raises(TypeError, match="rate_hz"):
-        temporal_match_windowed(acceleration, reduced)
-    recording = Recording(acceleration, RATE, "one")
-    assert temporal_match_windowed(recording, reduced) == windowed(acceleration, reduced)

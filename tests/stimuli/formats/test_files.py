@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy.io import savemat, wavfile
 
-from feel321.stimuli.formats.common import foreign_errors
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import STANDARD_GRAVITY
 from feel321.stimuli.wav import write_wav
@@ -62,11 +61,6 @@ def test_integer_wav_is_a_fraction_of_full_scale(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         read_recording(tmp_path / "a.wav").acceleration[0], counts[0] / 16384 * STANDARD_GRAVITY
     )
-
-
-def test_wav_is_known_by_its_content_not_its_suffix(tmp_path: Path, signal: Signal) -> None:
-    write_wav(tmp_path / "a.csv", signal, 8000)
-    assert read_recording(tmp_path / "a.csv").rate_hz == 8000
 
 
 def test_extensible_float_wav_is_float(tmp_path: Path, signal: Signal) -> None:
@@ -127,16 +121,6 @@ def test_a_sidecar_may_spell_rate_and_unit_as_an_archive_may(
     assert recording.rate_hz == 8000.4
 
 
-@pytest.mark.parametrize("text", ["{", "\xff", "[" * 100000])
-def test_a_damaged_sidecar_is_refused(tmp_path: Path, signal: Signal, text: str) -> None:
-    write_wav(tmp_path / "a.wav", signal, 8000)
-    (tmp_path / "a.json").write_bytes(text.encode("latin-1"))
-    with pytest.raises(
-        ValueError, match=r"^a\.wav: sidecar a\.json: (cannot be read as JSON|line 1)"
-    ):
-        read_recording(tmp_path / "a.wav")
-
-
 def test_two_sidecars_are_refused(tmp_path: Path, signal: Signal) -> None:
     write_wav(tmp_path / "a.wav", signal, 8000)
     (tmp_path / "a.json").write_text("{}")
@@ -154,15 +138,6 @@ def test_a_wav_without_three_channels_is_refused(
 ) -> None:
     write_wav(tmp_path / "a.wav", np.ones((channels, 9)), 8000)
     with pytest.raises(ValueError, match=message):
-        read_recording(tmp_path / "a.wav")
-
-
-def test_a_truncated_wav_is_named_once(tmp_path: Path, signal: Signal) -> None:
-    write_wav(tmp_path / "a.wav", signal, 8000)
-    (tmp_path / "a.wav").write_bytes((tmp_path / "a.wav").read_bytes()[:-100])
-    with pytest.raises(
-        ValueError, match=r"^a\.wav: the header promises 60 samples, the file holds 51"
-    ):
         read_recording(tmp_path / "a.wav")
 
 
@@ -248,15 +223,6 @@ def test_arrays_that_are_no_recording_are_refused(tmp_path: Path, case: str) -> 
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(ValueError, match=rf"^a\.npz: .*{message}"):
         read_recording(tmp_path / "a.npz")
-
-
-def test_an_array_header_that_promises_too_much_is_refused(tmp_path: Path) -> None:
-    with (tmp_path / "a.npy").open("wb") as file:
-        np.lib.format.write_array_header_1_0(
-            file, {"descr": "<f8", "fortran_order": False, "shape": (3, 2**31)}
-        )
-    with pytest.raises(ValueError, match=r"a\.npy: cannot be read as an NPY array"):
-        read_recording(tmp_path / "a.npy", rate_hz=1000)
 
 
 @pytest.mark.parametrize("name", ["a.npz", "a.mat", "a.npy"])
@@ -392,15 +358,6 @@ def test_an_lmt_file_without_sisters_is_refused(tmp_path: Path, signal: Signal) 
         read_recording(paths[2])
 
 
-def test_an_lmt_file_of_several_columns_is_refused(tmp_path: Path, signal: Signal) -> None:
-    paths = _write_lmt(tmp_path, signal)
-    paths[0].write_text("1,2\n")
-    with pytest.raises(
-        ValueError, match=r"X_train1\.txt must hold one value per line, got 2 columns"
-    ):
-        read_recording(paths[0])
-
-
 def test_the_reduced_lmt_folder_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "AccelScansDFT321" / "G1RhombAluminumMesh_Movement_train1.txt"
     path.parent.mkdir()
@@ -439,12 +396,6 @@ def test_an_ide_file_without_accelerometer_is_refused(write_ide: Callable[..., P
     path = write_ide(np.ones((100, 3), np.int16), unit="dps")
     with pytest.raises(ValueError, match="an accelerometer with three axes"):
         read_recording(path)
-
-
-def test_a_damaged_ide_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "a.ide").write_bytes(b"\x1aE\xdf\xa3" + bytes(40))
-    with pytest.raises(ValueError, match=r"a\.ide: cannot be read as an enDAQ recording"):
-        read_recording(tmp_path / "a.ide")
 
 
 def test_without_idelib_the_way_to_get_it_is_told(
@@ -495,11 +446,6 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").mkdir()
     with pytest.raises(IsADirectoryError, match=r"^a\.csv: is a folder"):
         read_recording(tmp_path / "a.csv")
-
-
-def test_the_systems_own_refusal_is_not_taken_for_damage() -> None:
-    with pytest.raises(PermissionError), foreign_errors("an archive"):
-        raise PermissionError(13, "Permission denied")
 
 
 def test_a_file_that_the_system_refuses_is_named(

@@ -45,11 +45,6 @@ def test_smooth_and_quantised_crests_are_not_saturated() -> None:
     assert inspect_samples(np.stack([slow, square, coarse]), RATE_HZ) == ()
 
 
-def test_a_constant_axis_is_flat() -> None:
-    lines = inspect_samples(np.stack([_noise(1), np.full(8000, -0.5), _noise(2)]), RATE_HZ)
-    assert lines == ("axis y: flat, -0.5 m/s^2 in all 8000 samples",)
-
-
 def test_a_frozen_axis_is_placed_and_silence_is_not() -> None:
     axes = np.stack([_noise(1), _noise(2), _noise(3)])
     axes[:, 1000:3000] = 0.25

@@ -172,9 +172,3 @@ def test_a_table_read_by_rows_is_refused_as_one_read_whole(
     with pytest.raises(ValueError, match=told) as by_rows, intake.open_text(path) as file:
         list(file)
     assert str(by_rows.value) == str(whole.value)
-
-
-def test_a_table_keeps_its_line_ends(tmp_path: Path) -> None:
-    (path := tmp_path / "table.csv").write_bytes(b"\xef\xbb\xbfa\r\n\xc3\xb6\n")
-    with intake.open_text(path) as file:
-        assert file.read() == "a\r\nö\n"

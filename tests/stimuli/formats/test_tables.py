@@ -146,11 +146,6 @@ def test_any_table_comes_back_as_it_was_written(
     np.testing.assert_allclose(read_recording(path, rate_hz=1000).acceleration, signal, rtol=1e-15)
 
 
-def test_a_given_rate_that_agrees_with_the_stamps_is_taken(tmp_path: Path) -> None:
-    path = _write(tmp_path / "a.csv", "t,x_g,y_g,z_g", _timed(_signal()))
-    assert read_recording(path, rate_hz=2010).rate_hz == 2010
-
-
 def test_cluster_files_are_in_g_and_resampled_on_request(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     time = np.cumsum(rng.choice([1.3e-4, 2.1e-4, 1.6e-4], p=[0.25, 0.25, 0.5], size=400))
@@ -186,29 +181,6 @@ def test_rounded_stamps_are_not_jitter_but_coarse_ones_are_reported(tmp_path: Pa
         recording = read_recording(path)
         assert recording.rate_hz == pytest.approx(1601.57, rel=1e-3)
         assert any("finer jitter cannot be seen" in line for line in recording.warnings) == reported
-
-
-def test_stamps_of_nine_significant_digits_are_not_jitter(tmp_path: Path) -> None:
-    rows = [f"{1000 + i / 1601.57:.9g},1,2,{i}" for i in range(400)]
-    (tmp_path / "a.csv").write_text("time_s,x_g,y_g,z_g\n" + "\n".join(rows))
-    assert read_recording(tmp_path / "a.csv").rate_hz == pytest.approx(1601.57, rel=1e-5)
-
-
-def test_one_late_sample_is_refused_with_its_place(tmp_path: Path) -> None:
-    rows = _timed(_signal(100))
-    rows[40:, 0] += 0.00003
-    path = _write(tmp_path / "a.csv", "t,x_g,y_g,z_g", rows)
-    with pytest.raises(
-        ValueError,
-        match=r"jitter up to 6\.0% of the 0\.5 ms period, 1 of 99 .*first at 0\.019500 s",
-    ):
-        read_recording(path)
-
-
-def test_regular_samples_are_not_resampled_even_if_allowed(tmp_path: Path) -> None:
-    signal = _signal()
-    path = _write(tmp_path / "a.csv", "t,x,y,z", _timed(signal))
-    np.testing.assert_array_equal(read_recording(path, resample=True).acceleration, signal)
 
 
 def test_milliseconds_that_pass_for_seconds_are_noticed(tmp_path: Path) -> None:

@@ -112,16 +112,6 @@ def test_scores_that_are_known() -> None:
     assert METRICS["st_sim"](recording, np.zeros(4096), 8000.0) == 0.0
 
 
-@pytest.mark.parametrize("name", ["st_sim", "spqi"])
-def test_more_noise_scores_less_and_a_short_recording_not_at_all(name: str) -> None:
-    noise = np.random.default_rng(0).standard_normal(4096)
-    recording = on_one_axis(REFERENCE)
-    scores = [METRICS[name](recording, REFERENCE + s * noise, 8000.0) for s in (0, 0.05, 0.3, 2)]
-    assert scores == sorted(scores, reverse=True)
-    assert scores[0] - scores[-1] > 0.3
-    assert np.isnan(METRICS[name](recording[:, :511], REFERENCE[:511], 8000.0))
-
-
 def test_st_sim_knows_the_unit() -> None:
     """Below the threshold by more than 57 dB nothing is felt; SPQI does not mind."""
     faint = 1e-9 * REFERENCE

@@ -99,14 +99,3 @@ def test_short_recordings_have_no_envelope() -> None:
     for name in ("envelope_correlation", "modulation_distance"):
         below, above = (METRICS[name](one, one.sum(axis=0), RATE) for one in (short, long))
         assert (np.isnan(below), np.isnan(above)) == (True, False)
-
-
-@pytest.mark.parametrize("duration_s", [0.02, 0.04])
-def test_a_modulation_at_50_hz_counts_where_a_short_recording_has_no_other_in_its_band(
-    duration_s: float,
-) -> None:
-    t = np.arange(round(8000 * duration_s)) / 8000
-    tone, beat = np.sin(2 * np.pi * 400 * t), 1 + 0.6 * np.cos(2 * np.pi * 50 * t)
-    found = METRICS["modulation_distance"]([beat * tone, 0 * t, 0 * t], tone, 8000)
-    n_bands = round(50 * duration_s)  # 50 Hz alone, or 25 and 50 Hz
-    assert found == pytest.approx(0.6 / math.sqrt(n_bands))

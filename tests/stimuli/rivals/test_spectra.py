@@ -77,13 +77,3 @@ def test_one_silent_band_counts_as_sixty_decibels() -> None:
     assert found == pytest.approx(math.sqrt((0 + 60**2) / 2), rel=1e-9)
     found = METRICS["itakura_saito_distance"](recording, first, RATE)
     assert found == pytest.approx((1e6 - math.log(1e6) - 1) / 2, rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["level_difference", "log_spectral_distance"])
-def test_more_damage_is_a_larger_distance(name: str) -> None:
-    rng = np.random.default_rng(0)
-    signal, other = rng.standard_normal((2, 8000))
-    recording = np.stack([signal, 0 * signal, 0 * signal])
-    values = [METRICS[name](recording, signal + s * other, RATE) for s in (0, 0.3, 1, 3)]
-    assert values == sorted(values)
-    assert values[-1] > values[0] + 3
