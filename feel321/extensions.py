@@ -32,7 +32,7 @@ import traceback
 import types
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from re import fullmatch
@@ -126,17 +126,26 @@ def find_method(
     tables of the study, by name.
     """
     folder = Path(folder or Path.cwd()).resolve()
+    tables = declared or {}
     if isinstance(given, Method):
         found = given
     elif not isinstance(given, str):
         found = _find_function(kind, given)
-    elif given in (declared or {}):
-        found = _find_declared(kind, given, (declared or {})[given], folder=folder)
-    elif ":" in given:
-        found = _find_place(kind, given, folder=folder)
+    elif given in tables:
+        found = _find_declared(kind, given, tables[given], folder=folder)
     else:
-        found = _find_entry_point(kind, given, [*taken, *(declared or {})])
-    return _check_name(found, taken)
+        found = _find_named(kind, given, folder=folder, known=[*taken, *tables])
+    if not fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", found.name):
+        remedy = "give it a name with def" if found.origin == "function" else "rename it"
+        raise ValueError(
+            f"{kind} {found.place!r}: its name must be up to 60 letters (A-Z), digits and _, beginning with a letter, "
+            f"got {found.name!r}; {remedy}"
+        )
+    if found.name.casefold() in {name.casefold() for name in taken}:
+        raise ValueError(
+            f"{kind} {found.place!r}: the name {found.name!r} is taken by one of feel321's own; rename it"
+        )
+    return found
 
 
 def is_given(kind: str, name: str, declared: Collection[str] = ()) -> bool:
@@ -164,71 +173,48 @@ def list_entry_points(kind: str) -> dict[str, str]:
     return found
 
 
-def _check_name(method: Method, taken: Collection[str]) -> Method:
-    if not fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", method.name):
-        remedy = "give it a name with def" if method.origin == "function" else "rename it"
-        raise ValueError(
-            f"{method.kind} {method.place!r}: its name must be up to 60 letters (A-Z), digits and _, beginning with a "
-            f"letter, got {method.name!r}; {remedy}"
-        )
-    if method.name.casefold() in {name.casefold() for name in taken}:
-        raise ValueError(
-            f"{method.kind} {method.place!r}: the name {method.name!r} is taken by one of feel321's own; rename it"
-        )
-    return method
-
-
 def _find_declared(kind: str, name: str, table: Mapping[str, Any], *, folder: Path) -> Method:
     own = {key: value for key, value in table.items() if value is not None}
-    use, command, made = (own.pop(key, None) for key in ("use", "command", "file"))
-    if sum(one is not None for one in (use, command, made)) != 1:
+    forms = {form: own.pop(form) for form in ("use", "command", "file") if form in own}
+    if len(forms) != 1:
         third = ' or file = "made/{recording}.wav"' if kind == "reducer" else ""
         raise ValueError(
             f'{kind} {name!r}: its table must say either use = "..." or command = "..."{third}; use takes {FORMS}'
         )
-    facts = tuple(sorted(own.items()))
-    if made is not None:
-        return Method(
-            kind, name, made, _digest_made(kind, name, made, folder=folder), "made", facts, folder
-        )
-    if command is not None:
-        sha256 = _digest_command(kind, name, command, folder=folder)
-        return Method(kind, name, command, sha256, "command", facts, folder)
-    found = (
-        _find_place(kind, use, folder=folder) if ":" in use else _find_entry_point(kind, use, ())
-    )
-    return Method(kind, name, use, found.sha256, found.origin, facts, folder)
+    (form, place), facts = *forms.items(), tuple(sorted(own.items()))
+    if form == "use":
+        found = _find_named(kind, place, folder=folder)
+        return replace(found, name=name, facts=facts, folder=folder)
+    digest = _digest_command if form == "command" else _digest_made
+    origin: Origin = "command" if form == "command" else "made"
+    sha256 = digest(kind, name, place, folder=folder)
+    return Method(kind, name, place, sha256, origin, facts, folder)
 
 
-def _find_entry_point(kind: str, name: str, known: Collection[str]) -> Method:
-    points = list_entry_points(kind)
-    if name not in points:
-        allowed = [*known, *points]
-        ways = f"{FORMS.removeprefix('a registered name, ')}"
-        raise ValueError(f"{refuse_name(name, allowed, kind)}; one of your own: {ways}")
-    place = points[name]
-    return Method(kind, name, place, _digest_module(kind, place), "module")
-
-
-def _find_place(kind: str, place: str, *, folder: Path) -> Method:
-    where, _, name = place.rpartition(":")
+def _find_named(kind: str, given: str, *, folder: Path, known: Collection[str] = ()) -> Method:
+    """Find a method by the name of an entry point, or by its place."""
+    where, colon, name = given.rpartition(":")
+    if not colon:
+        points = list_entry_points(kind)
+        if given not in points:
+            ways = FORMS.removeprefix("a registered name, ")
+            refusal = refuse_name(given, [*known, *points], kind)
+            raise ValueError(f"{refusal}; one of your own: {ways}")
+        return Method(kind, given, points[given], _digest_module(kind, points[given]), "module")
     if where.endswith(".py"):
-        path = _find_file(kind, place, where=where, folder=folder)
-        return Method(kind, name, place, _digest_file(path), "file", folder=folder)
+        path = (folder / where).resolve()
+        if Path(where).is_absolute() or not path.is_relative_to(folder):
+            raise ValueError(
+                f"{kind} {given!r}: must be a file in the study's folder, such as methods/my321.py:my321; copy it there"
+            )
+        if not path.is_file():
+            raise ValueError(
+                f"{kind} {given!r}: there is no file {where} in {folder}; check the name"
+            )
+        return Method(kind, name, given, _digest_file(path), "file", folder=folder)
     if not fullmatch(r"\w+(\.\w+)*", where):
-        raise ValueError(f"{kind} {place!r}: not a method; allowed: {FORMS}")
-    return Method(kind, name, place, _digest_module(kind, place, folder), "module", folder=folder)
-
-
-def _find_file(kind: str, place: str, *, where: str, folder: Path) -> Path:
-    path = (folder / where).resolve()
-    if Path(where).is_absolute() or not path.is_relative_to(folder):
-        raise ValueError(
-            f"{kind} {place!r}: must be a file in the study's folder, such as methods/my321.py:my321; copy it there"
-        )
-    if not path.is_file():
-        raise ValueError(f"{kind} {place!r}: there is no file {where} in {folder}; check the name")
-    return path
+        raise ValueError(f"{kind} {given!r}: not a method; allowed: {FORMS}")
+    return Method(kind, name, given, _digest_module(kind, given, folder), "module", folder=folder)
 
 
 def _find_function(kind: str, given: object) -> Method:
@@ -416,37 +402,25 @@ def call(method: Method, function: Callable[..., Any], *args: Any, doing: str = 
 
     doing: what could not be done, and, of a signal, what was given.
     """
-    noticed: list[warnings.WarningMessage] = []
     near = _find_roots(method) if method.origin == "file" else []
-    try:
-        with _TURN, _quiet(noticed), _on_path(*near):
-            return function(*args)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # sys.exit, too little memory, recursion: all the same here
-        raise ValueError(f"{method}: {_word(error, method)}{_add(doing)}") from error
-    finally:
-        for one in noticed:
-            _say_once(f"{method}: {one.category.__name__}: {_shorten(one.message)}")
-
-
-def _add(doing: str) -> str:
-    return f"; {doing}" if doing else ""
-
-
-@contextlib.contextmanager
-def _quiet(noticed: list[warnings.WarningMessage]) -> Iterator[None]:
-    """Send standard output to stderr, which may be closed, and collect warnings."""
     with (
+        _TURN,
+        _on_path(*near),
         Path(os.devnull).open("w", encoding="utf-8") as nowhere,
-        contextlib.redirect_stdout(sys.stderr or nowhere),
-        warnings.catch_warnings(record=True) as caught,
+        contextlib.redirect_stdout(sys.stderr or nowhere),  # which may be closed
+        warnings.catch_warnings(record=True) as noticed,
     ):
         warnings.simplefilter("default")
         try:
-            yield
+            return function(*args)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # sys.exit, too little memory, recursion: all the same here
+            said = f"; {doing}" if doing else ""
+            raise ValueError(f"{method}: {_word(error, method)}{said}") from error
         finally:
-            noticed.extend(caught or ())
+            for one in noticed or ():
+                _say_once(f"{method}: {one.category.__name__}: {_shorten(one.message)}")
 
 
 @lru_cache(maxsize=1024)
@@ -468,20 +442,21 @@ def _word(error: BaseException, method: Method) -> str:
         reason = ""
     if isinstance(error, SystemExit):
         reason = f"it called sys.exit({reason}), a method must return"
+    file, line = "", 0
     if isinstance(error, SyntaxError):
-        return f"SyntaxError: {_shorten(error.msg)} ({_name_file(error.filename)}, line {error.lineno})"
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [one for one in frames if _is_own(one.filename, method)]
-    place = f" ({_name_file(own[-1].filename)}, line {own[-1].lineno})" if own else ""
-    return f"{type(error).__name__}{': ' if reason else ''}{reason}{place}"
-
-
-def _is_own(file: str, method: Method) -> bool:
-    """Whether a file of a traceback is the lab's: in the folder or package of the method."""
-    return any(Path(file).is_relative_to(root) for root in _find_roots(method))
+        reason, file, line = _shorten(error.msg), error.filename or "", error.lineno or 0
+    else:
+        roots = _find_roots(method)
+        for frame in traceback.extract_tb(error.__traceback__):
+            if any(Path(frame.filename).is_relative_to(root) for root in roots):
+                file, line = frame.filename, frame.lineno or 0
+    name = "SyntaxError" if isinstance(error, SyntaxError) else type(error).__name__
+    place = f" ({'/'.join(Path(file).parts[-2:])}, line {line})" if file else ""
+    return f"{name}{': ' if reason else ''}{reason}{place}"
 
 
 def _find_roots(method: Method) -> list[Path]:
+    """Find the folder, the file or the package that holds the lab's code."""
     where = method.place.rpartition(":")[0]
     if method.origin == "file":
         return [((method.folder or Path()) / where).parent]
@@ -491,7 +466,3 @@ def _find_roots(method: Method) -> list[Path]:
     top = sys.modules.get(where.partition(".")[0])
     places = [*getattr(top, "__path__", ()), getattr(top, "__file__", None)]
     return [Path(place) for place in places if place]
-
-
-def _name_file(file: str | None) -> str:
-    return "/".join(Path(file or "").parts[-2:])

@@ -96,7 +96,7 @@ COMMANDS = {
     "fails": ("sh -c 'echo first >&2; echo bad wire >&2; exit 3' {input} {output}", "exit code 3: bad wire"),
     "fails in silence": ("sh -c 'exit 4' {input} {output}", "exit code 4 and wrote nothing to stderr"),
     "writes nothing": ("true {input} {output}", "wrote no file at {output}"),
-    "writes text": ("sh -c 'echo hi > \"$1\"' sh {output} {input}", "{output} is not a WAV file that can be read"),
+    "writes text": ("sh -c 'echo hi > \"$1\"' sh {output} {input}", "{output} cannot be read as a WAV file"),
     "three channels": ("cp {input} {output}", r"got float64 of shape \(3, 3000\)"),
     "sleeps": ("sh -c 'sleep 30' {input} {output}", "took longer than 0.5 s and was stopped; set timeout_s"),
     "no output": ("cat {input}", "must hold {input} and {output}, got 'cat {input}'; add {output}"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,22 @@ TIMEOUT_S = 60.0
 
 SLACK = 1e-9
 """What rounding may add to a metric's declared bounds."""
+
+
+def _call_on_copies(
+    method: Method,
+    function: Callable[..., object],
+    samples: Sequence[Samples],
+    *rest: float,
+    doing: str,
+) -> object:
+    """Call a lab's function on copies of the samples, which it must leave as they are."""
+    copies = [one.copy() for one in samples]
+    output = call(method, function, *copies, *rest, doing=doing)
+    for after, before in zip(copies, samples, strict=True):
+        if after.shape != before.shape or not np.array_equal(after, before, equal_nan=True):
+            raise ValueError(f"{method}: changed its input, which others share; work on a copy")
+    return output
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,16 +72,15 @@ class OwnReducer:
         return np.reshape(rows, (*many, n))
 
     def _reduce(self, samples: Samples, rate_hz: float) -> Samples:
-        where = f"given {describe_input(samples, rate_hz)}"
+        where = _describe_input(samples, rate_hz)
         if self.method.origin == "command":
-            output: object = run_reducer(self.method, samples, rate_hz)
+            output: object = _run_reducer(self.method, samples, rate_hz)
         elif self.method.origin == "made":
-            output = read_made(self.method, self.recording, rate_hz)
+            output = _read_made(self.method, self.recording, rate_hz)
         else:
-            copy = samples.copy()
-            output = call(self.method, self.method.load(), copy, float(rate_hz), doing=where)
-            check_untouched(self.method, copy, samples)
-        return check_output(self.method, output, samples, where=where)
+            function = self.method.load()
+            output = _call_on_copies(self.method, function, [samples], float(rate_hz), doing=where)
+        return _check_output(self.method, output, samples, where=where)
 
     def open_stream(self, rate_hz: float) -> OwnStream | None:
         """Open its streaming form, `stream(rate_hz)`, where it has one."""
@@ -103,23 +118,20 @@ class OwnStream:
     def process(self, block: ArrayLike, *, out: Samples | None = None) -> Samples:
         """Reduce the next samples, (3, k), to as many, (k,)."""
         samples = check_acceleration(block)
-        copy, where = samples.copy(), f"given a block of shape {samples.shape}"
-        output = call(self.method, lambda: self.stream.process(copy), doing=where)
-        check_untouched(self.method, copy, samples)
-        checked = check_output(self.method, output, samples, where=where)
-        if out is not None:
-            np.copyto(out, checked)
-        return checked if out is None else out
+        where = f"given a block of shape {samples.shape}"
+        process = call(self.method, getattr, self.stream, "process")
+        output = _call_on_copies(self.method, process, [samples], doing=where)
+        checked = _check_output(self.method, output, samples, where=where)
+        if out is None:
+            return checked
+        np.copyto(out, checked)
+        return out
 
     def flush(self) -> Samples:
         """End the signal and return the samples that the delay still holds back."""
-
-        def end() -> object:
-            return self.stream.flush()
-
-        output = call(self.method, end, doing="ending its stream")
-        rest = np.zeros((3, self.latency_samples))
-        return check_output(self.method, output, rest, where="ending its stream")
+        doing = "ending its stream"
+        output = call(self.method, call(self.method, getattr, self.stream, "flush"), doing=doing)
+        return _check_output(self.method, output, np.zeros((3, self.latency_samples)), where=doing)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,24 +161,19 @@ class OwnMetric:
     def __call__(self, acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> float:
         """Compare three axes, (3, n), with one, (n,)."""
         samples, signal = check_acceleration(acceleration), coerce_real(reduced, "reduced")
-        where = f"given {describe_input(samples, rate_hz)}"
+        where, info = _describe_input(samples, rate_hz), self.info
         if self.method.origin == "command":
-            value: object = run_metric(self.method, samples, signal, rate_hz=rate_hz)
+            value: object = _run_metric(self.method, samples, signal, rate_hz=rate_hz)
         else:
-            copies = samples.copy(), signal.copy()
-            value = call(self.method, self.method.load(), *copies, float(rate_hz), doing=where)
-            check_untouched(self.method, copies[0], samples)
-            check_untouched(self.method, copies[1], signal)
-        return self._check(value, where)
-
-    def _check(self, value: object, where: str) -> float:
-        got = (
-            np.asarray(value) if isinstance(value, int | float | np.ndarray | np.generic) else None
-        )
-        if got is None or got.size != 1 or got.dtype.kind not in "iuf":
+            function = self.method.load()
+            value = _call_on_copies(
+                self.method, function, [samples, signal], float(rate_hz), doing=where
+            )
+        known = isinstance(value, int | float | np.ndarray | np.generic)
+        got = np.asarray(value if known else None)
+        if got.size != 1 or got.dtype.kind not in "iuf":
             raise ValueError(f"{self.method}: must return a number, got {describe(value)}; {where}")
         number = float(got.item())
-        info = self.info
         slack = SLACK * max(1.0, abs(number)) if math.isfinite(number) else 0.0
         if math.isinf(number) or number < info.low - slack or number > info.high + slack:
             raise ValueError(
@@ -198,18 +205,11 @@ def find_metric(
     return OwnMetric(find_method("metric", given, taken=taken, folder=folder, declared=declared))
 
 
-def describe_input(samples: Samples, rate_hz: float) -> str:
-    """Describe a signal in a message."""
-    return f"samples of shape {samples.shape} at {rate_hz:g} Hz"
+def _describe_input(samples: Samples, rate_hz: float) -> str:
+    return f"given samples of shape {samples.shape} at {rate_hz:g} Hz"
 
 
-def check_untouched(method: Method, after: Samples, before: Samples) -> None:
-    """Refuse a method that changed its input."""
-    if after.shape != before.shape or not np.array_equal(after, before, equal_nan=True):
-        raise ValueError(f"{method}: changed its input, which others share; work on a copy")
-
-
-def check_output(method: Method, output: object, samples: Samples, *, where: str) -> Samples:
+def _check_output(method: Method, output: object, samples: Samples, *, where: str) -> Samples:
     """Return a reducer's output as float64, or say what is wrong with it."""
     wanted = (*samples.shape[:-2], samples.shape[-1])
     must = f"{method}: must return finite real numbers of shape {wanted}"
@@ -223,13 +223,13 @@ def check_output(method: Method, output: object, samples: Samples, *, where: str
     if np.ma.is_masked(output):
         raise ValueError(f"{must}, got masked values; {where}")
     reduced = got.astype(np.float64)
-    if bad := int(np.count_nonzero(~np.isfinite(reduced))):
-        first = int(np.flatnonzero(~np.isfinite(reduced))[0])
-        raise ValueError(f"{must}, got {bad} that are not finite, first at {first}; {where}")
+    bad = np.flatnonzero(~np.isfinite(reduced))
+    if bad.size:
+        raise ValueError(f"{must}, got {bad.size} that are not finite, first at {bad[0]}; {where}")
     return reduced
 
 
-def run_reducer(method: Method, samples: Samples, rate_hz: float) -> Samples:
+def _run_reducer(method: Method, samples: Samples, rate_hz: float) -> Samples:
     """Run a program from WAV to WAV."""
     if samples.ndim != 2:  # noqa: PLR2004 - axes x samples
         raise ValueError(f"{method}: a command takes one signal at a time; leave out batches")
@@ -241,18 +241,10 @@ def run_reducer(method: Method, samples: Samples, rate_hz: float) -> Samples:
             raise ValueError(
                 f"{method}: the command wrote no file at {{output}}; it must write a WAV file there"
             )
-        try:
-            output, rate = read_wav(target)
-        except (OSError, ValueError) as error:
-            raise ValueError(
-                f"{method}: {{output}} is not a WAV file that can be read ({error})"
-            ) from None
-    if rate != round(rate_hz):
-        raise ValueError(f"{method}: must keep the rate of {round(rate_hz)} Hz, wrote {rate} Hz")
-    return output
+        return _read_output(method, target, rate_hz, name="{output}")
 
 
-def read_made(method: Method, recording: str, rate_hz: float) -> Samples:
+def _read_made(method: Method, recording: str, rate_hz: float) -> Samples:
     """Read what was made of a recording elsewhere, m/s² in a WAV file."""
     if not recording:
         raise ValueError(
@@ -262,18 +254,23 @@ def read_made(method: Method, recording: str, rate_hz: float) -> Samples:
     path = (method.folder or Path()) / file
     if not path.is_file():
         raise ValueError(f"{method}: there is no {file}; put it there, or take {method.name} out")
+    return _read_output(method, path, rate_hz, name=file)
+
+
+def _read_output(method: Method, path: Path, rate_hz: float, *, name: str) -> Samples:
+    """Read a WAV file that must have the rate of its recording."""
     try:
         samples, rate = read_wav(path)
     except (OSError, ValueError) as error:
-        raise ValueError(f"{method}: {file} cannot be read as a WAV file ({error})") from None
+        raise ValueError(f"{method}: {name} cannot be read as a WAV file ({error})") from None
     if rate != round(rate_hz):
         raise ValueError(
-            f"{method}: {file} must have its recording's rate of {round(rate_hz)} Hz, got {rate} Hz; resample it"
+            f"{method}: {name} must have its recording's rate of {round(rate_hz)} Hz, got {rate} Hz; resample it"
         )
     return samples
 
 
-def run_metric(
+def _run_metric(
     method: Method, samples: Samples, reduced: Samples, *, rate_hz: float
 ) -> str | float:
     """Run a program that prints a number."""
@@ -282,7 +279,7 @@ def run_metric(
         write_wav(source, samples, round(rate_hz))
         write_wav(target, reduced, round(rate_hz))
         printed = _run(method, {"{input}": str(source), "{reduced}": str(target)})
-    last = (printed.split("\n") or [""])[-1].strip()
+    last = printed.rpartition("\n")[2].strip()
     try:
         return float(last)
     except ValueError:
