@@ -25,9 +25,8 @@ from feel321.analysis.space import Alignment, Ellipses, Space
 from feel321.analysis.standard import P1401, P1401Difference
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
-from feel321.analysis.tradeoff.advise.page import Advice
-from feel321.analysis.tradeoff.chart.compute import Chart
-from feel321.analysis.tradeoff.stress.page import Stress
+from feel321.analysis.tradeoff.judge import Context
+from feel321.analysis.tradeoff.page import Tradeoff
 from feel321.protocols.questions import Question
 from feel321.protocols.trial import Page, Part, Trials
 from feel321.stimuli.recording import Signal
@@ -41,14 +40,13 @@ __all__ = [
     "P1401",
     "About",
     "Act",
-    "Advice",
     "Alignment",
     "Alpha",
     "Association",
     "Audit",
     "BradleyTerry",
-    "Chart",
     "ChoiceModel",
+    "Context",
     "Dependent",
     "Difference",
     "Discrimination",
@@ -84,9 +82,9 @@ __all__ = [
     "Space",
     "Standing",
     "Status",
-    "Stress",
     "StudyPower",
     "Table",
+    "Tradeoff",
     "Trials",
     "VotePrediction",
 ]  # fmt: skip

@@ -7,10 +7,8 @@ from itertools import count
 
 import pytest
 
-from feel321.analysis.tradeoff.advise.page import advise_recordings
-from feel321.analysis.tradeoff.advise.scene import Context
-from feel321.analysis.tradeoff.chart.compute import Effort, list_accuracy_jobs
-from feel321.analysis.tradeoff.stress.measures import measure_scene
+from feel321.analysis.tradeoff.cost import list_candidates
+from feel321.analysis.tradeoff.measure import QUICK, Trial, measure_recording
 from feel321.jobs import Job, Workers, gather_results, run_jobs
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import make_scene
@@ -19,20 +17,15 @@ FEW = {name: REDUCERS[name] for name in ("sax321", "dft321", "pca321")}
 
 
 def test_two_processes_give_what_one_gives() -> None:
-    scene = make_scene("bumps", duration_s=0.3)
-    little = Effort("little", 0.1, 2, 2, 100, 3)
-    jobs: list[Job] = [
-        (measure_scene, (name, FEW), {"takes": 2, "seed": 1}) for name in ("circular", "one_axis")
-    ]
-    jobs.append(next(list_accuracy_jobs([scene], little, {}, seed=1)))
-    jobs.append((advise_recordings, (scene, Context()), {"seed": 1}))
+    trial = Trial(list_candidates(FEW), {}, QUICK, 1)
+    scenes = [make_scene(name, duration_s=0.3) for name in ("bumps", "hard_taps", "texture_drag")]
+    jobs: list[Job] = [(measure_recording, (scene, trial), {}) for scene in scenes]
     steps = count(1)
     one, two = (
         gather_results(jobs),
         gather_results(jobs, workers=Workers(2), done=lambda: next(steps)),
     )
-    assert repr(one[:-1]) == repr(two[:-1])
-    assert one[-1].summary() == two[-1].summary()
+    assert repr(one) == repr(two)
     assert next(steps) == len(jobs) + 1
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from docsite.plot import FAINT, INK
 from docsite.text import table, title, write
-from feel321.analysis.tradeoff.stress.battery import BATTERY
+from feel321.analysis.tradeoff.battery import BATTERY
 from feel321.names import METRIC_INFO, REDUCER_NAMES
 from feel321.stimuli import (
     INVARIANTS,

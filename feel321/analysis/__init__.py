@@ -58,17 +58,18 @@ if _TYPE_CHECKING:
     from feel321.analysis.standard import compare_p1401, p1401
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.reading import read_table
-    from feel321.analysis.tradeoff.face import advise, chart, stress
+    from feel321.analysis.tradeoff.measure import measure_tradeoff
+    from feel321.analysis.tradeoff.page import advise_tradeoff
 
 __all__ = [
-    "RULES", "PowerDesign", "Table", "Truth", "advise", "align_spaces", "bradley_terry", "chart",
+    "RULES", "PowerDesign", "Table", "Truth", "advise_tradeoff", "align_spaces", "bradley_terry",
     "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate",
     "discriminate", "equivalence", "export_r", "find_power",
     "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",
-    "krippendorff_alpha", "noise_ceiling", "non_inferiority", "p1401", "plan_power",
+    "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "non_inferiority", "p1401", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model",
-    "read_table", "repeated_measures_correlation", "screen_raters", "stress",
+    "read_table", "repeated_measures_correlation", "screen_raters",
     "tabulate_correlations", "write_report", "write_stimulus_page",
 ]  # fmt: skip
 

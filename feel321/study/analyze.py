@@ -1,4 +1,4 @@
-"""Steps of a study that need the analysis: the report, and the recordings for chart, stress and advise."""
+"""Steps of a study that need the analysis: the report, and the recordings for the trade-off."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -211,7 +211,7 @@ def _note_methods(study: StudyFolder) -> Iterator[str]:
         yield f"Reducers and metrics of the lab's own, with the SHA-256 of their code: {', '.join(own)}."
 
 
-# What chart, stress and advise work on: a study's recordings, the bundled scenes, recordings from elsewhere.
+# What the trade-off works on: a study's recordings, the bundled scenes, recordings from elsewhere.
 
 SUFFIXES = frozenset({".wav", ".csv", ".tsv", ".txt", ".npz", ".npy", ".mat", ".xml", ".ide"})
 """Files in a folder that are taken for recordings; a single file is read whatever it is called."""

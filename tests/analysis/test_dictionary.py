@@ -10,8 +10,7 @@ import pytest
 
 from feel321.analysis.report.folder import write_flags
 from feel321.analysis.table.dictionary import describe_column, make_dictionary, read_dictionary
-from feel321.analysis.tradeoff.chart import points
-from feel321.analysis.tradeoff.stress.diagnosis import SIGNS
+from feel321.analysis.tradeoff.measure import COLUMNS as TRADEOFF
 from feel321.names import METRIC_INFO
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.matches import COLUMNS as MATCHES
@@ -67,8 +66,7 @@ def test_every_table_of_a_report_is_explained(report: Path) -> None:
         ("answers.csv", ANSWERS),
         ("matches.csv", MATCHES),
         ("manifest.csv", tuple(METRIC_INFO)),
-        ("stress/recordings.csv", tuple(SIGNS)),
-        *((f"chart/{name}.csv", columns) for name, columns in points.TABLES.items()),
+        ("tradeoff/measures.csv", TRADEOFF),
     ],
 )
 def test_every_declared_column_is_explained(file: str, columns: tuple[str, ...]) -> None:

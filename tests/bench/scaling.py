@@ -1,4 +1,4 @@
-"""What workers bring: build, chart, stress and advise in one process, in two, and on a Dask cluster of two.
+"""What workers bring: build and tradeoff in one process, in two, and on a Dask cluster of two.
 
     python tests/bench/scaling.py [VERB ...]
 

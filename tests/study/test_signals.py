@@ -32,7 +32,6 @@ VERBS: dict[str, tuple[str, ...]] = {
     "simulate": ("simulate", "STUDY", "--participants", "500"),
     "analyze": ("analyze", "STUDY"),
     "tradeoff": ("tradeoff", "STUDY", "--workers", "2"),
-    "stress": ("stress", "--scenes", "--out", "STUDY/stress", "--workers", "2"),
     "power": ("power", "STUDY", "--workers", "2"),
     "export": ("export", "STUDY", "STUDY/r", "--r"),
 }

@@ -1,4 +1,4 @@
-"""The folder of results of report, chart, stress and advise: replaced as a whole, and only what is its own.
+"""The folder of results of report and trade-off: replaced as a whole, and only what is its own.
 
 A folder holds ``results.json``, ``index.html``, ``figures/*.svg`` and ``*.png``, ``tables/*.csv``. ``results.json``
 lists its files: these a later run may replace, all others stay as they are.

@@ -67,7 +67,7 @@ def read_dictionary() -> tuple[Variable, ...]:
 def make_dictionary(
     tables: Mapping[str, DataFrame], info: Mapping[str, MetricInfo] | None = None
 ) -> DataFrame:
-    """Describe the columns of tables by file, such as ``chart/points.csv``; info: what further metrics declare."""
+    """Describe the columns of tables by file, such as ``tradeoff/points.csv``; info: what further metrics declare."""
     import pandas as pd
 
     rows = [

@@ -1,14 +1,13 @@
-"""What the folders and pages of chart, stress and advise share."""
+"""A result that has a page: its folder holds numbers, tables, figures and the page."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from feel321.analysis.page import render_template
 from feel321.analysis.report.folder import PAGE, ResultsFolder, list_files
-from feel321.doors import describe
 from feel321.records import Result, to_json_value
 from feel321.types import PathLike
 
@@ -16,24 +15,18 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.report.section import Picture
-    from feel321.analysis.table.items import Table
-    from feel321.stimuli.recording import Recording
 
-NEEDED = ("participant", "recording", "reducer", "scale", "level", "rating")
-"""Columns of ratings that are compared with reducers."""
+SCHEMA_VERSION = 1
+"""Version of what ``results.json`` holds: raised when a field changes or goes."""
 
 
 class PageParts(NamedTuple):
-    """What a result's folder is made of: what results.json holds, besides files; figures; what its template shows."""
+    """What a folder is made of: what results.json holds, besides files; figures; what the template shows."""
 
     template: str
     content: Mapping[str, object]
     pictures: Sequence[Picture]
     values: Mapping[str, Any]
-
-
-SCHEMA_VERSION = 1
-"""Version of what ``results.json`` of chart, stress and advise holds: raised when a field changes or goes."""
 
 
 class PageResult(Result):
@@ -80,46 +73,3 @@ class PageResult(Result):
 
     def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
         raise NotImplementedError
-
-
-def as_recordings(
-    given: Recording | Iterable[Recording], *, fewest: int = 0
-) -> tuple[Recording, ...]:
-    """Take several recordings, or one; refuse too few, two of the same name, and whatever is none."""
-    from feel321.stimuli.recording import Recording
-
-    recordings = (given,) if isinstance(given, Recording | str) else given
-    recordings = tuple(recordings) if isinstance(recordings, Iterable) else (recordings,)
-    if len(recordings) < fewest:
-        raise ValueError(
-            "recordings must be one or more, got none; name some, or add the bundled scenes"
-        )
-    for one in recordings:
-        if not isinstance(one, Recording):
-            raise TypeError(
-                f"recordings must be Recordings, got {describe(one)}; "
-                "make one with stimuli.read_recording or stimuli.Recording"
-            )
-    names = [recording.name for recording in recordings]
-    if doubled := [name for name in names if names.count(name) > 1]:
-        raise ValueError(
-            f"recordings must have different names, got {doubled[0]!r} twice; rename one"
-        )
-    return recordings
-
-
-def as_table(ratings: Table | DataFrame) -> Table:
-    """Take ratings as a table; of a data frame, every row is of a test stimulus, and nobody simulated, if not said."""
-    from feel321.analysis.arrays import check_columns
-    from feel321.analysis.table.items import Table, leave_rejected, name_items, open_ratings
-
-    if isinstance(ratings, Table):
-        return ratings
-    rows, _ = leave_rejected(name_items(open_ratings(ratings)))
-    check_columns(rows, NEEDED, "ratings")
-    return Table(
-        rows.assign(
-            role=rows.get("role", "test"), simulated=rows.get("simulated", False),
-            stimulus_id=rows["item"],
-        ).reset_index(drop=True), (), (),
-    )  # fmt: skip

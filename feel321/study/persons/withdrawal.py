@@ -47,7 +47,7 @@ from feel321.study.session.plan import TOMBSTONE_FILE
 
 OUTPUTS_FILE = "outputs.jsonl"
 
-RESULTS = ("report", "tradeoff/chart", "tradeoff/advice", "power")
+RESULTS = ("report", "tradeoff", "power")
 """Folders of results in a study that ratings may be in, unless another name was given."""
 
 
@@ -259,7 +259,7 @@ def _clear_results(study: StudyFolder) -> Iterator[str]:
             yield from _drop_link(folder)
             continue
         remove_results(folder)
-        verb = {"report": "analyze", "power": "power"}.get(folder.name, "tradeoff")
+        verb = {"report": "analyze"}.get(folder.name, folder.name)
         again = f"because they held the participant's data; make them again: feel321 {verb}"
         yield f"{folder}: results were removed {again}"
         if folder.exists():
@@ -267,11 +267,10 @@ def _clear_results(study: StudyFolder) -> Iterator[str]:
 
 
 def _list_results(study: StudyFolder) -> Iterator[Path]:
-    """List the folders of results made of ratings; a chart of recordings alone takes hours and holds nobody's."""
+    """List the folders of results made of ratings; a trade-off of recordings alone takes long and holds nobody's."""
     for folder in (study.path / name for name in RESULTS):
-        rated = folder / "tables" / "rated.csv"
-        is_chart = folder.name == "chart" and rated.is_file()
-        is_unrated = is_chart and len(rated.read_bytes().splitlines()) <= 1
+        rated = folder / "tables" / "people.csv"
+        is_unrated = folder.name == "tradeoff" and not rated.is_file()
         if folder.is_symlink() or (folder.is_dir() and not is_unrated):
             yield folder
 

@@ -77,8 +77,8 @@ OTHERS = {"bradley_terry by rater", "find_sources"}
 CHOICES = {"fit_choices", "predict_votes"}
 """What takes choices between two stimuli, tried in `tests/analysis/choices`."""
 
-ELSEWHERE = {"advise", "chart", "read_table", "write_report", *CHOICES}
-"""What is tried with ratings in `test_{tradeoff_doors,table,notebook}`."""
+ELSEWHERE = {"advise_tradeoff", "read_table", "write_report", *CHOICES}
+"""What is tried with ratings in `test_{people,table,notebook}`."""
 
 PAIRS = {"bradley_terry by rater", "bradley_terry", "discriminate"}
 """What takes pairs, here made of neighbouring rows."""

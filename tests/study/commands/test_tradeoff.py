@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from feel321.analysis.tradeoff.chart import compute, cost
-from feel321.analysis.tradeoff.stress import run
-from feel321.analysis.tradeoff.stress.measures import measure_scene
-from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.analysis.tradeoff import cost, measure
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import find_ratings
 from feel321.study.cli import main
@@ -39,18 +36,10 @@ def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "study"
     folder.mkdir()
     (folder / "study.toml").write_text(STUDY)
-    tiny = compute.Effort(
-        "quick", longest_s=0.2, rotations=2, sweep_rotations=2, largest_n=5000, rounds=3
-    )
-    monkeypatch.setattr(compute, "QUICK", tiny)
-    for name, short in (
-        ("REFERENCE_N", 5000),
-        ("RATE_DURATION_S", 0.1),
-        ("CALLS", 5),
-        ("FRAMES", 1),
-    ):
-        monkeypatch.setattr(cost, name, short)
-    # Whole figures are saved in tests/analysis/chart.
+    tiny = measure.Effort(longest_s=0.2, mountings=2, draws=1, rounds=3, takes=0)
+    monkeypatch.setattr(measure, "QUICK", tiny)
+    monkeypatch.setattr(cost, "BLOCKS", 10)
+    # Whole figures are saved in tests/analysis/tradeoff.
     monkeypatch.setattr("feel321.analysis.report.folder.save_figure", save_nothing)
     return folder
 
@@ -73,25 +62,43 @@ def write_ratings(study: Path) -> None:
     folder.ratings.write_text("\n".join(lines) + "\n")
 
 
-def test_one_line_per_recording_and_where_the_pages_are(study: Path, capsys: Capture) -> None:
+def test_one_line_per_recording_and_where_the_page_is(study: Path, capsys: Capture) -> None:
     assert main(["tradeoff", str(study)]) == 0
-    advice, common, *pages = capsys.readouterr().out.splitlines()
+    advice, common, page = capsys.readouterr().out.splitlines()
     assert advice.startswith("bumps: ")
-    assert common.endswith("suffices for the one scene.")
-    assert pages == [str(study / "tradeoff" / name / "index.html") for name in ("advice", "chart")]
-    chart, told = (read(study / "tradeoff" / name) for name in ("chart", "advice"))
-    assert (chart["seed"], chart["rated"], told["seed"]) == (5, [], 5)
-    assert [scene["name"] for scene in chart["scenes"]] == ["bumps"]
+    assert common.endswith("suffices for the recording.")
+    assert page == str(study / "tradeoff" / "index.html")
+    content = read(study / "tradeoff")
+    assert [one["recording"] for one in content["choices"]] == ["bumps"]
+    assert "people" not in content
 
 
 def read(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "results.json").read_text(encoding="utf-8"))
 
 
-def test_ratings_recordings_seed_and_folder_are_taken_as_told(
+OWN = """
+[metrics.loudness]
+use = "methods/own.py:loudness"
+[reducers.twice]
+use = "methods/own.py:twice"
+"""
+METHODS = """
+def twice(acceleration, rate_hz):
+    return 2 * acceleration[0]
+
+def loudness(acceleration, reduced, rate_hz):
+    return float((reduced ** 2).mean())
+"""
+
+
+def test_ratings_recordings_own_methods_seed_and_folder_are_taken_as_told(
     study: Path, tmp_path: Path, capsys: Capture
 ) -> None:
     edit_settings(study / "study.toml", {"analysis.margin": 5.0})
+    (study / "methods").mkdir()
+    (study / "methods" / "own.py").write_text(METHODS)
+    (study / "study.toml").write_text((study / "study.toml").read_text() + OWN)
     assert main(["build", str(study)]) == 0
     write_ratings(study)
     other = tmp_path / "other.npz"
@@ -102,15 +109,15 @@ def test_ratings_recordings_seed_and_folder_are_taken_as_told(
     options = ["--online", "--out", str(target), "--seed", "9", "--json"]
     assert main(["tradeoff", str(study), str(other), *options]) == 0
     content = json.loads(capsys.readouterr().out)
-    assert content == {name: read(target / name) for name in ("advice", "chart")}
-    chart, advice = content["chart"], content["advice"]
-    assert (chart["seed"], [scene["name"] for scene in chart["scenes"]]) == (9, ["bumps", "other"])
-    rated = {row["reducer"]: row["mean"] for row in chart["rated"]}
-    assert rated == {"soc321": 41.5, "dft321": 51.5}
-    budget = {"latency_ms": 45.0, "block_ms": 64 / 48, "device_ms": 5.0}
-    tried = {"mounting": "any", "mountings": 72, "segment_s": 2.0}
-    assert advice["context"] == pytest.approx({"online": True, "axes": 1, **budget, **tried})
-    assert advice["scenes"][1]["basis"] == "metrics"
+    assert content == read(target)
+    assert [one["recording"] for one in content["choices"]] == ["bumps", "other"]
+    assert {one["reducer"] for one in content["people"]} == {"soc321", "dft321"}
+    expected = {"online": True, "latency_ms": None, "mounting": "any", "tolerance_db": 1.0}
+    assert content["context"] == expected
+    judged = {one["reducer"] for one in content["verdicts"]}
+    assert {"twice", "dft321_windowed@20ms"} <= judged
+    assert "dft321_windowed@50ms" not in judged
+    assert "loudness" in {one["metric"] for one in content["points"]}
 
 
 def test_recordings_alone_need_no_study(
@@ -119,26 +126,20 @@ def test_recordings_alone_need_no_study(
     samples = np.random.default_rng(0).standard_normal((3, 500))
     np.savez(tmp_path / "other.npz", acceleration=samples, rate_hz=2500.0, unit="m/s^2")
     monkeypatch.chdir(study)  # whose recordings were not asked for
-    assert main(["tradeoff", "../other.npz", "--out", "made"]) == 0
+    assert main(["tradeoff", "../other.npz", "--out", "made", "--axes", "3"]) == 0
     assert capsys.readouterr().out.startswith("other: ")
-    assert [one["name"] for one in read(study / "made" / "chart")["scenes"]] == ["other"]
+    content = read(study / "made")
+    assert [one["recording"] for one in content["choices"]] == ["other"]
+    assert "three_axes" in {one["reducer"] for one in content["verdicts"]}
 
 
-def test_thorough_also_looks_for_failures(
-    study: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+def test_thorough_also_looks_for_known_failures(
+    study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two takes of every scene of the battery instead of forty."""
-
-    def measure(*given: Any, **named: Any) -> Any:
-        return measure_scene(*given, **{**named, "takes": 2})
-
-    monkeypatch.setattr(run, "measure_scene", measure)
-    monkeypatch.setattr(compute, "FULL", compute.QUICK)
-    assert main(["tradeoff", str(study), "--thorough", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["stress"]
-    assert {cell["reducer"] for cell in found["cells"]} == set(REDUCERS)
-    assert [one["name"] for one in found["recordings"]] == ["bumps"]
-    assert found["inputs"]["seed"] == 5
+    monkeypatch.setattr(measure, "THOROUGH", measure.QUICK._replace(takes=1))
+    assert main(["tradeoff", str(study), "--thorough"]) == 0
+    scenes = {one["recording"] for one in read(study / "tradeoff")["verdicts"]}
+    assert scenes == {"bumps", *measure.BATTERY}
 
 
 def test_ratings_are_found_once_there_are_any(study: Path) -> None:
@@ -170,13 +171,13 @@ def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path)
         (["{folder}", "{folder}/nothing.csv"], 1, "nothing.csv: no such study or recording"),
         (["--scenes", "--seed", "-1"], 2, '"-1" for --seed. Allowed: 0 or more'),
         (["--scenes", "--axes", "4"], 2, '"4" for --axes. Allowed: 1 to 3'),
-        (["--scenes", "--latency-ms", "5"], 2, "left out offline, where nobody waits, got 5; add"),
+        (["--scenes", "--latency-ms", "5"], 2, "--latency-ms must be left out offline, got 5; add"),
         (
             ["--scenes", "--online", "--latency-ms", "nan"],
             2,
             '"nan" for --latency-ms. Allowed: -1e+09',
         ),
-        (["--scenes", "--tolerance", "22"], 2, "--tolerance must be above 0 and below 1, got 22"),
+        (["--scenes", "--tolerance-db", "22"], 2, "--tolerance-db must be above 0 and below 10"),
     ],
 )
 def test_bad_use_is_one_line(
@@ -192,13 +193,11 @@ def test_bad_use_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["advice", "chart", "stress"])
 def test_a_page_that_is_not_ours_is_refused_before_anything_is_computed(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
     monkeypatch.setattr("feel321.study.analyze.gather_recordings", lambda *_, **__: 1 / 0)
-    (tmp_path / name).mkdir()
-    (tmp_path / name / "index.html").write_text("mine")
+    (tmp_path / "index.html").write_text("mine")
     assert main(["tradeoff", "--scenes", "--out", str(tmp_path)]) == 1
     assert "exists and is not of a former report" in capsys.readouterr().err
-    assert (tmp_path / name / "index.html").read_text() == "mine"
+    assert (tmp_path / "index.html").read_text() == "mine"

@@ -137,7 +137,7 @@ def write_everything(study: StudyFolder, out: Path, *, really: bool) -> None:
     if really:
         say("analyze", study.path)
         say("analyze", study.path, "--out", out / "elsewhere")
-        say("tradeoff", study.path, "--out", out / "chart")
+        say("tradeoff", study.path, "--out", out / "tradeoff")
         say("tradeoff", study.path)
         say("power", study.path, "--participants", "4,6", "--studies", 0)
         say("export", study.path, out / "bids", "--simulated")

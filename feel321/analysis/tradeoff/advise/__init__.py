@@ -1,1 +1,0 @@
-"""The least sufficient reducer of every scene."""

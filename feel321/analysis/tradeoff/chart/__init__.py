@@ -1,1 +1,0 @@
-"""Speed against accuracy of every reducer: measured in one run, compared, drawn, explored."""

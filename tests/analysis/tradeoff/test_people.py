@@ -1,0 +1,87 @@
+"""What ratings say of the reducers, and that they are heard only with a margin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from feel321.analysis.tradeoff.page import advise_tradeoff
+from feel321.analysis.tradeoff.people import compare_rated
+from tests.analysis.tradeoff.conftest import make_frame
+
+MEANS = {"best": 80.0, "alike": 79.5, "unsure": 75.0, "worse": 50.0}
+
+
+def rate(people: int = 12, *, recording: str = "made") -> pd.DataFrame:
+    rng = np.random.default_rng(0)
+    rows = [
+        (f"P{person}", recording, name, "realism", "as_is", mean + rng.normal(0, 4), False)
+        for person in range(people)
+        for name, mean in MEANS.items()
+        for _ in range(2)
+    ]
+    rows.append(("P0", recording, "worse", "realism", "as_is", 100, True))
+    names = ["participant", "recording", "reducer", "scale", "level", "rating", "rejected"]
+    return pd.DataFrame(rows, columns=names)
+
+
+def test_equivalent_open_and_worse() -> None:
+    found = compare_rated(rate(), margin=5.0)
+    said = dict(zip(found["reducer"], found["agree"], strict=True))
+    assert said == {"best": "best", "alike": "equivalent", "unsure": "open", "worse": "worse"}
+    gaps = found.set_index("reducer")["difference"]
+    assert gaps.to_dict() == pytest.approx(
+        {"best": 0, "alike": 0, "unsure": -5, "worse": -30}, abs=2
+    )
+
+
+def test_the_least_favourable_scale_counts() -> None:
+    other = rate().assign(scale="likeness")
+    swap = {"best": "alike", "alike": "worse", "worse": "best"}
+    other["reducer"] = other["reducer"].replace(swap)
+    found = compare_rated(pd.concat([rate(), other]), margin=5.0)
+    said = dict(zip(found["reducer"], found["agree"], strict=True))
+    assert said == {"best": "worse", "alike": "equivalent", "unsure": "open", "worse": "worse"}
+
+
+def test_without_margin_or_ratings_nobody_is_heard() -> None:
+    assert not len(compare_rated(rate()))
+    assert not len(compare_rated(None, margin=5.0))
+
+
+def test_one_person_leaves_it_open() -> None:
+    single = rate(people=1).drop_duplicates("reducer")
+    found = compare_rated(single, margin=5.0)
+    assert set(found["agree"]) == {"best", "open"}
+
+
+def test_who_is_rated_worse_is_not_advised_and_the_others_are_reported() -> None:
+    frame = make_frame({"worse": {}, "unsure": {}, "best": {}})
+    assert list(advise_tradeoff(frame).choices["answer"]) == ["worse"]
+    heard = advise_tradeoff(frame, ratings=rate(), margin=5.0)
+    assert heard.choices[["answer", "people"]].to_numpy().tolist() == [["unsure", "open"]]
+    assert "worse would suffice, but people rate it lower" in heard.summary()
+    assert "ratings do not show whether people agree" in heard.summary()
+    other = advise_tradeoff(frame, ratings=rate(recording="elsewhere"), margin=5.0)
+    assert other.choices[["answer", "people"]].to_numpy().tolist() == [["worse", ""]]
+
+
+@pytest.mark.parametrize("margin", [0, -5.0, float("nan"), float("inf")])
+def test_a_margin_must_be_one(margin: float) -> None:
+    with pytest.raises(ValueError, match="margin must be a number of points above 0, got"):
+        compare_rated(rate(), margin=margin)
+
+
+@pytest.mark.parametrize(
+    ("ratings", "message"),
+    [
+        (rate().drop(columns="level"), "column level is missing"),
+        ([1, 2], "ratings must be a Table or a pandas DataFrame"),
+    ],
+)
+def test_what_are_no_ratings_is_refused(ratings: Any, message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        compare_rated(ratings, margin=5.0)
