@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
@@ -41,7 +41,9 @@ from feel321.study.strength import find_unfelt
 
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate
-    from feel321.study.actuator.output import Check, Output
+    from feel321.study.actuator.delivered import DeliveryCheck
+    from feel321.study.actuator.mixer import Frames
+    from feel321.study.actuator.output import Output
     from feel321.study.folder import StudyFolder
     from feel321.study.screen.view import Hand
     from feel321.study.session.journal import Clock, Journal
@@ -64,6 +66,7 @@ class Lab:
     settings: Settings
     stimuli: StimulusSet
     rig: Rig
+    sounds: Mapping[str, Frames]
     windowed: bool = False
     screen: int = 0
     casting: Casting | None = None
@@ -149,14 +152,10 @@ def start_clock(elapsed_s: float) -> Callable[[], float]:
 def _open_output(
     plan: Plan, *, lab: Lab, clock: Callable[[], float]
 ) -> AbstractContextManager[Output]:
-    """Open what the rig plays on, with every stimulus of the study rendered before."""
-    from feel321.study.actuator.render import render_set
+    """Open what the rig plays on, with all that the study plays rendered before."""
+    from feel321.study.actuator.output import open_output
 
-    rate_hz, full_scale_m_s2 = lab.settings.rig.rate_hz, lab.settings.rig.full_scale_m_s2
-    check = _make_check(lab)
-    sounds = render_set(
-        lab.stimuli, lab.rig, full_scale_m_s2=full_scale_m_s2, certificate=lab.certificate
-    )
+    rate_hz, sounds = lab.settings.rig.rate_hz, dict(lab.sounds)
     rig = lab.certificate.apply(lab.rig) if lab.certificate else lab.rig
     if plan.threshold:
         from feel321.study.actuator.render import render_tones
@@ -165,18 +164,11 @@ def _open_output(
             plan.threshold, lab.rig, rate_hz=rate_hz, certificate=lab.certificate
         )
     folder = lab.study.sessions / plan.participant / DELIVERED
-    if rig.device.name == FILE_DEVICE:
-        from feel321.study.actuator.output import FileOutput
-
-        return nullcontext(
-            FileOutput(rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock, check=check)
-        )
-    from feel321.study.actuator.output import open_stream
-
-    return open_stream(rig, sounds, rate_hz=rate_hz, folder=folder, clock=clock, check=check)
+    check = _make_check(lab)
+    return open_output(rig, sounds, rate_hz=rate_hz, clock=clock, folder=folder, check=check)
 
 
-def _make_check(lab: Lab) -> Check | None:
+def _make_check(lab: Lab) -> DeliveryCheck | None:
     """Make what compares playbacks with what was asked; without their recordings, stimuli have no delivered metrics."""
     is_known = lab.rig.sensor is not None or lab.certificate is not None
     if lab.rig.device.name == FILE_DEVICE or not is_known:
@@ -242,12 +234,14 @@ def run_participant(
         if not (study.is_rehearsal or visit.simulated):
             raise ValueError(f"{study.settings}: {unfelt}")
         warn(unfelt)
-    rig, certificate = require_rig(study, settings, stimuli, visit=visit, now=now, warn=warn)
+    rig, certificate, sounds = require_rig(
+        study, settings, stimuli, visit=visit, now=now, warn=warn
+    )
     check_lab(rig, screen=visit.screen, has_lsl=visit.lsl or settings.session.lsl)
     seed = settings.study.seed if visit.seed is None else visit.seed
     casting = cast_observers(settings, stimuli, seed=seed) if visit.simulated else None
     view = partial(Lab, windowed=visit.windowed, screen=visit.screen, lsl=visit.lsl)
-    lab = view(study, settings, stimuli, rig, casting=casting, certificate=certificate)
+    lab = view(study, settings, stimuli, rig, sounds, casting=casting, certificate=certificate)
     room = open_room(study, settings, stimuli, now=now)
     plan = plan_sessions(room, settings, [visit.participant], simulated=visit.simulated)[0]
     own = read_progress(study.sessions / plan.participant)
@@ -278,8 +272,8 @@ def require_rig(
     visit: Visit,
     now: Clock,
     warn: Callable[[str], None],
-) -> tuple[Rig, Certificate | None]:
-    """Read the rig and its certificate, and check that it can play the stimuli."""
+) -> tuple[Rig, Certificate | None, dict[str, Frames]]:
+    """Read the rig and its certificate, and check that it can play the stimuli, which are rendered here once."""
     if not study.rig.is_file():
         raise FileNotFoundError(
             f"{study.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
@@ -291,11 +285,12 @@ def require_rig(
     certificate, faults = judge_certificates(study.path, rig, now=now(), rate_hz=own.rate_hz)
     if faults and own.certificate == "require":
         raise ValueError("\n".join(faults))
+    sounds: dict[str, Frames] = {}
     if problems := list_rig_problems(
-        study, rig, settings=settings, stimuli=stimuli, certificate=certificate
+        study, rig, settings=settings, stimuli=stimuli, certificate=certificate, sounds=sounds
     ):
         raise ValueError("\n".join(problems))
     is_felt = not visit.simulated and rig.device.name != FILE_DEVICE
     if faults and is_felt:
         warn(f"{faults[0]}; until then every row is {UNCALIBRATED}")
-    return rig, certificate
+    return rig, certificate, sounds

@@ -121,9 +121,6 @@ def list_notes(chains: Iterable[Chain]) -> Iterator[Note]:
 LETTERS = 12
 """Of a rig's digest, where it is shown."""
 
-DATA_SHEET = ("sensitivity_mv_per_g", "input_peak_v")
-"""What gives the full scale of a sensor."""
-
 ESTIMATED = "latency"
 """How an onset was got (`dac_source`) where the device gave no time of it: `actuator.device.FROM_LATENCY`."""
 
@@ -164,17 +161,11 @@ def find_rig_use(participant: str, records: Records) -> RigUse:
 @cache
 def digest_settings(text: str) -> str:
     """Make the digest of a rig from its settings as a journal's header holds them, in JSON."""
-    from feel321.study.actuator import rig as rigs
+    from feel321.study.actuator.rig import Rig
+    from feel321.study.actuator.rig import digest as digest_rig
 
-    entry = json.loads(text)
-    sensor = entry.get("sensor") or {}
-    # A sensor is given by its data sheet or by its full scale; a header holds both.
-    sheet = {name: sensor.pop(name) for name in DATA_SHEET if name in sensor}
     try:
-        rig = rigs.Rig.model_validate_json(json.dumps(entry))
-        if rig.sensor and sheet:
-            rig = rig.model_copy(update={"sensor": rig.sensor.model_copy(update=sheet)})
-        return rigs.digest(rig)
+        return digest_rig(Rig.model_validate_json(text))
     except (ValueError, OverflowError):  # of another version
         return digest(text)
 

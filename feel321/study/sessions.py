@@ -22,6 +22,7 @@ from feel321.study.settings.read import make_design, read_study_texts
 if TYPE_CHECKING:
     from feel321.protocols.trial import Scale
     from feel321.study.actuator.certificate import Certificate
+    from feel321.study.actuator.mixer import Frames
     from feel321.study.actuator.rig import Rig
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
@@ -83,8 +84,9 @@ def list_rig_problems(
     settings: Settings,
     stimuli: StimulusSet,
     certificate: Certificate | None = None,
+    sounds: dict[str, Frames] | None = None,
 ) -> list[str]:
-    """List the problems that keep a rig from playing the stimuli of a study as they are."""
+    """List the problems that keep a rig from playing a study's stimuli as they are; sounds: takes them, rendered."""
     from feel321.study.actuator.render import find_mix, find_rig_problems
 
     try:
@@ -98,6 +100,7 @@ def list_rig_problems(
         rate_hz=own.rate_hz,
         full_scale_m_s2=own.full_scale_m_s2,
         certificate=certificate,
+        sounds=sounds,
     )
     if settings.session.threshold:
         from feel321.study.actuator.render import find_tone_problems

@@ -85,8 +85,8 @@ def load_bridge() -> object:
 def measure_plain(folder: Path) -> None:
     """Make plain filters of Welch spectra, play through them, and calibrate; in the environment of the server."""
     from feel321.study.actuator import calibrate, response
+    from feel321.study.actuator.calibrate import open_bench
     from feel321.study.actuator.certificate import write_certificate
-    from feel321.study.actuator.duplex import open_session
     from feel321.study.actuator.rig import read_rig
 
     rig = read_rig(folder / "rig.toml")
@@ -95,7 +95,7 @@ def measure_plain(folder: Path) -> None:
     rows = {}
     sweep = calibrate.make_main(rig, rate_hz=RATE_HZ, peak=1.0)
     n = sweep.period * sweep.n_repeats
-    with open_session(rig, rate_hz=RATE_HZ, n_longest=n) as session:
+    with open_bench(rig, rate_hz=RATE_HZ, n_longest=n) as session:
         for name, coil in certificate.coils.items():
             peak = float(coil.levels.max())
             noise = np.resize(
@@ -157,11 +157,12 @@ def report(folder: Path) -> bool:
 
 def find_planted(drive: float, resonance_hz: float, q: float) -> float:
     """Find harmonics 3 and 5 of tanh(drive sin) over the fundamental at 100 Hz, behind the coil."""
-    from feel321.study.actuator.simulated import Coil, discretise
+    from feel321.study.actuator.rig import CoilTable
+    from feel321.study.actuator.simulated import discretise
 
     angle = 2 * np.pi * np.arange(4096) / 4096
     lines = np.abs(np.fft.rfft(np.tanh(drive * np.sin(angle))))
-    b, a = discretise(Coil(resonance_hz=resonance_hz, q=q), rate_hz=RATE_HZ)
+    b, a = discretise(CoilTable(name="coil", resonance_hz=resonance_hz, q=q), rate_hz=RATE_HZ)
     sizes = [lines[n] * abs(signal.freqz(b, a, [100.0 * n], fs=RATE_HZ)[1][0]) for n in (1, 3, 5)]
     return math.hypot(*sizes[1:]) / sizes[0]
 

@@ -21,7 +21,7 @@ from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.actuator.calibrate import calibrate_rig
 from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
-from feel321.study.actuator.output import open_stream
+from feel321.study.actuator.output import open_output
 from feel321.study.actuator.render import render_set
 from feel321.study.actuator.rig import read_rig
 from feel321.study.session.events import find_loss
@@ -123,7 +123,7 @@ def play_all(
 ) -> dict[str, Playback]:
     played, worst_s = {}, 0.0
     how = {"rate_hz": RATE_HZ, "folder": folder / "delivered", "clock": perf_counter}
-    with open_stream(rig, sounds, check=check, **how) as output:
+    with open_output(rig, sounds, check=check, **how) as output:
         for stimulus in stimuli:
             output.start(stimulus, gap_s=0.01)
             while output.is_playing:

@@ -16,8 +16,8 @@ from feel321.study import lab
 from feel321.study.actuator.certificate import Certificate, make_manual, write_certificate
 from feel321.study.actuator.render import find_rig_problems, render_stimulus
 from feel321.study.actuator.response import Sweep, make_inverse, make_sweep, measure_sweep
-from feel321.study.actuator.rig import Rig, read_rig, take_device
-from feel321.study.actuator.simulated import Coil, SimulatedCoil
+from feel321.study.actuator.rig import CoilTable, Rig, read_rig, take_device
+from feel321.study.actuator.simulated import SimulatedCoil
 from feel321.study.auditing.study import audit_study
 from feel321.study.lab import Visit, run_participant
 from feel321.study.session.journal import read_journal
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)
 RATE_HZ = 48000.0
-COIL = Coil(resonance_hz=160, q=4, full_scale_m_s2=2000, direction=(0, 1, 0))
+COIL = CoilTable(name="coil", resonance_hz=160, q=4, full_scale_m_s2=2000, direction=(0, 1, 0))
 DEVICE = "simulated"
 
 

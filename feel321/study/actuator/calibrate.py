@@ -1,19 +1,21 @@
-"""Calibration of a rig: sweeps and noise on each coil, through the stream that sessions use, recorded by its sensor.
+"""Calibration of a rig: sweeps and noise on each coil, through the output that sessions use, recorded by its sensor.
 
 Each coil begins with a quiet sweep. What it makes of that decides how loud the next ones may be, so that neither the
-rig's limits nor the sensor's full scale is passed; then levels rise, and the loudest sweep is the measurement.
+rig's limits nor the sensor's full scale is passed; then levels rise, and the loudest sweep is the measurement. A coil
+is measured, its filter is designed from what was measured, and both are verified by playing through the filter.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
+from time import perf_counter, sleep
 from typing import cast
 
 import numpy as np
 from scipy import fft
 
-from feel321.study.actuator import response as calibration
 from feel321.study.actuator.certificate import (
     MEASURED,
     TYPED,
@@ -22,12 +24,32 @@ from feel321.study.actuator.certificate import (
     CoilCertificate,
     begin_certificate,
 )
-from feel321.study.actuator.duplex import N_TRIES, OnStep, Session, open_session
+from feel321.study.actuator.mixer import Frames
+from feel321.study.actuator.output import Output, open_output
 from feel321.study.actuator.render import find_directions
-from feel321.study.actuator.response import Response, Sweep
+from feel321.study.actuator.response import (
+    ABOVE,
+    BELOW,
+    TINY,
+    Band,
+    Phase,
+    Response,
+    Spectrum,
+    Sweep,
+    find_inside,
+    find_ramp,
+    make_inverse,
+    make_sweep,
+    measure_response,
+    measure_sweep,
+)
 from feel321.study.actuator.rig import STANDARD_GRAVITY, ActuatorTable, Rig, require_sensor
 from feel321.types import Samples
 
+OnStep = Callable[[int, int], None]
+
+N_TRIES = 4  # of a playback in which the device ran dry, or samples were lost
+CLIPPED = 0.999  # of the sensor's full scale
 PROBE = 0.1  # of the level that limits allow: the first sweep of a coil
 LADDER = (0.125, 0.25, 0.5)  # of the loudest sweep, before it
 MARGIN = 0.9  # of limits and of the sensor's full scale, for what is foreseen
@@ -46,21 +68,119 @@ STEP_HZ = 0.5  # of the frequencies in a certificate
 DB = 20 / math.log(10)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CoilRun:
-    """What was measured of one coil: with a quiet, a middle and a loud sweep, with noise, and by repetition."""
+# Sounds through the output of sessions, and what the sensor records of them.
 
-    actuator: ActuatorTable
-    main: Response
-    ladder: Mapping[float, Response]
-    noise: Response
-    repeats_db: float
 
-    @property
-    def linearity_db(self) -> Samples:
-        """How much the gain at each level differs from that at the lowest: the median over third octaves."""
-        lowest = self.ladder[min(self.ladder)]
-        return np.array([np.median(_compare_db(one, lowest)) for one in self.ladder.values()])
+class SweepStopped(Exception):  # noqa: N818 - nothing went wrong
+    """A key was pressed; the coils are silent."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Bench:
+    """An open output, and what the measurements on it share; sounds: those that it plays, to which more are added."""
+
+    rig: Rig
+    rate_hz: float
+    output: Output
+    sounds: dict[str, Frames]
+    total_s: float
+    on_step: OnStep | None
+    is_stopping: Callable[[], bool]
+    done_s: float = 0.0
+
+    def play(self, samples: Samples, channel: int) -> Samples:
+        """Play samples, shape (n,), on a channel, and return what the sensor measured, shape (axes, n) in m/s²."""
+        return self.play_all({channel: samples}, n=len(samples))
+
+    def play_all(self, samples: Mapping[int, Samples], *, n: int) -> Samples:
+        """Play samples, shape (n,), on several channels at once, and return what the sensor measured."""
+        sound = np.zeros((n, self.rig.n_channels), dtype=np.float32)
+        for channel, own in samples.items():
+            sound[:, channel - 1] = own
+        self.sounds[""] = sound
+        for _ in range(N_TRIES):
+            self.output.start("", gap_s=0.05)
+            while self.output.is_playing:
+                if self.is_stopping():
+                    self.output.stop()
+                    raise SweepStopped
+                sleep(0.002)
+            playback, recorded = self.output.collect(), self.output.captured
+            if playback.error or recorded is None:
+                raise OSError(
+                    playback.error or "the sensor's input gave no samples; check its device"
+                )
+            n_lost = playback.underruns + playback.measured["sensor_gaps"]
+            if playback.completed and not n_lost:
+                break
+        else:
+            raise OSError(
+                f"device {self.rig.device.name!r} ran dry {N_TRIES} times in a row; close other programs, or raise "
+                "latency_s in rig.toml"
+            )
+        self._check(recorded, n=n, clipped=playback.clipped)
+        self.done_s += n / self.rate_hz
+        if self.on_step is not None:
+            self.on_step(round(self.done_s), round(self.total_s))
+        return recorded[:, :n].astype(np.float64)
+
+    def _check(self, recorded: Frames, *, n: int, clipped: int) -> None:
+        if clipped:
+            raise ValueError(
+                f"the rig's limits cut {clipped} samples; lower level under [calibration], or sweep_s below duration_s"
+            )
+        if recorded.shape[1] < n:
+            raise OSError(
+                f"the sensor's input gave {recorded.shape[1]} samples of {n}; check its device"
+            )
+        full_scale = require_sensor(self.rig).full_scale_m_s2
+        if np.abs(recorded[:, :n]).max() >= CLIPPED * full_scale:
+            raise ValueError(
+                f"the sensor's input is clipped (full scale is {full_scale:g} m/s²); lower its gain and raise "
+                "full_scale_m_s2 under [sensor] with it, or lower level under [calibration]"
+            )
+
+    def play_sweep(self, sent: Samples, sweep: Sweep, channel: int) -> Samples:
+        """Play sweeps until their recordings are in step: a sound server may drop samples without saying so."""
+        return self.insist(lambda: self.play(sent, channel), lambda found: find_slip(found, sweep))
+
+    def insist(
+        self, play: Callable[[], Samples], find_slip_of: Callable[[Samples], int]
+    ) -> Samples:
+        """Play until nothing has slipped in what was recorded, a few times at most."""
+        for _ in range(N_TRIES):
+            recorded = play()
+            if not (slip := find_slip_of(recorded)):
+                return recorded
+        raise OSError(
+            f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are "
+            "lost between output and sensor, or the sensor's device has a clock of its own; put both on one sound "
+            "card, named itself, raise latency_s in rig.toml, or lower sweep_s and repeats under [calibration]"
+        )
+
+
+@contextmanager
+def open_bench(
+    rig: Rig,
+    *,
+    rate_hz: float,
+    n_longest: int,
+    n_all: int = 0,
+    on_step: OnStep | None = None,
+    is_stopping: Callable[[], bool] = lambda: False,
+) -> Iterator[Bench]:
+    """Open the output; n_longest: samples of the longest sound, by which room is made to record it; n_all: of all."""
+    sounds: dict[str, Frames] = {"": np.zeros((n_longest, rig.n_channels), dtype=np.float32)}
+    with open_output(rig, sounds, rate_hz=rate_hz, clock=perf_counter) as output:
+        yield Bench(
+            rig=rig,
+            rate_hz=rate_hz,
+            output=output,
+            sounds=sounds,
+            total_s=n_all / rate_hz,
+            on_step=on_step,
+            is_stopping=is_stopping,
+        )
 
 
 def calibrate_rig(
@@ -73,58 +193,51 @@ def calibrate_rig(
 ) -> Certificate:
     """Measure the coils of a rig, make their filters, and verify them by playing through them."""
     require_sensor(rig)
-    coils = {}
-    n_longest, n_all = _count_samples(rig, rate_hz=rate_hz)
-    advance = _make_advance(on_step, total_s=n_all / rate_hz)
-    opened = open_session(
-        rig, rate_hz=rate_hz, n_longest=n_longest, advance=advance, is_stopping=is_stopping
+    main, quiet = make_main(rig, rate_hz=rate_hz), make_quiet(rig, rate_hz=rate_hz)
+    n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
+    n_noise, n_coils = _count_noise(main), len(rig.actuators)
+    n_all = 2 * n_main + (1 + len(LADDER)) * n_quiet + n_noise + n_quiet
+    opened = open_bench(
+        rig,
+        rate_hz=rate_hz,
+        n_longest=max(n_main, n_noise, n_coils * n_quiet),
+        n_all=n_coils * n_all + round(SILENCE_S * rate_hz),
+        on_step=on_step,
+        is_stopping=is_stopping,
     )
-    with opened as session:
-        noise_m_s2 = _measure_silence(session)
+    coils: dict[str, CoilCertificate] = {}
+    with opened as bench:
+        silence = np.zeros(round(SILENCE_S * rate_hz))
+        noise = bench.play(silence, rig.actuators[0].channel).std(axis=1)
         for actuator in rig.actuators:
             try:
-                run = _measure_coil(session, actuator)
-                coil = _make_coil(rig, run, noise_m_s2=noise_m_s2)
-                coils[actuator.name] = _verify_coil(session, coil, run)
+                run = measure_coil(bench, actuator)
+                coil = design_coil(rig, run, noise_m_s2=float(np.linalg.norm(noise)))
+                coils[actuator.name] = verify_coil(bench, coil, run)
             except ValueError as error:
                 raise ValueError(f"coil {actuator.name!r}: {error}") from None
-        latencies = _measure_latencies(session, coils)
-    coils = {name: replace(coil, latency=latencies[name]) for name, coil in coils.items()}
-    coils = {name: replace(coil, onto_db=_find_onto(coil, coils)) for name, coil in coils.items()}
+        latencies = measure_latencies(bench, coils)
+    for name, coil in coils.items():
+        shares = {
+            other.name: abs(float(coil.direction @ other.direction))
+            for other in coils.values()
+            if other.name != name
+        }
+        onto_db = {other: DB * math.log(max(share, 1e-6)) for other, share in shares.items()}
+        coils[name] = replace(coil, latency=latencies[name], onto_db=onto_db)
     certificate = begin_certificate(rig, coils, method=MEASURED, made=made, rate_hz=rate_hz)
     failures = [line for coil in coils.values() for line in find_failures(rig, coil)]
     return replace(certificate, failures=tuple(failures))
 
 
-def _count_samples(rig: Rig, *, rate_hz: float) -> tuple[int, int]:
-    """Count the samples of the longest sound of a calibration, and of all sounds."""
-    main = make_main(rig, rate_hz=rate_hz, peak=1.0)
-    quiet = make_quiet(rig, rate_hz=rate_hz, peak=1.0)
-    lengths = [main.period * main.n_repeats, quiet.period * quiet.n_repeats, _count_noise(main)]
-    per_coil = 2 * lengths[0] + (1 + len(LADDER)) * lengths[1] + lengths[2]
-    n_coils = len(rig.actuators)
-    together = n_coils * lengths[1]
-    return max(*lengths, together), round(SILENCE_S * rate_hz) + n_coils * per_coil + together
-
-
-def _make_advance(on_step: OnStep | None, *, total_s: float) -> Callable[[float], None]:
-    """Make the function that adds up the seconds played, and reports them."""
-    done_s = 0.0
-
-    def advance(seconds: float) -> None:
-        nonlocal done_s
-        done_s += seconds
-        if on_step is not None:
-            on_step(round(done_s), round(total_s))
-
-    return advance
+# Gravity, by which the scale of a sensor can be found.
 
 
 def measure_rest(rig: Rig, *, rate_hz: float) -> Samples:
     """Measure the mean of each axis of the sensor while nothing plays, shape (axes,) in m/s²."""
     n = round(SILENCE_S * rate_hz)
-    with open_session(rig, rate_hz=rate_hz, n_longest=n) as session:
-        rest: Samples = session.play(np.zeros(n), rig.actuators[0].channel).mean(axis=1)
+    with open_bench(rig, rate_hz=rate_hz, n_longest=n) as bench:
+        rest: Samples = bench.play(np.zeros(n), rig.actuators[0].channel).mean(axis=1)
         return rest
 
 
@@ -148,7 +261,10 @@ def scale_by_flip(up: Samples, down: Samples, *, full_scale_m_s2: float) -> floa
     return full_scale_m_s2 * STANDARD_GRAVITY / half
 
 
-def make_main(rig: Rig, *, rate_hz: float, peak: float) -> Sweep:
+# What is played.
+
+
+def make_main(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
     """Make the sweep that is the measurement."""
     settings = rig.calibration
     return Sweep(
@@ -161,10 +277,27 @@ def make_main(rig: Rig, *, rate_hz: float, peak: float) -> Sweep:
     )
 
 
-def make_quiet(rig: Rig, *, rate_hz: float, peak: float) -> Sweep:
+def make_quiet(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
     """Make the sweeps before it, which are shorter."""
     main = make_main(rig, rate_hz=rate_hz, peak=peak)
     return replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
+
+
+def make_noise(sweep: Sweep) -> Samples:
+    """Make noise in the band of a sweep, with the same peak, shape (n,), silent at its end as sweeps are."""
+    n_pause, n = round(sweep.pause_s * sweep.rate_hz), _count_noise(sweep)
+    rng = np.random.default_rng(1)
+    spectrum = fft.rfft(rng.standard_normal(n - n_pause))
+    grid_hz = fft.rfftfreq(n - n_pause, 1 / sweep.rate_hz)
+    noise = fft.irfft(spectrum * find_inside(grid_hz, band_hz=sweep.ends_hz), n - n_pause)
+    noise *= np.minimum(1, np.arange(len(noise)) / (0.05 * sweep.rate_hz))  # it ramps up
+    noise *= np.minimum(1, np.arange(len(noise))[::-1] / (0.05 * sweep.rate_hz))
+    noise = np.clip(noise / noise.std(), -CREST, CREST) * sweep.peak / CREST
+    return np.concatenate([noise, np.zeros(n_pause)])
+
+
+def _count_noise(sweep: Sweep) -> int:
+    return round((sweep.duration_s + sweep.pause_s) * sweep.rate_hz)
 
 
 def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
@@ -173,20 +306,45 @@ def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
     return min(1.0, MARGIN * limits / actuator.full_scale_m_s2)
 
 
-def _measure_silence(session: Session) -> float:
-    """Measure the noise of the sensor, RMS in m/s² over all axes, while nothing plays."""
-    n = round(SILENCE_S * session.rate_hz)
-    recorded = session.play(np.zeros(n), session.rig.actuators[0].channel)
-    return float(np.linalg.norm(recorded.std(axis=1)))
+def find_safe(rig: Rig, probe: Response) -> float:
+    """Find the peak of a sweep, as a part of full scale, whose motion is within the limits and the sensor's scale."""
+    # Ramps are part of a sweep, and a resonance may lie in one.
+    ramp = find_ramp(probe.frequency_hz, band_hz=probe.band_hz)
+    strongest = float((np.abs(probe.response) * ramp).max())
+    limits = [rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2]
+    if rig.sensor is not None:
+        limits.append(rig.sensor.full_scale_m_s2)
+    return MARGIN * min(limits) / strongest
 
 
-def _measure_coil(session: Session, actuator: ActuatorTable) -> CoilRun:
-    rig, rate_hz = session.rig, session.rate_hz
+# One coil: measured, its filter designed, and verified.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CoilRun:
+    """What was measured of one coil: with a quiet, a middle and a loud sweep, with noise, and by repetition."""
+
+    actuator: ActuatorTable
+    main: Response
+    ladder: Mapping[float, Response]
+    noise: Response
+    repeats_db: float
+
+    @property
+    def linearity_db(self) -> Samples:
+        """How much the gain at each level differs from that at the lowest: the median over third octaves."""
+        lowest = self.ladder[min(self.ladder)]
+        return np.array([np.median(_compare_db(one, lowest)) for one in self.ladder.values()])
+
+
+def measure_coil(bench: Bench, actuator: ActuatorTable) -> CoilRun:
+    """Play sweeps of rising level, and noise, on one coil."""
+    rig, rate_hz, channel = bench.rig, bench.rate_hz, actuator.channel
     level = rig.calibration.level * find_allowed(rig, actuator)
 
     def sweep(one: Sweep) -> tuple[Response, Samples]:
-        recorded = _play_sweep(session, calibration.make_sweep(one), one, channel=actuator.channel)
-        return calibration.measure_sweep(one, recorded), recorded
+        recorded = bench.play_sweep(make_sweep(one), one, channel)
+        return measure_sweep(one, recorded), recorded
 
     probe, _ = sweep(make_quiet(rig, rate_hz=rate_hz, peak=PROBE * level))
     _check_alive(probe, pause_s=rig.calibration.pause_s)
@@ -198,37 +356,150 @@ def _measure_coil(session: Session, actuator: ActuatorTable) -> CoilRun:
     loud = make_main(rig, rate_hz=rate_hz, peak=top)
     main, recorded = sweep(loud)
     _check_ringing(recorded, period=loud.period, pause_s=loud.pause_s)
+    # How much the level differs between equal sweeps: the median over third octaves.
+    along = (main.direction @ recorded).reshape(loud.n_repeats, loud.period)
+    frequency_hz = fft.rfftfreq(loud.period, 1 / rate_hz)
+    energy = np.abs(fft.rfft(along)) ** 2
+    levels_db = 10 * np.log10(_average_thirds(energy, frequency_hz, band_hz=loud.band_hz))
     noise = make_noise(loud)
+    measured = measure_response(
+        noise,
+        bench.play(noise, channel),
+        rate_hz=rate_hz,
+        band_hz=loud.band_hz,
+        segment=len(noise) // 8,
+    )
     return CoilRun(
         actuator=actuator,
         main=main,
         ladder=ladder | {top: main},
-        noise=calibration.measure_response(
-            noise,
-            session.play(noise, actuator.channel),
-            rate_hz=rate_hz,
-            band_hz=loud.band_hz,
-            segment=len(noise) // 8,
-        ),
-        repeats_db=_measure_repeats(loud, recorded, main),
+        noise=measured,
+        repeats_db=float(np.median(levels_db.std(axis=0, ddof=1))),
     )
 
 
-def _play_sweep(session: Session, sent: Samples, sweep: Sweep, *, channel: int) -> Samples:
-    """Play sweeps until their recordings are in step: a sound server may drop samples without saying so."""
-    for _ in range(N_TRIES):
-        recorded = session.play(sent, channel)
-        if not (slip := find_slip(recorded, sweep)):
-            return recorded
-    raise OSError(_describe_slip(slip))
-
-
-def _describe_slip(slip: int) -> str:
-    return (
-        f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are lost "
-        "between output and sensor, or the sensor's device has a clock of its own; put both on one sound card, named "
-        "itself, raise latency_s in rig.toml, or lower sweep_s and repeats under [calibration]"
+def design_coil(rig: Rig, run: CoilRun, *, noise_m_s2: float) -> CoilCertificate:
+    """Make the filter of a coil, and what its certificate says of it without the filter."""
+    main, settings, actuator = run.main, rig.calibration, run.actuator
+    inverse = make_inverse(
+        main,
+        band_hz=settings.band_hz,
+        max_gain_db=settings.max_gain_db,
+        n_taps=round(TAPS_PERIODS / settings.band_hz[0] * main.rate_hz),
+        phase=cast("Phase", settings.phase),
+        min_coherence=settings.min_coherence,
     )
+    inside = find_inside(main.frequency_hz, band_hz=main.band_hz)
+    size, distortion = np.abs(main.response[inside]), main.distortion[inside]
+    full_scale_m_s2 = float(np.median(size))
+    before_db = main.find_deviation_db(target=full_scale_m_s2, band_hz=main.band_hz)
+    # Harmonics over the band, relative to the sum of the fundamentals; both as energies.
+    known = np.isfinite(distortion)
+    harmonics = float(np.linalg.norm((size * distortion)[known]) / np.linalg.norm(size[known]))
+    # A sensor with one axis does not see the direction, but its sign.
+    typed = find_directions(rig)[0].get(actuator.name, np.eye(3)[0])
+    is_seen = len(main.direction) == len(typed)
+    low, high = main.band_hz
+    grid_hz = np.arange(low / BELOW, high * ABOVE, STEP_HZ, dtype=np.float64)
+    return CoilCertificate(
+        name=actuator.name,
+        channel=actuator.channel,
+        full_scale_m_s2=full_scale_m_s2,
+        target=inverse.target,
+        latency=main.latency,
+        delay=inverse.delay,
+        gain_db=inverse.gain_db,
+        before_db=float(np.abs(before_db).max()),
+        least_coherence=float(main.coherence[inside].min()),
+        crossed_db=main.cross_talk_db,
+        noise_m_s2=noise_m_s2,
+        total_distortion=harmonics,
+        direction=main.direction if is_seen else np.sign(main.direction[0]) * typed,
+        frequency_hz=grid_hz,
+        response=_interpolate(grid_hz, main),
+        coherence=np.interp(grid_hz, main.frequency_hz, main.coherence),
+        distortion=np.interp(grid_hz, main.frequency_hz, main.distortion),
+        equalised=np.full(len(grid_hz), np.nan, dtype=np.complex128),
+        fir=inverse.fir,
+        levels=np.array(list(run.ladder)),
+        linearity_db=run.linearity_db,
+    )
+
+
+def verify_coil(bench: Bench, coil: CoilCertificate, run: CoilRun) -> CoilCertificate:
+    """Play a sweep through the filter of a coil, as loud as its own, and compare the motion with the target."""
+    rig, top = bench.rig, max(run.ladder)
+    sweep = make_main(rig, rate_hz=bench.rate_hz, peak=top)
+    asked = make_sweep(sweep)
+    filtered = coil.equalise(asked)[: len(asked)]
+    scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
+    recorded = bench.play_sweep(scale * filtered, sweep, coil.channel)
+    after = measure_sweep(sweep, recorded, sent=scale * asked)
+    band_hz = rig.calibration.band_hz
+    off_db = after.find_deviation_db(target=coil.target, band_hz=band_hz)
+    inside, worst = find_inside(after.frequency_hz, band_hz=band_hz), int(np.argmax(np.abs(off_db)))
+    budget = _make_budget(rig, run, residual_db=float(np.sqrt(np.mean(off_db**2))))
+    return replace(
+        coil,
+        largest_db=float(np.abs(off_db[worst])),
+        worst_hz=float(after.frequency_hz[inside][worst]),
+        least_coherence_after=float(after.coherence[inside].min()),
+        equalised=_interpolate(coil.frequency_hz, after),
+        budget=budget,
+        uncertainty_db=math.hypot(*(term.db for term in budget)),
+    )
+
+
+def _make_budget(rig: Rig, run: CoilRun, *, residual_db: float) -> tuple[BudgetTerm, ...]:
+    """Make the budget of a coil: standard uncertainties of its level in dB; bounds count as rectangular (GUM 4.3.7)."""
+    main, settings = run.main, rig.calibration
+    inside = find_inside(main.frequency_hz, band_hz=main.band_hz)
+    coherence = np.clip(main.coherence[inside], 1e-6, 1)
+    # Bendat and Piersol (2010), table 9.6: the random error of |H| from n segments.
+    random = np.sqrt((1 - coherence) / (2 * settings.repeats * coherence))
+    apart_db = float(np.sqrt(np.mean(_compare_db(run.noise, main) ** 2)))
+    terms = {
+        "repeatability": run.repeats_db,
+        "noise": DB * float(np.median(random)),
+        "linearity": float(np.abs(run.linearity_db).max()) / math.sqrt(3),
+        "noise against sweep": apart_db / math.sqrt(3),
+        "left after the filter": residual_db,
+    }
+    typed = BudgetTerm(name="sensor", db=settings.sensor_uncertainty_db, source=TYPED)
+    return typed, *(BudgetTerm(name=name, db=db, source=MEASURED) for name, db in terms.items())
+
+
+def measure_latencies(bench: Bench, coils: Mapping[str, CoilCertificate]) -> dict[str, int]:
+    """Measure the latencies of all coils in one recording, one coil after another, in samples.
+
+    A device that ran dry goes on with another latency, so those of different recordings cannot be compared.
+    """
+    quiet = make_quiet(bench.rig, rate_hz=bench.rate_hz)
+    turn, n = quiet.period, quiet.period * quiet.n_repeats * len(coils)
+    once = make_sweep(quiet)[:turn]
+    places = {
+        name: [turn * (number + k * len(coils)) for k in range(quiet.n_repeats)]
+        for number, name in enumerate(coils)
+    }
+    sounds = {coil.channel: np.zeros(n) for coil in coils.values()}
+    for name, coil in coils.items():
+        for place in places[name]:
+            sounds[coil.channel][place : place + turn] = float(coil.levels[1]) * once
+
+    def cut(recorded: Samples, name: str) -> Samples:
+        return np.concatenate([recorded[:, k : k + turn] for k in places[name]], axis=1)
+
+    recorded = bench.insist(
+        lambda: bench.play_all(sounds, n=n),
+        lambda found: max(find_slip(cut(found, name), quiet) for name in coils),
+    )
+    return {
+        name: measure_sweep(replace(quiet, peak=float(coil.levels[1])), cut(recorded, name)).latency
+        for name, coil in coils.items()
+    }
+
+
+# What is wrong with a recording, and with a coil.
 
 
 def find_slip(recorded: Samples, sweep: Sweep) -> int:
@@ -240,9 +511,9 @@ def find_slip(recorded: Samples, sweep: Sweep) -> int:
     periods = recorded.reshape(len(recorded), sweep.n_repeats, sweep.period)
     spectra = fft.rfft(periods, axis=-1)
     frequency_hz = fft.rfftfreq(sweep.period, 1 / sweep.rate_hz)
-    inside = calibration.find_inside(frequency_hz, band_hz=sweep.band_hz)
+    inside = find_inside(frequency_hz, band_hz=sweep.band_hz)
     cross = (spectra[:, 1:] * spectra[:, :1].conj()).sum(axis=0)
-    pulses = fft.irfft(inside * cross / np.maximum(np.abs(cross), calibration.TINY), sweep.period)
+    pulses = fft.irfft(inside * cross / np.maximum(np.abs(cross), TINY), sweep.period)
     places = np.argmax(pulses, axis=-1)
     clear = pulses.max(axis=-1) > CLEAR * pulses.std(axis=-1)
     lags = np.where(clear, np.minimum(places, sweep.period - places), 0)
@@ -257,19 +528,8 @@ def find_slip(recorded: Samples, sweep: Sweep) -> int:
     return slip if slip > IN_STEP else 0
 
 
-def find_safe(rig: Rig, probe: Response) -> float:
-    """Find the peak of a sweep, as a part of full scale, whose motion is within the limits and the sensor's scale."""
-    # Ramps are part of a sweep, and a resonance may lie in one.
-    ramp = calibration.find_ramp(probe.frequency_hz, band_hz=probe.band_hz)
-    strongest = float((np.abs(probe.response) * ramp).max())
-    limits = [rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2]
-    if rig.sensor is not None:
-        limits.append(rig.sensor.full_scale_m_s2)
-    return MARGIN * min(limits) / strongest
-
-
 def _check_alive(probe: Response, *, pause_s: float) -> None:
-    inside = calibration.find_inside(probe.frequency_hz, band_hz=probe.band_hz)
+    inside = find_inside(probe.frequency_hz, band_hz=probe.band_hz)
     coherence = float(np.median(probe.coherence[inside]))
     if coherence < ALIVE:
         raise ValueError(
@@ -296,202 +556,6 @@ def _check_ringing(recorded: Samples, *, period: int, pause_s: float) -> None:
             f"pause_s under [calibration] must exceed latency and ringing, got {pause_s:g} s, after which "
             f"{left / size:.0%} of the motion is left; raise it"
         )
-
-
-def _measure_repeats(sweep: Sweep, recorded: Samples, main: Response) -> float:
-    """Find how much the level differs between equal sweeps: standard deviation in dB, the median over third octaves."""
-    along = (main.direction @ recorded).reshape(sweep.n_repeats, sweep.period)
-    frequency_hz = fft.rfftfreq(sweep.period, 1 / sweep.rate_hz)
-    energy = np.abs(fft.rfft(along)) ** 2
-    levels = 10 * np.log10(_average_thirds(energy, frequency_hz, band_hz=sweep.band_hz))
-    return float(np.median(levels.std(axis=0, ddof=1)))
-
-
-def _average_thirds(
-    values: Samples, frequency_hz: Samples, *, band_hz: calibration.Band
-) -> Samples:
-    """Average values, shape (..., k), in third octaves of a band; empty ones are left out."""
-    low, high = band_hz
-    n_bands = max(round(3 * math.log2(high / low)), 1)
-    number = np.floor(n_bands * np.log(np.maximum(frequency_hz, 1e-9) / low) / math.log(high / low))
-    found = [values[..., number == band] for band in range(n_bands)]
-    return np.stack([one.mean(axis=-1) for one in found if one.shape[-1]], axis=-1)
-
-
-def _compare_db(one: Response, other: Response) -> Samples:
-    """Compare the sizes of two responses: one over the other, in dB, in the third octaves of the band."""
-    band_hz = other.band_hz
-    inside = calibration.find_inside(other.frequency_hz, band_hz=band_hz)
-    at_hz = other.frequency_hz[inside]
-    size = np.interp(at_hz, one.frequency_hz, np.abs(one.response))
-    return _average_thirds(
-        DB * np.log(size / np.abs(other.response[inside])), at_hz, band_hz=band_hz
-    )
-
-
-def make_noise(sweep: Sweep) -> Samples:
-    """Make noise in the band of a sweep, with the same peak, shape (n,), silent at its end as sweeps are."""
-    n_pause, n = round(sweep.pause_s * sweep.rate_hz), _count_noise(sweep)
-    rng = np.random.default_rng(1)
-    spectrum = fft.rfft(rng.standard_normal(n - n_pause))
-    inside = calibration.find_inside(
-        fft.rfftfreq(n - n_pause, 1 / sweep.rate_hz), band_hz=sweep.ends_hz
-    )
-    noise = fft.irfft(spectrum * inside, n - n_pause)
-    noise *= np.minimum(1, np.arange(len(noise)) / (0.05 * sweep.rate_hz))  # it ramps up
-    noise *= np.minimum(1, np.arange(len(noise))[::-1] / (0.05 * sweep.rate_hz))
-    noise = np.clip(noise / noise.std(), -CREST, CREST) * sweep.peak / CREST
-    return np.concatenate([noise, np.zeros(n_pause)])
-
-
-def _count_noise(sweep: Sweep) -> int:
-    return round((sweep.duration_s + sweep.pause_s) * sweep.rate_hz)
-
-
-def _make_coil(rig: Rig, run: CoilRun, *, noise_m_s2: float) -> CoilCertificate:
-    main, settings, actuator = run.main, rig.calibration, run.actuator
-    inverse = calibration.make_inverse(
-        main,
-        band_hz=settings.band_hz,
-        max_gain_db=settings.max_gain_db,
-        n_taps=round(TAPS_PERIODS / settings.band_hz[0] * main.rate_hz),
-        phase=cast("calibration.Phase", settings.phase),
-        min_coherence=settings.min_coherence,
-    )
-    inside = calibration.find_inside(main.frequency_hz, band_hz=main.band_hz)
-    low, high = main.band_hz
-    ends_hz = low / calibration.BELOW, high * calibration.ABOVE
-    grid_hz = np.arange(*ends_hz, STEP_HZ, dtype=np.float64)
-    full_scale_m_s2 = float(np.median(np.abs(main.response[inside])))
-    before = calibration.verify(main, target=full_scale_m_s2, band_hz=main.band_hz)
-    return CoilCertificate(
-        name=actuator.name,
-        channel=actuator.channel,
-        full_scale_m_s2=full_scale_m_s2,
-        target=inverse.target,
-        latency=main.latency,
-        delay=inverse.delay,
-        gain_db=inverse.gain_db,
-        before_db=before.largest_db,
-        least_coherence=before.least_coherence,
-        crossed_db=main.cross_talk_db,
-        noise_m_s2=noise_m_s2,
-        total_distortion=_sum_distortion(main),
-        direction=_find_direction(rig, actuator, main),
-        frequency_hz=grid_hz,
-        response=_interpolate(grid_hz, main),
-        coherence=np.interp(grid_hz, main.frequency_hz, main.coherence),
-        distortion=np.interp(grid_hz, main.frequency_hz, main.distortion),
-        equalised=np.full(len(grid_hz), np.nan, dtype=np.complex128),
-        fir=inverse.fir,
-        levels=np.array(list(run.ladder)),
-        linearity_db=run.linearity_db,
-    )
-
-
-def _interpolate(grid_hz: Samples, found: Response) -> calibration.Spectrum:
-    return np.asarray(np.interp(grid_hz, found.frequency_hz, found.response), dtype=np.complex128)
-
-
-def _measure_latencies(session: Session, coils: Mapping[str, CoilCertificate]) -> dict[str, int]:
-    """Measure the latencies of all coils in one recording, one coil after another, in samples.
-
-    A device that ran dry goes on with another latency, so those of different recordings cannot be compared.
-    """
-    quiet = make_quiet(session.rig, rate_hz=session.rate_hz, peak=1.0)
-    turn, n = quiet.period, quiet.period * quiet.n_repeats * len(coils)
-    once = calibration.make_sweep(quiet)[:turn]
-    places = {name: [place + k * turn * len(coils) for k in range(quiet.n_repeats)]
-              for place, name in zip(range(0, n, turn), coils, strict=False)}  # fmt: skip
-    sounds = {coil.channel: np.zeros(n) for coil in coils.values()}
-    for name, coil in coils.items():
-        for place in places[name]:
-            sounds[coil.channel][place : place + turn] = float(coil.levels[1]) * once
-    for _ in range(N_TRIES):
-        recorded = session.play_all(sounds, n=n)
-        own = {
-            name: np.concatenate([recorded[:, k : k + turn] for k in places[name]], axis=1)
-            for name in coils
-        }
-        if not (slip := max(find_slip(one, quiet) for one in own.values())):
-            break
-    else:
-        raise OSError(_describe_slip(slip))
-    return {
-        name: calibration.measure_sweep(
-            replace(quiet, peak=float(coils[name].levels[1])), one
-        ).latency
-        for name, one in own.items()
-    }
-
-
-def _find_direction(rig: Rig, actuator: ActuatorTable, main: Response) -> Samples:
-    """Find the direction of a coil, shape (3,): as measured; of a sensor with one axis, rig.toml's with its sign."""
-    if len(main.direction) == len(np.eye(3)):
-        return main.direction
-    typed = find_directions(rig)[0].get(actuator.name, np.eye(3)[0])
-    direction: Samples = np.sign(main.direction[0]) * typed
-    return direction
-
-
-def _sum_distortion(main: Response) -> float:
-    """Sum harmonics over the band, relative to the sum of the fundamentals; both as energies."""
-    inside = calibration.find_inside(main.frequency_hz, band_hz=main.band_hz)
-    size, share = np.abs(main.response[inside]), main.distortion[inside]
-    known = np.isfinite(share)
-    return float(np.linalg.norm((size * share)[known]) / np.linalg.norm(size[known]))
-
-
-def _verify_coil(session: Session, coil: CoilCertificate, run: CoilRun) -> CoilCertificate:
-    """Play a sweep through the filter of a coil, as loud as its own, and compare the motion with the target."""
-    rig, top = session.rig, max(run.ladder)
-    sweep = make_main(rig, rate_hz=session.rate_hz, peak=top)
-    asked = calibration.make_sweep(sweep)
-    filtered = coil.equalise(asked)[: len(asked)]
-    scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
-    recorded = _play_sweep(session, scale * filtered, sweep, channel=coil.channel)
-    after = calibration.measure_sweep(sweep, recorded, sent=scale * asked)
-    found = calibration.verify(after, target=coil.target, band_hz=rig.calibration.band_hz)
-    budget = _make_budget(rig, run, residual_db=float(np.sqrt(np.mean(found.deviation_db**2))))
-    return replace(
-        coil,
-        largest_db=found.largest_db,
-        worst_hz=float(found.frequency_hz[int(np.argmax(np.abs(found.deviation_db)))]),
-        least_coherence_after=found.least_coherence,
-        equalised=_interpolate(coil.frequency_hz, after),
-        budget=budget,
-        uncertainty_db=math.hypot(*(term.db for term in budget)),
-    )
-
-
-def _make_budget(rig: Rig, run: CoilRun, *, residual_db: float) -> tuple[BudgetTerm, ...]:
-    """Make the budget of a coil: standard uncertainties of its level in dB; bounds count as rectangular (GUM 4.3.7)."""
-    main = run.main
-    inside = calibration.find_inside(main.frequency_hz, band_hz=main.band_hz)
-    coherence = np.clip(main.coherence[inside], 1e-6, 1)
-    # Bendat and Piersol (2010), table 9.6: the random error of |H| from n segments.
-    n_repeats = rig.calibration.repeats
-    random = np.sqrt((1 - coherence) / (2 * n_repeats * coherence))
-    apart_db = float(np.sqrt(np.mean(_compare_db(run.noise, main) ** 2)))
-    terms = {
-        "repeatability": run.repeats_db,
-        "noise": DB * float(np.median(random)),
-        "linearity": float(np.abs(run.linearity_db).max()) / math.sqrt(3),
-        "noise against sweep": apart_db / math.sqrt(3),
-        "left after the filter": residual_db,
-    }
-    typed = BudgetTerm(name="sensor", db=rig.calibration.sensor_uncertainty_db, source=TYPED)
-    return typed, *(BudgetTerm(name=name, db=db, source=MEASURED) for name, db in terms.items())
-
-
-def _find_onto(coil: CoilCertificate, coils: Mapping[str, CoilCertificate]) -> dict[str, float]:
-    """Find how much of a coil's motion goes along the directions of the others, in dB of its own."""
-    shares = {
-        other.name: abs(float(coil.direction @ other.direction))
-        for other in coils.values()
-        if other.name != coil.name
-    }
-    return {name: DB * math.log(max(share, 1e-6)) for name, share in shares.items()}
 
 
 def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
@@ -526,3 +590,25 @@ def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
             f"{name} moves {turned_deg:.0f}° from the direction in rig.toml; check its channel and polarity, or write "
             f"direction = {np.round(coil.direction, 2).tolist()}"
         )
+
+
+def _average_thirds(values: Samples, frequency_hz: Samples, *, band_hz: Band) -> Samples:
+    """Average values, shape (..., k), in third octaves of a band; empty ones are left out."""
+    low, high = band_hz
+    n_bands = max(round(3 * math.log2(high / low)), 1)
+    number = np.floor(n_bands * np.log(np.maximum(frequency_hz, 1e-9) / low) / math.log(high / low))
+    found = [values[..., number == band] for band in range(n_bands)]
+    return np.stack([one.mean(axis=-1) for one in found if one.shape[-1]], axis=-1)
+
+
+def _compare_db(one: Response, other: Response) -> Samples:
+    """Compare the sizes of two responses: one over the other, in dB, in the third octaves of the band."""
+    inside = find_inside(other.frequency_hz, band_hz=other.band_hz)
+    at_hz = other.frequency_hz[inside]
+    size = np.interp(at_hz, one.frequency_hz, np.abs(one.response))
+    ratio_db = DB * np.log(size / np.abs(other.response[inside]))
+    return _average_thirds(ratio_db, at_hz, band_hz=other.band_hz)
+
+
+def _interpolate(grid_hz: Samples, found: Response) -> Spectrum:
+    return np.asarray(np.interp(grid_hz, found.frequency_hz, found.response), dtype=np.complex128)

@@ -11,20 +11,22 @@ import json
 import math
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, create_model
 from scipy import fft, signal
 
 from feel321.files import create_text, file_named, make_folder, write_bytes
 from feel321.records import to_json_value
 from feel321.study.actuator.response import Band, Spectrum
-from feel321.study.actuator.rig import ActuatorTable, CalibrationTable, Rig, SensorTable, digest
+from feel321.study.actuator.rig import AXES, Rig, SensorTable, digest
+from feel321.study.settings.fields import AtLeastOne, Count, Positive, Words
 from feel321.types import Samples
 
 FOLDER = "calibration"
@@ -33,10 +35,13 @@ MEASURED, MANUAL = "measured", "manual"
 TYPED = "typed"
 """A value that somebody typed; others are measured."""
 
-DAMAGED = (EOFError, RuntimeError, zipfile.BadZipFile, zlib.error)
+DAMAGED = (EOFError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile, zlib.error)
 """What reading a damaged archive raises."""
 
 FADED_DB = -80.0  # of a filter's energy: what comes after is cut off
+
+OrNaN = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+"""A number that JSON holds as null where it was not measured."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +49,7 @@ class BudgetTerm:
     """One term of the uncertainty of a coil's response, in dB (standard uncertainty); source: `measured` or `typed`."""
 
     name: str
-    db: float
+    db: OrNaN
     source: str
 
 
@@ -62,23 +67,23 @@ class CoilCertificate:
     total_distortion: harmonics over fundamentals, over the whole band.
     """
 
-    name: str
-    channel: int
-    full_scale_m_s2: float
-    target: float
-    latency: int
-    delay: int = 0
-    gain_db: float = 0.0
-    before_db: float = math.nan
-    largest_db: float = math.nan
-    least_coherence: float = math.nan
-    crossed_db: float = math.nan
-    noise_m_s2: float = math.nan
-    uncertainty_db: float = math.nan
-    total_distortion: float = math.nan
-    worst_hz: float = math.nan
-    least_coherence_after: float = math.nan
-    onto_db: Mapping[str, float] = field(default_factory=dict)
+    name: Words
+    channel: AtLeastOne
+    full_scale_m_s2: Positive
+    target: Positive
+    latency: Count
+    delay: Count = 0
+    gain_db: OrNaN = 0.0
+    before_db: OrNaN = math.nan
+    largest_db: OrNaN = math.nan
+    least_coherence: OrNaN = math.nan
+    crossed_db: OrNaN = math.nan
+    noise_m_s2: OrNaN = math.nan
+    uncertainty_db: OrNaN = math.nan
+    total_distortion: OrNaN = math.nan
+    worst_hz: OrNaN = math.nan
+    least_coherence_after: OrNaN = math.nan
+    onto_db: Mapping[str, OrNaN] = field(default_factory=dict)
     budget: tuple[BudgetTerm, ...] = ()
     direction: Samples
     frequency_hz: Samples
@@ -95,18 +100,12 @@ class CoilCertificate:
 
         Beyond the measured frequencies the response stays as at the last one.
         """
-        n = fft.next_fast_len(
-            len(drive) + round(rate_hz), real=True
-        )  # what rings on is less than a second
+        # What rings on is less than a second.
+        n = fft.next_fast_len(len(drive) + round(rate_hz), real=True)
         grid_hz = fft.rfftfreq(n, 1 / rate_hz)
         response = np.interp(grid_hz, self.frequency_hz, self.response)
         moved: Samples = fft.irfft(fft.rfft(drive, n) * response, n)[: len(drive)]
         return moved
-
-    def find_gain(self, frequencies_hz: Sequence[float], *, rate_hz: float) -> float:
-        """Find the largest gain of the filter at some frequencies."""
-        gains = signal.freqz(self.fir, worN=np.asarray(frequencies_hz), fs=rate_hz)[1]
-        return float(np.abs(gains).max())
 
     def equalise(self, samples: Samples) -> Samples:
         """Filter samples, shape (n,), so that full scale becomes `target` m/s²; shape (n + tail,)."""
@@ -124,15 +123,15 @@ class Certificate:
     """The calibration of a rig: identity, validity, and its coils by actuator.
 
     sha256: the seal of the file, empty before it is written; method: `measured` or `manual`; made_utc, expires_utc:
-    ISO 8601; settings: how it was measured; failures: limits that were not kept.
+    ISO 8601; sensor, settings: how it was measured; failures: limits that were not kept.
     """
 
-    id: str
-    method: str
+    id: Words
+    method: Words
     rig_sha256: str
     made_utc: str
     expires_utc: str
-    rate_hz: float
+    rate_hz: Positive
     band_hz: Band
     coils: Mapping[str, CoilCertificate]
     device: str = ""
@@ -151,6 +150,11 @@ class Certificate:
         """Whether all limits were kept."""
         return not self.failures
 
+    @property
+    def lead_s(self) -> float:
+        """Time by which the filters let samples go out before the vibration that they make."""
+        return max(coil.delay for coil in self.coils.values()) / self.rate_hz
+
     def drive(self, name: str, asked_m_s2: Samples) -> Samples:
         """Make the samples to be sent to a coil, shape (n + tail,), for the motion that is asked of it, shape (n,).
 
@@ -160,10 +164,21 @@ class Certificate:
         waits = max(one.latency for one in self.coils.values()) - coil.latency
         return np.concatenate([np.zeros(waits), coil.equalise(asked_m_s2 / coil.target)])
 
-    @property
-    def lead_s(self) -> float:
-        """Time by which the filters let samples go out before the vibration that they make."""
-        return max(coil.delay for coil in self.coils.values()) / self.rate_hz
+    def predict(self, frames: NDArray[np.floating[Any]]) -> Samples:
+        """Predict the acceleration at the hand in m/s², shape (3, n), for frames sent, shape (n, channels).
+
+        Latency is left out; what differs between the coils is kept.
+        """
+        moved = np.zeros((len(AXES), len(frames)))
+        first = min(coil.latency for coil in self.coils.values())
+        for coil in self.coils.values():
+            drive = np.asarray(frames[:, coil.channel - 1], dtype=np.float64)
+            if not drive.any():
+                continue
+            late = min(coil.latency - first, len(drive))
+            own = coil.respond(drive, rate_hz=self.rate_hz)[: len(drive) - late]
+            moved[:, late:] += np.outer(coil.direction, own)
+        return moved
 
     def apply(self, rig: Rig) -> Rig:
         """Give a rig the full scales that were measured, in which the mixer keeps the limits."""
@@ -175,204 +190,29 @@ class Certificate:
 
     def find_faults(self, rig: Rig, now: datetime, *, rate_hz: float | None = None) -> list[str]:
         """Find why the certificate is not valid for a rig today, one line each."""
-        found = []
+        again, found = "run feel321 calibrate", []
         if self.sensor and rig.sensor is None:  # taken off since the coils were measured
-            rig = rig.model_copy(update={"sensor": _read_sensor(self.sensor)})
-        if (own := digest(rig)) != self.rig_sha256:
+            rig = rig.model_copy(update={"sensor": SensorTable.model_validate(self.sensor)})
+        own, channels = digest(rig), {one.name: one.channel for one in rig.actuators}
+        known = {name: coil.channel for name, coil in self.coils.items()}
+        if own != self.rig_sha256 or known != channels:
             found.append(
                 f"certificate {self.id} is of another rig (digest {self.rig_sha256[:12]}, this rig's is {own[:12]}); "
-                "put the old rig.toml back, or run feel321 calibrate"
+                f"put the old rig.toml back, or {again}"
             )
         if now >= datetime.fromisoformat(self.expires_utc):
-            found.append(
-                f"certificate {self.id} expired on {self.expires_utc[:10]}; run feel321 calibrate"
-            )
+            found.append(f"certificate {self.id} expired on {self.expires_utc[:10]}; {again}")
         if rate_hz is not None and rate_hz != self.rate_hz:
             found.append(
-                f"certificate {self.id} was measured at {self.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; "
-                "run feel321 calibrate"
+                f"certificate {self.id} was measured at {self.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; {again}"
             )
-        found += [
-            f"certificate {self.id} did not pass: {failure}; mend that and run feel321 calibrate again"
+        return found + [
+            f"certificate {self.id} did not pass: {failure}; mend that and {again} again"
             for failure in self.failures
         ]
-        return found
-
-    def predict(self, frames: NDArray[np.floating[Any]]) -> Samples:
-        """Predict the acceleration at the hand in m/s², shape (3, n), for frames sent, shape (n, channels).
-
-        Latency is left out; what differs between the coils is kept.
-        """
-        moved = np.zeros((3, len(frames)))
-        first = min(coil.latency for coil in self.coils.values())
-        for coil in self.coils.values():
-            drive = np.asarray(frames[:, coil.channel - 1], dtype=np.float64)
-            if not drive.any():
-                continue
-            late = min(coil.latency - first, len(drive))
-            own = coil.respond(drive, rate_hz=self.rate_hz)[: len(drive) - late]
-            moved[:, late:] += np.outer(coil.direction, own)
-        return moved
 
 
-def _read_sensor(sensor: Mapping[str, Any]) -> SensorTable:
-    """Read a sensor as it was dumped: with its data sheet's numbers and the scale that follows from them."""
-    values = {key: tuple(own) if isinstance(own, list) else own for key, own in sensor.items()}
-    return SensorTable.model_construct(None, **values)
-
-
-def write_certificate(certificate: Certificate, folder: Path) -> Certificate:
-    """Write a certificate into a study's folder, where none of that name may be, and return it with its seal."""
-    place = folder / FOLDER
-    make_folder(place)
-    path = place / f"{certificate.id}.json"
-    arrays = path.with_suffix(".npz")
-    for file in (path, arrays):
-        if file.exists():
-            raise FileExistsError(f"{file}: already exists and is not overwritten; calibrate again")
-    content = _pack(certificate)
-    entry = _describe(certificate) | {"arrays_sha256": hashlib.sha256(content).hexdigest()}
-    seal = _seal(entry)
-    write_bytes(arrays, content)
-    create_text(path, json.dumps(entry | {"sha256": seal}, indent=1, ensure_ascii=False) + "\n")
-    return read_certificate(path)
-
-
-def read_certificate(path: Path) -> Certificate:
-    """Read a certificate, or refuse one that was changed since it was written."""
-    with file_named(path):
-        try:
-            entry = json.loads(path.read_text(encoding="utf-8"))
-            name, seal = entry.pop("format"), entry.pop("sha256")
-        except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
-            raise ValueError(
-                "not a certificate as calibrate writes them; calibrate again"
-            ) from None
-        if name != FORMAT:
-            raise ValueError(
-                f"got format {name!r}, expected {FORMAT!r}; calibrate again with this version"
-            )
-        if _seal({"format": name} | entry) != seal:
-            raise ValueError("was changed after it was written; restore it, or calibrate again")
-        content = path.with_suffix(".npz").read_bytes()
-        if hashlib.sha256(content).hexdigest() != entry.pop("arrays_sha256", None):
-            raise ValueError(
-                f"its arrays in {path.stem}.npz were changed after they were written; restore them, or calibrate again"
-            )
-        return _unpack(entry, content, seal=seal)
-
-
-def list_certificates(folder: Path) -> list[Path]:
-    """List the certificates in a study's folder, the newest first."""
-    return sorted((folder / FOLDER).glob("[!.]*.json"), reverse=True)
-
-
-def find_certificate(
-    folder: Path, rig: Rig, *, now: datetime, rate_hz: float | None = None
-) -> Certificate | None:
-    """Find the newest valid certificate of a rig in a study's folder."""
-    return judge_certificates(folder, rig, now=now, rate_hz=rate_hz)[0]
-
-
-def judge_certificates(
-    folder: Path, rig: Rig, *, now: datetime, rate_hz: float | None = None
-) -> tuple[Certificate | None, list[str]]:
-    """Find the newest valid certificate of a rig; if there is none, the faults of the one that comes nearest.
-
-    Nearest is the newest of the same rig, else the newest of all.
-    """
-    candidates: list[tuple[bool, list[str]]] = []
-    for path in list_certificates(folder):
-        try:
-            certificate = read_certificate(path)
-        except (OSError, ValueError) as error:
-            candidates.append((False, [f"certificate {error}"]))
-            continue
-        if not (faults := certificate.find_faults(rig, now, rate_hz=rate_hz)):
-            return certificate, []
-        candidates.append((certificate.rig_sha256 != digest(rig), faults))
-    if not candidates:
-        return None, ["no certificate of calibration; run feel321 calibrate"]
-    return None, min(candidates, key=lambda candidate: candidate[0])[1]
-
-
-def _describe(certificate: Certificate) -> dict[str, Any]:
-    own = {
-        one.name: getattr(certificate, one.name)
-        for one in fields(Certificate)
-        if one.name not in {"coils", "sha256"}
-    }
-    coils = [
-        {one.name: getattr(coil, one.name) for one in fields(coil) if one.name not in ARRAYS}
-        for coil in certificate.coils.values()
-    ]
-    entry: dict[str, Any] = to_json_value({"format": FORMAT, **own, "coils": coils})
-    return entry
-
-
-def _seal(entry: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()
-
-
-def _pack(certificate: Certificate) -> bytes:
-    """Pack the arrays of all coils; their names are the coil's number and the field's name."""
-    buffer = io.BytesIO()
-    arrays = {
-        f"{number}.{name}": getattr(coil, name)
-        for number, coil in enumerate(certificate.coils.values())
-        for name in ARRAYS
-    }
-    np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    return buffer.getvalue()
-
-
-def _unpack(entry: dict[str, Any], content: bytes, *, seal: str) -> Certificate:
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            coils = [
-                _read_coil(coil, {name: arrays[f"{number}.{name}"] for name in ARRAYS})
-                for number, coil in enumerate(entry.pop("coils"))
-            ]
-        entry["band_hz"], entry["failures"] = tuple(entry["band_hz"]), tuple(entry["failures"])
-        return Certificate(coils={coil.name: coil for coil in coils}, sha256=seal, **entry)
-    except (*DAMAGED, KeyError, TypeError, ValueError):
-        raise ValueError("lacks a part of a certificate; calibrate again") from None
-
-
-def _read_coil(entry: dict[str, Any], arrays: Mapping[str, Any]) -> CoilCertificate:
-    budget = tuple(BudgetTerm(**term) for term in entry.pop("budget"))
-    known: dict[str, Any] = {
-        name: math.nan if value is None else value for name, value in entry.items()
-    }
-    return CoilCertificate(budget=budget, **known, **arrays)
-
-
-def make_manual(
-    rig: Rig,
-    gains: Mapping[str, float],
-    *,
-    directions: Mapping[str, Samples],
-    made: datetime,
-    rate_hz: float,
-) -> Certificate:
-    """Make a certificate of typed gains, in m/s² per full scale by actuator: no filter, nothing measured."""
-    names = [actuator.name for actuator in rig.actuators]
-    if wrong := [name for name in (*names, *gains) if (name in gains) != (name in names)]:
-        raise ValueError(
-            f"manual gains must name each actuator once ({', '.join(map(repr, names))}), not so: "
-            f"{', '.join(map(repr, wrong))}"
-        )
-    if wrong := [name for name, gain in gains.items() if not 0 < gain < math.inf]:
-        raise ValueError(
-            f"manual gain of {wrong[0]!r} must be positive m/s² per full scale, got {gains[wrong[0]]:g}"
-        )
-    coils = {
-        one.name: _make_typed_coil(
-            one, rig.calibration, gain=gains[one.name], direction=directions.get(one.name)
-        )
-        for one in rig.actuators
-    }
-    return begin_certificate(rig, coils, method=MANUAL, made=made, rate_hz=rate_hz)
+# How certificates begin.
 
 
 def begin_certificate(
@@ -396,25 +236,178 @@ def begin_certificate(
     )
 
 
-def _make_typed_coil(
-    actuator: ActuatorTable, settings: CalibrationTable, *, gain: float, direction: Samples | None
-) -> CoilCertificate:
-    unknown, nothing, db = np.full(2, np.nan), np.zeros(0), settings.gain_uncertainty_db
-    return CoilCertificate(
-        name=actuator.name,
-        channel=actuator.channel,
-        full_scale_m_s2=gain,
-        target=gain,
-        latency=0,
-        uncertainty_db=db,
-        budget=(BudgetTerm(name="typed gain", db=db, source=TYPED),),
-        direction=np.eye(3)[0] if direction is None else direction,
-        frequency_hz=np.array(settings.band_hz),
-        response=np.full(2, gain, dtype=np.complex128),
-        coherence=unknown,
-        distortion=unknown,
-        equalised=unknown.astype(np.complex128),
-        fir=np.ones(1),
-        levels=nothing,
-        linearity_db=nothing,
-    )
+def make_manual(
+    rig: Rig,
+    gains: Mapping[str, float],
+    *,
+    directions: Mapping[str, Samples],
+    made: datetime,
+    rate_hz: float,
+) -> Certificate:
+    """Make a certificate of typed gains, in m/s² per full scale by actuator: no filter, nothing measured."""
+    names = [actuator.name for actuator in rig.actuators]
+    if wrong := [name for name in (*names, *gains) if (name in gains) != (name in names)]:
+        raise ValueError(
+            f"manual gains must name each actuator once ({', '.join(map(repr, names))}), not so: "
+            f"{', '.join(map(repr, wrong))}"
+        )
+    if wrong := [name for name, gain in gains.items() if not 0 < gain < math.inf]:
+        raise ValueError(
+            f"manual gain of {wrong[0]!r} must be positive m/s² per full scale, got {gains[wrong[0]]:g}"
+        )
+    unknown, nothing, db = np.full(2, np.nan), np.zeros(0), rig.calibration.gain_uncertainty_db
+    coils = {
+        actuator.name: CoilCertificate(
+            name=actuator.name,
+            channel=actuator.channel,
+            full_scale_m_s2=gains[actuator.name],
+            target=gains[actuator.name],
+            latency=0,
+            uncertainty_db=db,
+            budget=(BudgetTerm(name="typed gain", db=db, source=TYPED),),
+            direction=directions.get(actuator.name, np.eye(len(AXES))[0]),
+            frequency_hz=np.array(rig.calibration.band_hz),
+            response=np.full(2, gains[actuator.name], dtype=np.complex128),
+            coherence=unknown,
+            distortion=unknown,
+            equalised=unknown.astype(np.complex128),
+            fir=np.ones(1),
+            levels=nothing,
+            linearity_db=nothing,
+        )
+        for actuator in rig.actuators
+    }
+    return begin_certificate(rig, coils, method=MANUAL, made=made, rate_hz=rate_hz)
+
+
+# The files of a certificate.
+
+
+def _make_model(record: type, name: str, **others: Any) -> Any:  # noqa: ANN401 - a type made here
+    """Make the model of what JSON holds of a record: all its fields but arrays, of the types that it says."""
+    own: dict[str, Any] = {"__config__": {"extra": "forbid"}}
+    own |= {one.name: (one.type, ...) for one in fields(record) if one.name not in ARRAYS}
+    return create_model(name, **own | others)
+
+
+_CoilEntry: Any = _make_model(CoilCertificate, "_CoilEntry")
+
+
+def _check_time(text: str) -> str:
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("must be a time with its zone")
+    return text
+
+
+_Entry = _make_model(
+    Certificate,
+    "_Entry",
+    format=(str, ...),
+    sha256=(str, ...),
+    arrays_sha256=(str, ...),
+    expires_utc=(Annotated[str, AfterValidator(_check_time)], ...),
+    sensor=(SensorTable | None, ...),
+    coils=(Annotated[tuple[_CoilEntry, ...], Field(min_length=1)], ...),
+)
+
+
+def write_certificate(certificate: Certificate, folder: Path) -> Certificate:
+    """Write a certificate into a study's folder, where none of that name may be, and return it with its seal."""
+    place = folder / FOLDER
+    make_folder(place)
+    path = place / f"{certificate.id}.json"
+    arrays = path.with_suffix(".npz")
+    for file in (path, arrays):
+        if file.exists():
+            raise FileExistsError(f"{file}: already exists and is not overwritten; calibrate again")
+    coils = list(certificate.coils.values())
+    buffer = io.BytesIO()
+    packed = {f"{k}.{name}": getattr(coil, name) for k, coil in enumerate(coils) for name in ARRAYS}
+    np.savez_compressed(buffer, allow_pickle=False, **packed)
+    content = buffer.getvalue()
+
+    def describe(record: Any, *besides: str) -> dict[str, Any]:  # noqa: ANN401 - either record
+        names = [one.name for one in fields(record) if one.name not in besides]
+        return {name: getattr(record, name) for name in names}
+
+    entry = to_json_value({
+        "format": FORMAT,
+        **describe(certificate, "coils", "sha256"),
+        "coils": [describe(coil, *ARRAYS) for coil in coils],
+        "arrays_sha256": hashlib.sha256(content).hexdigest(),
+    })
+    write_bytes(arrays, content)
+    sealed = entry | {"sha256": _seal(entry)}
+    create_text(path, json.dumps(sealed, indent=1, ensure_ascii=False) + "\n")
+    return read_certificate(path)
+
+
+def read_certificate(path: Path) -> Certificate:
+    """Read a certificate, or refuse one that was changed since it was written."""
+    with file_named(path):
+        try:
+            entry = json.loads(path.read_text(encoding="utf-8"))
+            found, seal = entry["format"], entry["sha256"]
+        except (ValueError, KeyError, TypeError, RecursionError):
+            raise ValueError(
+                "not a certificate as calibrate writes them; calibrate again"
+            ) from None
+        if found != FORMAT:
+            raise ValueError(
+                f"got format {found!r}, expected {FORMAT!r}; calibrate again with this version"
+            )
+        if _seal({key: value for key, value in entry.items() if key != "sha256"}) != seal:
+            raise ValueError("was changed after it was written; restore it, or calibrate again")
+        content = path.with_suffix(".npz").read_bytes()
+        if hashlib.sha256(content).hexdigest() != entry.get("arrays_sha256"):
+            raise ValueError(
+                f"its arrays in {path.stem}.npz were changed after they were written; restore them, or calibrate again"
+            )
+        try:
+            known = dict(_Entry.model_validate(entry))
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+                coils = [
+                    CoilCertificate(**dict(coil), **{one: arrays[f"{k}.{one}"] for one in ARRAYS})
+                    for k, coil in enumerate(known.pop("coils"))
+                ]
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            place = ".".join(map(str, first["loc"]))
+            raise ValueError(f"{place}: {first['msg']}; calibrate again") from None
+        except DAMAGED:
+            raise ValueError("lacks a part of a certificate; calibrate again") from None
+        for name in ("format", "arrays_sha256"):
+            del known[name]
+        known["sensor"] = entry["sensor"]
+        return Certificate(**known, coils={coil.name: coil for coil in coils})
+
+
+def _seal(entry: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()
+
+
+def list_certificates(folder: Path) -> list[Path]:
+    """List the certificates in a study's folder, the newest first."""
+    return sorted((folder / FOLDER).glob("[!.]*.json"), reverse=True)
+
+
+def judge_certificates(
+    folder: Path, rig: Rig, *, now: datetime, rate_hz: float | None = None
+) -> tuple[Certificate | None, list[str]]:
+    """Find the newest valid certificate of a rig; if there is none, the faults of the one that comes nearest.
+
+    Nearest is the newest of the same rig, else the newest of all.
+    """
+    candidates: list[tuple[bool, list[str]]] = []
+    for path in list_certificates(folder):
+        try:
+            certificate = read_certificate(path)
+        except (OSError, ValueError) as error:
+            candidates.append((False, [f"certificate {error}"]))
+            continue
+        if not (faults := certificate.find_faults(rig, now, rate_hz=rate_hz)):
+            return certificate, []
+        candidates.append((certificate.rig_sha256 != digest(rig), faults))
+    if not candidates:
+        return None, ["no certificate of calibration; run feel321 calibrate"]
+    return None, min(candidates, key=lambda candidate: candidate[0])[1]

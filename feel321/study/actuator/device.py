@@ -8,14 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from math import nan
 from threading import Thread
 from time import perf_counter
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
-from feel321.study.actuator.mixer import Cue, Frames
+from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.rig import Rig
 
 Foreign = Any  # sounddevice has no types
@@ -52,73 +51,6 @@ class Device:
         return self.host_api in PROGRAMS or (self.host_api == ALSA and HARDWARE not in self.name)
 
 
-def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = None) -> Device:
-    """Find an output device by its name or a part of it that no other has; never take another one instead."""
-    outputs = [
-        device for device in devices if device.n_outputs and device.name.lower() not in FALLBACKS
-    ]
-    if not outputs:
-        raise OSError(f"device {name!r} not found: there is no output device at all; plug it in")
-    if name.lower() in FALLBACKS:
-        raise OSError(
-            f"device {name!r} may be another one tomorrow; name one of {_list_names(outputs)}"
-        )
-    through = f" through {host_api}" if host_api else ""
-    allowed = [d for d in outputs if not host_api or d.host_api.lower() == host_api.lower()]
-    found = [device for device in allowed if device.name == name] or [
-        device for device in allowed if name.strip() and name.lower() in device.name.lower()
-    ]
-    if not found:
-        raise OSError(f"device {name!r}{through} not found; name one of {_list_names(outputs)}")
-    if len(found) > 1:
-        raise OSError(
-            f"device {name!r}{through} is ambiguous: {len(found)} devices have it in their names: "
-            f"{_list_names(found)}; name one in full, and its host_api in rig.toml"
-        )
-    return found[0]
-
-
-def find_source(devices: Sequence[Device], rig: Rig, device: Device) -> Device:
-    """Find the device of the rig's sensor: the one that plays, or another input of the same interface."""
-    name = rig.sensor.device if rig.sensor else None
-    if name is None:
-        return device
-    inputs = [one for one in devices if one.n_inputs and one.host_api == device.host_api]
-    found = [one for one in inputs if one.name == name] or [
-        one for one in inputs if name.lower() in one.name.lower()
-    ]
-    if len(found) != 1:
-        reason = f"{len(found)} devices have it in their names" if found else "not found"
-        raise OSError(
-            f"device {name!r} of [sensor]: {reason}; name one of the inputs of {device.host_api}: {_list_names(inputs)}"
-        )
-    return found[0]
-
-
-def find_devices(rig: Rig) -> tuple[Device, Device]:
-    """Find the devices that play on a rig and measure there, and check that they have the channels it names."""
-    devices, wanted = list_devices(), rig.device
-    device = find_device(devices, wanted.name, host_api=wanted.host_api)
-    source = find_source(devices, rig, device)
-    check_channels(device, rig, source=source)
-    return device, source
-
-
-def check_channels(device: Device, rig: Rig, *, source: Device | None = None) -> None:
-    """Refuse a device that lacks a channel that the rig names; source: the sensor's device, if it is another one."""
-    source = source or device
-    n_inputs = max(rig.sensor.inputs) if rig.sensor else 0
-    for one, kind, needed, there in (
-        (device, "output", rig.n_channels, device.n_outputs),
-        (source, "input", n_inputs, source.n_inputs),
-    ):
-        if needed > there:
-            raise OSError(
-                f"device {one.name!r} has {there} {kind} channel(s), the rig needs {needed}; "
-                "take another device, or other channels in rig.toml"
-            )
-
-
 def list_devices() -> list[Device]:
     """List the audio devices of this machine."""
     sounddevice = _load()
@@ -133,6 +65,72 @@ def list_devices() -> list[Device]:
         )
         for row in sounddevice.query_devices()
     ]
+
+
+def find_devices(rig: Rig) -> tuple[Device, Device]:
+    """Find the devices that play on a rig and measure there, and check that they have the channels it names."""
+    devices = list_devices()
+    device = find_device(devices, rig.device.name, host_api=rig.device.host_api)
+    source, sensor = device, rig.sensor
+    if sensor is not None and sensor.device is not None:
+        inputs = [one for one in devices if one.n_inputs and one.host_api == device.host_api]
+        found = _match(inputs, sensor.device)
+        if len(found) != 1:
+            reason = f"{len(found)} devices have it in their names" if found else "not found"
+            raise OSError(
+                f"device {sensor.device!r} of [sensor]: {reason}; name one of the inputs of {device.host_api}: "
+                f"{_list_names(inputs)}"
+            )
+        source = found[0]
+    check_channels(rig, device, source)
+    return device, source
+
+
+def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = None) -> Device:
+    """Find an output device by its name or a part of it that no other has; never take another one instead."""
+    outputs = [one for one in devices if one.n_outputs and one.name.lower() not in FALLBACKS]
+    if not outputs:
+        raise OSError(f"device {name!r} not found: there is no output device at all; plug it in")
+    if name.lower() in FALLBACKS:
+        raise OSError(
+            f"device {name!r} may be another one tomorrow; name one of {_list_names(outputs)}"
+        )
+    through = f" through {host_api}" if host_api else ""
+    allowed = [one for one in outputs if not host_api or one.host_api.lower() == host_api.lower()]
+    found = _match(allowed, name)
+    if not found:
+        raise OSError(f"device {name!r}{through} not found; name one of {_list_names(outputs)}")
+    if len(found) > 1:
+        raise OSError(
+            f"device {name!r}{through} is ambiguous: {len(found)} devices have it in their names: "
+            f"{_list_names(found)}; name one in full, and its host_api in rig.toml"
+        )
+    return found[0]
+
+
+def _match(devices: Sequence[Device], name: str) -> list[Device]:
+    """List the devices of a name, or, if there are none, those that have it as a part of theirs."""
+    part = name.strip().lower()
+    named = [one for one in devices if one.name == name]
+    return named or [one for one in devices if part and part in one.name.lower()]
+
+
+def _list_names(devices: Sequence[Device]) -> str:
+    return ", ".join(f"{device.name!r} ({device.host_api})" for device in devices)
+
+
+def check_channels(rig: Rig, device: Device, source: Device) -> None:
+    """Refuse devices that lack a channel that the rig names."""
+    n_inputs = max(rig.sensor.inputs) if rig.sensor else 0
+    for one, kind, needed, there in (
+        (device, "output", rig.n_channels, device.n_outputs),
+        (source, "input", n_inputs, source.n_inputs),
+    ):
+        if needed > there:
+            raise OSError(
+                f"device {one.name!r} has {there} {kind} channel(s), the rig needs {needed}; "
+                "take another device, or other channels in rig.toml"
+            )
 
 
 def list_rates(device: Device, rates_hz: Sequence[float]) -> list[float]:
@@ -160,10 +158,6 @@ def refresh_devices() -> None:
             raise OSError(
                 f"device: PortAudio does not start ({error}); check the sound system, then resume"
             ) from None
-
-
-def _list_names(devices: Sequence[Device]) -> str:
-    return ", ".join(f"{device.name!r} ({device.host_api})" for device in devices)
 
 
 def _load() -> ModuleType:
@@ -200,8 +194,6 @@ def _silence_stderr() -> Iterator[None]:
         os.close(kept)
 
 
-# Timeouts that ignore the time during which this process was suspended.
-
 GLANCE_S = 0.25  # longest time between two looks that counts: beyond, this process was suspended
 
 
@@ -225,22 +217,20 @@ class Patience:
 
 def join(thread: Thread, *, patience_s: float) -> bool:
     """Wait for the end of a thread, not counting time during which this process was suspended."""
-    for _ in range(max(round(patience_s / GLANCE_S), 1)):
+    patience = Patience()
+    while thread.is_alive() and patience.look() < patience_s:
         thread.join(min(GLANCE_S, patience_s))
-        if not thread.is_alive():
-            return True
-    return False
+    return not thread.is_alive()
 
 
-# One playback as the stream sees it, block by block: when it really began and ended, and what went wrong.
+# What the blocks of the mixer go to.
 
 FROM_DEVICE, FROM_LATENCY = "device", "latency"  # ways to get the time of an onset
-SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
 
 @dataclass(frozen=True, slots=True)
 class BlockTimes:
-    """Times and flags that a stream gives with a block; dac_source: how `dac_s` was got."""
+    """Times and flags that come with a block; dac_source: how `dac_s` was got, empty where nothing plays."""
 
     now_s: float
     dac_s: float
@@ -250,72 +240,55 @@ class BlockTimes:
     dac_source: str = FROM_DEVICE
 
 
-@dataclass(slots=True)
-class Take:
-    """The record of one playback; the callback writes it, the session reads it once it is out.
+class Sink:
+    """What the blocks of the mixer go to: a device, simulated coils, or a file; it runs from the time it is made.
 
-    latency_s: of the device, there and back; sensor: room for what a sensor measures, shape (n, axes), if there is one.
+    latency_s: from a block to its sound; there_and_back_s: from a block to what the sensor makes of it.
     """
 
-    rate_hz: float
-    latency_s: float
-    sensor: Frames | None = None
-    cue: Cue | None = None
-    onset_s: float | None = None
-    dac_source: str = ""
-    end_s: float | None = None
-    is_out: bool = False
-    n_blocks: int = 0
-    n_underruns: int = 0
-    n_sensor_gaps: int = 0
-    longest_s: float = 0.0
-    sensor_latency_s: float = 0.0
-    n_sensed: int = 0
-    end_frame: int = 0
+    latency_s = 0.0
+    there_and_back_s = 0.0
+    name = ""
 
-    def add_block(self, block: BlockTimes, *, frame: int) -> None:
-        """Take account of a block that the mixer has filled."""
-        self.n_blocks += 1
-        self.n_underruns += block.has_run_dry
-        self.n_sensor_gaps += block.has_lost_input
-        if self.cue is None:
-            return
-        if self.end_s is not None:
-            n_since = frame - self.end_frame
-            # Some host interfaces give no times: then the device's own latency counts, twice to be safe.
-            n_late = round(2 * self.latency_s * self.rate_hz)
-            is_heard = block.now_s >= self.end_s or n_since >= n_late
-            # Times of inputs are less true than those of outputs, so the sensor is recorded by frames.
-            n_sensed = round((self.latency_s + SENSOR_TAIL_S) * self.rate_hz)
-            self.is_out = is_heard and (self.sensor is None or n_since >= n_sensed)
-            return
-        if self.onset_s is None and self.cue.n_played:
-            self.onset_s = block.dac_s + (self.cue.onset_frame - frame) / self.rate_hz
-            self.dac_source = block.dac_source
-            self.sensor_latency_s = block.dac_s - block.adc_s
-        if self.cue.is_over:
-            n_played = self.cue.n_played
-            self.end_frame = self.cue.onset_frame + n_played if n_played else frame
-            self.end_s = block.dac_s + (self.end_frame - frame) / self.rate_hz
-
-    def record(self, samples: Frames, *, frame: int) -> None:
-        """Keep what the sensor measured, shape (n, axes), since the onset's frame went out; it comes back later."""
-        if self.sensor is None or self.cue is None or self.onset_s is None:
-            return
-        first = max(self.cue.onset_frame - frame, 0)
-        if not self.n_sensed:
-            # The onset's own block may come before the session has told which cue it is.
-            self.n_sensed = frame + first - self.cue.onset_frame
-            self.sensor[: self.n_sensed] = 0
-        piece = samples[first : first + len(self.sensor) - self.n_sensed]
-        self.sensor[self.n_sensed : self.n_sensed + len(piece)] = piece
-        self.n_sensed += len(piece)
+    def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
+        self._rig, self._rate_hz, self._fill, self._clock = rig, rate_hz, fill, clock
 
     @property
-    def sensed(self) -> Frames:
-        """What the sensor measured, in fractions of its full scale, shape (n, axes)."""
-        room = np.zeros((0, 1), dtype=np.float32) if self.sensor is None else self.sensor
-        return room[: self.n_sensed]
+    def identity(self) -> dict[str, object]:
+        """What a journal says of it."""
+        return {"device": self.name}
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it was not stopped; it may stand still nevertheless."""
+        return True
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it has asked for nothing for long; if nobody looked meanwhile, it may just go on."""
+        return not self.is_active
+
+    def find_fault(self) -> str:
+        """Describe why it does not run; empty if it does."""
+        return "" if self.is_active else "stopped"
+
+    def compare_clocks(self) -> float:
+        """Find by how much the session's clock is ahead of its own, in s; NaN if it is dead."""
+        return 0.0
+
+    def begin(self) -> None:
+        """Be told that a playback begins."""
+
+    def serve_due(self) -> bool:
+        """Serve a block that is due, if it does not ask for blocks by itself; returns whether there was one."""
+        return False
+
+    def close(self) -> None:
+        """Fall silent and let go of everything."""
+
+    @staticmethod
+    def refresh() -> None:
+        """Look anew for what there is, before it is opened again."""
 
 
 STALL_S = 2.5  # a device that asks for nothing for so long, while it is looked at, counts as dead
@@ -325,26 +298,22 @@ CLOSING_S = 2.0  # longest wait for a dead device to close; then it is abandoned
 CLOCK_READS = 5  # of the device's clock beside the session's; the fastest reading is the truest
 
 
-class DeviceStream:
-    """One open stream, from its opening to its closing; it runs at once."""
+class DeviceStream(Sink):
+    """One open stream to the device of a rig."""
 
-    def __init__(
-        self, device: Device, rig: Rig, *, rate_hz: float, fill: Fill, source: Device | None = None
-    ) -> None:
-        self.device, self._source = device, source or device
-        self._fill = fill
+    def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
+        super().__init__(rig, rate_hz=rate_hz, fill=fill, clock=clock)
+        device, source = find_devices(rig)
+        self.name, self._device = device.name, device
         self._columns = [channel - 1 for channel in rig.sensor.inputs] if rig.sensor else None
-        self._rate_hz = rate_hz
         # What the device has to play: sound servers do not always say that it ran out.
         self._held_s = OPENED_S
         self._is_closed = False
         self._seen_s, self._patience = 0.0, Patience()
-        self._untimed_s = float(
-            "nan"
-        )  # time of the last call that did not say when its samples leave
+        self._untimed_s = nan  # time of the last call that did not say when its samples leave
         try:
             with _silence_stderr():
-                self._stream = self._open(rig, rate_hz=rate_hz)
+                self._stream = self._open(device, source)
                 latency = self._stream.latency
                 self.latency_s = float(latency if self._columns is None else latency[1])
                 self.there_and_back_s = float(latency if self._columns is None else sum(latency))
@@ -364,16 +333,24 @@ class DeviceStream:
                 "use a rate that it takes without conversion, see: feel321 doctor"
             ) from None
 
-    def find_fault(self) -> str:
-        """Describe why the stream does not run; empty if it does."""
-        if not self.is_active:
-            return "stopped: unplugged, or its server ended"
-        if self._last_s != self._seen_s:
-            self._seen_s, self._patience = self._last_s, Patience()
-        silent_s = self._patience.look()
-        if silent_s > STALL_S:
-            return f"stands still: it asked for nothing for {silent_s:.1f} s"
-        return ""
+    @property
+    def identity(self) -> dict[str, object]:
+        """What a journal says of it."""
+        own = self._device
+        return {"device": own.name, "host_api": own.host_api, "is_program": own.is_program}
+
+    def _open(self, device: Device, source: Device) -> Foreign:
+        rig = self._rig
+        settings: dict[str, Any] = {"samplerate": self._rate_hz, "dtype": "float32"}
+        settings["latency"] = rig.device.latency_s
+        if rig.sensor is None:
+            settings |= {"device": device.index, "channels": rig.n_channels}
+            return _load().OutputStream(callback=partial(self._serve, None), **settings)
+        settings |= {
+            "device": (source.index, device.index),
+            "channels": (max(rig.sensor.inputs), rig.n_channels),
+        }
+        return _load().Stream(callback=self._serve, **settings)
 
     @property
     def is_active(self) -> bool:
@@ -385,39 +362,48 @@ class DeviceStream:
         """Whether it has asked for nothing for long; if nobody looked meanwhile, it may just go on."""
         return perf_counter() - self._last_s > STALL_S
 
-    def compare_clocks(self, clock: SessionClock) -> float:
+    def find_fault(self) -> str:
+        """Describe why the stream does not run; empty if it does."""
+        if not self.is_active:
+            return "stopped: unplugged, or its server ended"
+        if self._last_s != self._seen_s:
+            self._seen_s, self._patience = self._last_s, Patience()
+        silent_s = self._patience.look()
+        if silent_s > STALL_S:
+            return f"stands still: it asked for nothing for {silent_s:.1f} s"
+        return ""
+
+    def compare_clocks(self) -> float:
         """Find by how much the session's clock is ahead of the device's, in s; NaN if the device is dead."""
         readings = []
         try:
             for _ in range(CLOCK_READS):
-                before_s, device_s, after_s = clock(), float(self._stream.time), clock()
+                before_s, device_s, after_s = (
+                    self._clock(),
+                    float(self._stream.time),
+                    self._clock(),
+                )
                 readings.append((after_s - before_s, (before_s + after_s) / 2 - device_s))
         except _load().PortAudioError:
-            return float("nan")
+            return nan
         return min(readings)[1]
 
-    def close(self) -> bool:
+    def close(self) -> None:
         """Silence the device and let it go; one that hangs is abandoned, and plays silence if it comes back."""
         self._is_closed = True
         closing = Thread(target=self._close, daemon=True)
         closing.start()
-        return join(closing, patience_s=CLOSING_S)
+        join(closing, patience_s=CLOSING_S)
+
+    @staticmethod
+    def refresh() -> None:
+        """Let PortAudio look for devices anew."""
+        refresh_devices()
 
     def _close(self) -> None:
         # A device that is gone refuses to be stopped; there is nothing left to stop then.
         with suppress(_load().PortAudioError), _silence_stderr():
             self._stream.close(ignore_errors=True)
-
-    def _open(self, rig: Rig, *, rate_hz: float) -> Foreign:
-        settings = {"samplerate": rate_hz, "dtype": "float32", "latency": rig.device.latency_s}
-        if rig.sensor is None:
-            settings |= {"device": self.device.index, "channels": rig.n_channels}
-            return _load().OutputStream(callback=partial(self._serve, None), **settings)
-        settings |= {
-            "device": (self._source.index, self.device.index),
-            "channels": (max(rig.sensor.inputs), rig.n_channels),
-        }
-        return _load().Stream(callback=self._serve, **settings)
 
     def _serve(self, sensed: Foreign, out: Foreign, *given: Foreign) -> None:
         """Fill a block, in the device's own thread."""

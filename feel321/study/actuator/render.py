@@ -7,11 +7,12 @@ angles. A rig that gives its coils no directions plays everything at weight 1.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.protocols.blocks import ThresholdBlock, name_tone
 from feel321.stimuli.recording import check_finite
@@ -176,104 +177,6 @@ def render_set(
     }
 
 
-def find_rig_problems(
-    rig: Rig,
-    stimuli: StimulusSet,
-    *,
-    rate_hz: float,
-    full_scale_m_s2: float,
-    certificate: Certificate | None = None,
-) -> list[str]:
-    """Find what keeps a rig from playing a set of stimuli as they are, in one line per problem."""
-    problems: dict[str, list[str]] = {}
-    excesses: list[tuple[str, str, float, str]] = []
-    for stimulus in stimuli.stimuli:
-        try:
-            rendered = render_stimulus(
-                stimulus,
-                stimuli.folder,
-                rig,
-                full_scale_m_s2=full_scale_m_s2,
-                certificate=certificate,
-            )
-        except ValueError as error:
-            name, _, reason = str(error).partition(": ")
-            problems.setdefault(reason, []).append(name)
-            continue
-        except OSError as error:
-            reason = error.strerror or str(error).removeprefix(f"{stimulus.file}: ")
-            problems.setdefault(f"{reason}; build the set again", []).append(stimulus.file)
-            continue
-        if stimulus.rate_hz != rate_hz:
-            reason = f"got a rate of {stimulus.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"
-            problems.setdefault(reason, []).append(stimulus.stimulus_id)
-        excesses += _find_excesses(stimulus, rendered, rig, certificate=certificate)
-    lines = [f"{_shorten(names)}: {reason}" for reason, names in problems.items()]
-    return lines + _describe_excesses(excesses, is_filtered=certificate is not None)
-
-
-def _describe_excesses(
-    excesses: Sequence[tuple[str, str, float, str]], *, is_filtered: bool
-) -> list[str]:
-    """Describe the worst excess of each limit of each actuator, and what helps."""
-    filters = (
-        " lower max_gain_db or narrow band_hz under [calibration] and calibrate again,"
-        if is_filtered
-        else ""
-    )
-    lines, kind = [], itemgetter(0, 1)
-    for (actuator, limit), group in groupby(sorted(excesses, key=kind), key=kind):
-        worst = sorted(group, key=lambda excess: -excess[2])
-        names = _shorten([excess[3] for excess in worst])
-        lines.append(
-            f"actuator {actuator!r}: {names}: got {worst[0][2]:.4g}, above {limit}; lower gain or headroom in "
-            f"study.toml and build again,{filters} or raise the limit if the coil allows it"
-        )
-    return lines
-
-
-def slide_rms(samples: Vector, n_window: int) -> Vector:
-    """Compute the root mean square over every window of n_window samples, with silence before the samples."""
-    energy = np.concatenate([np.zeros(n_window), np.cumsum(samples**2)])
-    return np.asarray(np.sqrt(np.maximum(energy[n_window:] - energy[:-n_window], 0.0) / n_window))
-
-
-def _find_excesses(
-    stimulus: Stimulus, rendered: Frames, rig: Rig, *, certificate: Certificate | None
-) -> Iterator[tuple[str, str, float, str]]:
-    """Find where a stimulus asks too much: actuator, limit, what it asks, and the stimulus.
-
-    With a certificate, the limits hold for what is sent, at the measured full scale, and for the motion it predicts.
-    """
-    limits, rate_hz = rig.limits, stimulus.rate_hz
-    for actuator in rig.actuators:
-        samples = rendered[:, actuator.channel - 1].astype(np.float64)
-        if not samples.any():
-            continue
-        coil = certificate.coils[actuator.name] if certificate else None
-        scale = coil.target if coil else actuator.full_scale_m_s2
-        drive = float(np.abs(samples).max()) * scale
-        motions = [samples * scale, *([coil.respond(samples, rate_hz=rate_hz)] if coil else [])]
-        peak = max(float(np.abs(motion).max()) for motion in motions)
-        rms = max(float(slide_rms(motion, round(WINDOW_S * rate_hz)).max()) for motion in motions)
-        for limit, asked, allowed in (
-            (
-                f"the actuator's {'measured full scale' if coil else 'full_scale_m_s2'}",
-                drive,
-                scale,
-            ),
-            ("limits.peak_m_s2", peak, limits.peak_m_s2),
-            ("limits.rms_m_s2", rms, limits.rms_m_s2),
-            ("limits.duration_s", len(samples) / rate_hz, limits.duration_s),
-        ):
-            if asked > allowed * (1 + ROUNDING):
-                yield actuator.name, f"{limit} of {allowed:g}", asked, stimulus.stimulus_id
-
-
-def _shorten(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-
-
 # Tones of threshold measurements, rendered once per frequency for 1 m/s² RMS at the hand and scaled as they are played.
 
 RAMP_S = 0.02
@@ -291,7 +194,11 @@ def make_tone(frequency_hz: float, *, duration_s: float, rate_hz: float) -> Vect
 def render_tones(
     block: ThresholdBlock, rig: Rig, *, rate_hz: float, certificate: Certificate | None = None
 ) -> dict[str, Frames]:
-    """Render the tone of each frequency for a rig, by name, shape (n_samples, channels)."""
+    """Render the tone of each frequency for a rig, by name, shape (n_samples, channels).
+
+    They go through every actuator that plays one-axis stimuli, with the rig's mix; a silent interval is the same tone
+    times 0, so that masking noise and sync pulse are those of an interval that vibrates.
+    """
     sounds, mix = {}, find_mix(rig)
     for frequency in block.frequencies_hz:
         tone = make_tone(frequency, duration_s=block.duration_s, rate_hz=rate_hz)
@@ -300,37 +207,127 @@ def render_tones(
     return sounds
 
 
+# What a rig cannot play as it is.
+
+
+def find_rig_problems(
+    rig: Rig,
+    stimuli: StimulusSet,
+    *,
+    rate_hz: float,
+    full_scale_m_s2: float,
+    certificate: Certificate | None = None,
+    sounds: dict[str, Frames] | None = None,
+) -> list[str]:
+    """Find what keeps a rig from playing a set as it is, in one line per problem; sounds: takes what was rendered."""
+    problems: dict[str, list[str]] = {}
+    excesses: dict[tuple[str, str], list[tuple[float, str]]] = {}
+    for stimulus in stimuli.stimuli:
+        name = stimulus.stimulus_id
+        try:
+            rendered = render_stimulus(
+                stimulus,
+                stimuli.folder,
+                rig,
+                full_scale_m_s2=full_scale_m_s2,
+                certificate=certificate,
+            )
+        except ValueError as error:
+            named, _, reason = str(error).partition(": ")
+            problems.setdefault(reason, []).append(named)
+            continue
+        except OSError as error:
+            reason = error.strerror or str(error).removeprefix(f"{stimulus.file}: ")
+            problems.setdefault(f"{reason}; build the set again", []).append(stimulus.file)
+            continue
+        if stimulus.rate_hz != rate_hz:
+            reason = f"got a rate of {stimulus.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"
+            problems.setdefault(reason, []).append(name)
+        if sounds is not None:
+            sounds[name] = rendered
+        for actuator, limit, asked in _find_excesses(
+            rig, rendered, rate_hz=stimulus.rate_hz, certificate=certificate
+        ):
+            excesses.setdefault((actuator, limit), []).append((-asked, name))
+    lines = [f"{_shorten(names)}: {reason}" for reason, names in problems.items()]
+    filters = " lower max_gain_db or narrow band_hz under [calibration] and calibrate again,"
+    for (actuator, limit), found in sorted(excesses.items()):
+        worst = sorted(found, key=itemgetter(0))
+        lines.append(
+            f"actuator {actuator!r}: {_shorten([name for _, name in worst])}: got {-worst[0][0]:.4g}, above {limit}; "
+            f"lower gain or headroom in study.toml and build again,{filters if certificate else ''} or raise the limit "
+            "if the coil allows it"
+        )
+    return lines
+
+
 def find_tone_problems(
     block: ThresholdBlock, rig: Rig, *, rate_hz: float, certificate: Certificate | None = None
 ) -> Iterator[str]:
     """Find what keeps a rig from playing the strongest tones of a threshold block, in one line per limit."""
     if not any(REDUCED in actuator.plays for actuator in rig.actuators):
         yield f"no actuator plays {REDUCED}, which session.threshold needs; add it to `plays`"
-    sounds = render_tones(block, rig, rate_hz=rate_hz, certificate=certificate)
-    strongest, limits = 10 ** (block.plan.highest_db / 20), rig.limits
-    for actuator in rig.actuators:
-        coil = certificate.coils[actuator.name] if certificate else None
-        full_scale = coil.target if coil else actuator.full_scale_m_s2
-        drives = [
-            strongest * sound[:, actuator.channel - 1].astype(np.float64)
-            for sound in sounds.values()
-        ]
-        # At a resonance the coil moves more than it is driven.
-        moved = [full_scale * drive for drive in drives]
-        moved += [coil.respond(drive, rate_hz=rate_hz) for drive in drives] if coil else []
-        driven = full_scale * max(float(np.abs(drive).max()) for drive in drives)
-        peak = max(float(np.abs(samples).max()) for samples in moved)
-        rms = max(float(slide_rms(one, round(WINDOW_S * rate_hz)).max()) for one in moved)
-        longest_s = max(len(sound) for sound in sounds.values()) / rate_hz if peak else 0.0
-        for limit, got, allowed in (
-            ("its full_scale_m_s2", driven, full_scale),
-            ("limits.peak_m_s2", peak, limits.peak_m_s2),
-            ("limits.rms_m_s2", rms, limits.rms_m_s2),
-            ("limits.duration_s", longest_s, limits.duration_s),
+    strongest = 10 ** (block.plan.highest_db / 20)
+    worst: dict[tuple[str, str], float] = {}
+    for sound in render_tones(block, rig, rate_hz=rate_hz, certificate=certificate).values():
+        loud = strongest * sound.astype(np.float64)
+        for actuator, limit, asked in _find_excesses(
+            rig, loud, rate_hz=rate_hz, certificate=certificate
         ):
-            if got > allowed * (1 + ROUNDING):
-                key = "duration_s" if limit.endswith("duration_s") else "highest_db"
-                yield (
-                    f"actuator {actuator.name!r}: the strongest tone of session.threshold will ask for {got:.4g}, "
-                    f"above {limit} of {allowed:g}; lower session.threshold.{key} in study.toml"
-                )
+            worst[actuator, limit] = max(asked, worst.get((actuator, limit), 0.0))
+    for (actuator, limit), asked in worst.items():
+        key = "duration_s" if "duration_s" in limit else "highest_db"
+        yield (
+            f"actuator {actuator!r}: the strongest tone of session.threshold will ask for {asked:.4g}, above {limit}; "
+            f"lower session.threshold.{key} in study.toml"
+        )
+
+
+def slide_rms(samples: Vector, n_window: int) -> Vector:
+    """Compute the root mean square over every window of n_window samples, with silence before the samples."""
+    energy = np.concatenate([np.zeros(n_window), np.cumsum(samples**2)])
+    return np.asarray(np.sqrt(np.maximum(energy[n_window:] - energy[:-n_window], 0.0) / n_window))
+
+
+def _find_excesses(
+    rig: Rig,
+    rendered: NDArray[np.floating[Any]],
+    *,
+    rate_hz: float,
+    certificate: Certificate | None,
+) -> Iterator[tuple[str, str, float]]:
+    """Find where rendered samples, shape (n, channels), ask too much: actuator, limit, and what they ask.
+
+    With a certificate, the limits hold for what is sent, at the measured full scale, and for the motion it predicts:
+    at a resonance the coil moves more than it is driven.
+    """
+    limits = rig.limits
+    for actuator in rig.actuators:
+        samples = rendered[:, actuator.channel - 1].astype(np.float64)
+        if not samples.any():
+            continue
+        coil = certificate.coils[actuator.name] if certificate else None
+        scale = coil.target if coil else actuator.full_scale_m_s2
+        motions = [samples * scale, *([coil.respond(samples, rate_hz=rate_hz)] if coil else [])]
+        n_window = round(WINDOW_S * rate_hz)
+        own = f"the actuator's {'measured full scale' if coil else 'full_scale_m_s2'}"
+        for limit, asked, allowed in (
+            (own, float(np.abs(motions[0]).max()), scale),
+            (
+                "limits.peak_m_s2",
+                max(float(np.abs(one).max()) for one in motions),
+                limits.peak_m_s2,
+            ),
+            (
+                "limits.rms_m_s2",
+                max(float(slide_rms(one, n_window).max()) for one in motions),
+                limits.rms_m_s2,
+            ),
+            ("limits.duration_s", len(samples) / rate_hz, limits.duration_s),
+        ):
+            if asked > allowed * (1 + ROUNDING):
+                yield actuator.name, f"{limit} of {allowed:g}", asked
+
+
+def _shorten(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"

@@ -86,10 +86,9 @@ class Sweep:
 class Response:
     """What a coil makes of the samples sent to it.
 
-    frequency_hz, response (along `direction`, latency removed), coherence, noise_psd ((m/s²)²/Hz) have shape (k,);
-    distortion too: harmonics 2 to 5 over the fundamental at each fundamental, NaN where it was not measured.
-    latency: samples. direction: unit vector, shape (axes,). cross_talk_db: motion across the direction over motion
-    along it, in the band.
+    frequency_hz, response (along `direction`, latency removed) and coherence have shape (k,); distortion too: harmonics
+    2 to 5 over the fundamental at each fundamental, NaN where it was not measured. latency: samples. direction: unit
+    vector, shape (axes,). cross_talk_db: motion across the direction over motion along it, in the band.
     """
 
     rate_hz: float
@@ -97,16 +96,16 @@ class Response:
     frequency_hz: Samples
     response: Spectrum
     coherence: Samples
-    noise_psd: Samples
     distortion: Samples
     latency: int
     direction: Samples
     cross_talk_db: float
 
-    @property
-    def noise_rms_m_s2(self) -> float:
-        """RMS of the noise, summed over frequencies."""
-        return float(np.sqrt(self.noise_psd.sum() * self.frequency_hz[1]))
+    def find_deviation_db(self, *, target: float, band_hz: Band) -> Samples:
+        """Find how far it is from a target (m/s² per full scale) in a band, shape (k,)."""
+        inside = find_inside(self.frequency_hz, band_hz=band_hz)
+        size = np.maximum(np.abs(self.response[inside]), TINY)
+        return np.asarray(20 * np.log10(size / target))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,21 +116,9 @@ class InverseFilter:
     """
 
     fir: Samples
-    rate_hz: float
-    band_hz: Band
     target: float
     delay: int
     gain_db: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verification:
-    """How far a response is from its target in a band: deviation_db, shape (k,); its largest size; least coherence."""
-
-    frequency_hz: Samples
-    deviation_db: Samples
-    largest_db: float
-    least_coherence: float
 
 
 def check_band(band_hz: Band, *, rate_hz: float, above: float = 1.0) -> None:
@@ -208,14 +195,19 @@ def measure_response(
 
     "hann": overlapping segments (Welch), for noise. "boxcar": whole periods one after another, for repeated sweeps;
     their spectra are averaged over 1 Hz too.
-    Coherence is |Sxy|² / (Sxx Syy); its share of noise is (1 - coherence) Syy K / (K - 1) with K segments.
+    Coherence is |Sxy|² / (Sxx Syy).
     """
     axes = np.atleast_2d(recorded)
-    check_band(band_hz, rate_hz=rate_hz)
-    _check_signals(sent, axes, segment=segment)
+    if not (np.isfinite(axes).all() and axes.any()):
+        raise ValueError(
+            "recorded samples must be finite and not all 0; check that the sensor is connected"
+        )
     # Welch's segments must hold the same stretch of both signals. Periods do already; they are not moved.
-    is_welch = window == "hann"
-    coarse, overlap = (_find_shift(sent, axes), segment // 2) if is_welch else (0, 0)
+    is_welch, coarse = window == "hann", 0
+    if is_welch:
+        size = sum(np.abs(signal.correlate(axis, sent, method="fft")) ** 2 for axis in axes)
+        coarse = max(int(np.argmax(size)) - (len(sent) - 1), 0)
+    overlap = segment // 2 if is_welch else 0
     sent, axes = sent[: len(sent) - coarse], axes[:, coarse:]
 
     def average(x: Samples, y: Samples) -> tuple[Samples, Spectrum]:
@@ -224,21 +216,22 @@ def measure_response(
     frequency_hz, sxx = average(sent, sent)
     sxy = average(sent, axes)[1]
     inside = find_inside(frequency_hz, band_hz=band_hz)
-    direction, cross_talk_db, fine = _find_path(sxy / np.maximum(sxx.real, TINY), inside=inside)
+    raw = sxy / np.maximum(sxx.real, TINY)
+    direction, cross_talk_db = find_direction(raw[:, inside])
+    fine, sign = find_latency(direction @ raw, inside=inside)
+    direction = sign * direction  # for positive drive
     turned = direction @ sxy * np.exp(2j * math.pi * frequency_hz * fine / rate_hz)
     along = average(direction @ axes, direction @ axes)[1].real
     n_bins = 1 if is_welch else max(round(SMOOTH_HZ / frequency_hz[1]), 1)
     share = np.abs(turned) ** 2 / np.maximum(sxx.real, TINY)  # what of Syy comes from the coil
     spectra = (sxx.real, turned, share, along)
     sxx, turned, share, syy = (ndimage.uniform_filter1d(one, n_bins) for one in spectra)
-    n_segments = (len(sent) - overlap) // (segment - overlap)
     return Response(
         rate_hz=rate_hz,
         band_hz=band_hz,
         frequency_hz=frequency_hz,
         response=turned / np.maximum(sxx, TINY),
         coherence=np.clip(share / np.maximum(syy, TINY), 0, 1),
-        noise_psd=np.maximum(syy - share, 0) * n_segments / (n_segments - 1),
         distortion=np.full(len(frequency_hz), np.nan),
         latency=coarse + fine,
         direction=direction,
@@ -288,11 +281,16 @@ def measure_distortion(sweep: Sweep, recorded: Samples, *, frequency_hz: Samples
     turns = positive * constant_s * (1 - np.log(positive / sweep.ends_hz[0]))
     inverse = 2 * np.sqrt(positive / constant_s) * np.exp(-2j * math.pi * turns + 0.25j * math.pi)
     impulses = fft.irfft(fft.rfft(recorded, n) * inverse * (grid_hz > 0), n)
-    lines = [_cut_harmonic(impulses, order, sweep=sweep) for order in (1, *ORDERS)]
-    sizes = [
-        np.interp(order * frequency_hz, grid_hz, np.abs(fft.rfft(line, n)))
-        for order, line in zip((1, *ORDERS), lines, strict=True)
-    ]
+    # From a little before the response of a harmonic to a little before that of the one it precedes.
+    samples = constant_s * sweep.rate_hz
+    gap = samples * math.log((ORDERS[-1] + 1) / ORDERS[-1])
+    before, after = round(0.2 * gap), round(0.7 * gap)
+    sizes = []
+    for order in (1, *ORDERS):
+        start = round(-samples * math.log(order)) - before
+        line = np.roll(impulses, -start)[: before + after]
+        line = line * signal.windows.tukey(len(line), 0.2)
+        sizes.append(np.interp(order * frequency_hz, grid_hz, np.abs(fft.rfft(line, n))))
     reached = [order * frequency_hz < sweep.rate_hz / 2 for order in ORDERS]
     above = np.linalg.norm(np.array(sizes[1:]) * reached, axis=0)
     inside = find_inside(frequency_hz, band_hz=sweep.band_hz)
@@ -333,62 +331,27 @@ def make_inverse(
     grid_hz = fft.rfftfreq(n_grid, 1 / response.rate_hz)
     poor = inside & ~good
     weight = np.interp(grid_hz, response.frequency_hz, np.where(poor, 0.0, 1.0))
-    weight *= _fade(grid_hz, band_hz=band_hz)
+    # 1 in the band, 0 beyond half an octave outside it, a raised cosine in between.
+    octaves = np.log2(np.maximum(grid_hz, grid_hz[1] / 2))
+    outside = np.maximum(math.log2(band_hz[0]) - octaves, octaves - math.log2(band_hz[1]))
+    weight *= np.cos(math.pi / 2 * np.clip(2 * outside, 0, 1)) ** 2
     log_gain = weight * np.interp(grid_hz, response.frequency_hz, np.log(wanted))
     if phase == "corrected":
-        log_gain = log_gain - 1j * weight * _find_phase(response, grid_hz, inside=inside)
+        turned = np.unwrap(np.angle(response.response[inside]))
+        # Whole turns are taken away, so that the phase is near 0 at the band's upper end.
+        turned -= 2 * math.pi * round(turned[-1] / (2 * math.pi))
+        turned = np.interp(grid_hz, response.frequency_hz[inside], turned)
+        log_gain = log_gain - 1j * weight * turned
     lead = round(LEAD_PERIODS / band_hz[0] * response.rate_hz)
     fir, delay = _make_fir(log_gain, n_taps=n_taps, phase=phase, lead=lead)
     largest = float(np.abs(fft.rfft(fir, n_grid)).max())
     within = min(1.0, bound / largest)  # cutting a filter to its length ripples; the bound holds
     return InverseFilter(
         fir=within * fir,
-        rate_hz=response.rate_hz,
-        band_hz=band_hz,
         target=within * target,
         delay=delay,
         gain_db=20 * math.log10(within * largest),
     )
-
-
-def verify(response: Response, *, target: float, band_hz: Band) -> Verification:
-    """Compare a response with its target (m/s² per full scale) in a band."""
-    check_band(band_hz, rate_hz=response.rate_hz)
-    inside = find_inside(response.frequency_hz, band_hz=band_hz)
-    size = np.maximum(np.abs(response.response[inside]), TINY)
-    deviation_db = 20 * np.log10(size / target)
-    return Verification(
-        frequency_hz=response.frequency_hz[inside],
-        deviation_db=deviation_db,
-        largest_db=float(np.abs(deviation_db).max()),
-        least_coherence=float(response.coherence[inside].min()),
-    )
-
-
-def _check_signals(sent: Samples, recorded: Samples, *, segment: int) -> None:
-    if sent.ndim != 1 or recorded.shape != (len(recorded), len(sent)):
-        raise ValueError(
-            f"sent and recorded must have shapes (n,) and (n,) or (axes, n), got {sent.shape} and {recorded.shape}"
-        )
-    if not (np.isfinite(sent).all() and np.isfinite(recorded).all()):
-        raise ValueError("sent and recorded must be finite numbers; record again")
-    if not (sent.any() and recorded.any()):
-        raise ValueError("sent or recorded samples are all 0; check that the sensor is connected")
-    if not 1 < segment <= len(sent) // 2:
-        raise ValueError(f"segment must be 2 to {len(sent) // 2} samples, got {segment}")
-
-
-def _find_path(responses: Spectrum, *, inside: NDArray[np.bool_]) -> tuple[Samples, float, int]:
-    """Find direction (for positive drive), cross-talk and latency of responses, shape (axes, k)."""
-    direction, cross_talk_db = find_direction(responses[:, inside])
-    latency, sign = find_latency(direction @ responses, inside=inside)
-    return sign * direction, cross_talk_db, latency
-
-
-def _find_shift(sent: Samples, axes: Samples) -> int:
-    """Find roughly how late the recorded samples are: where their correlation with those sent is largest."""
-    size = sum(np.abs(signal.correlate(axis, sent, method="fft")) ** 2 for axis in axes)
-    return max(int(np.argmax(size)) - (len(sent) - 1), 0)
 
 
 def _make_minimum_phase(log_magnitude: Samples) -> Spectrum:
@@ -397,40 +360,6 @@ def _make_minimum_phase(log_magnitude: Samples) -> Spectrum:
     analytic: Spectrum = signal.hilbert(whole)
     spectrum: Spectrum = np.exp(np.conj(analytic)[: len(log_magnitude)])
     return spectrum
-
-
-def _cut_harmonic(impulses: Samples, order: int, *, sweep: Sweep) -> Samples:
-    """Cut out the impulse response of one harmonic: from a little before it to a little before the one it precedes."""
-    samples = sweep.time_constant_s * sweep.rate_hz
-    gap = samples * math.log((ORDERS[-1] + 1) / ORDERS[-1])
-    before, after = round(0.2 * gap), round(0.7 * gap)
-    start = round(-samples * math.log(order)) - before
-    line = np.roll(impulses, -start)[: before + after]
-    return line * signal.windows.tukey(len(line), 0.2)
-
-
-def _fade(grid_hz: Samples, *, band_hz: Band) -> Samples:
-    """Make weights: 1 in the band, 0 beyond half an octave outside it, a raised cosine in between."""
-    octaves = np.log2(np.maximum(grid_hz, grid_hz[1] / 2))
-    outside = np.maximum(math.log2(band_hz[0]) - octaves, octaves - math.log2(band_hz[1]))
-    weights: Samples = np.cos(math.pi / 2 * np.clip(2 * outside, 0, 1)) ** 2
-    return weights
-
-
-def _find_phase(response: Response, grid_hz: Samples, *, inside: NDArray[np.bool_]) -> Samples:
-    """Interpolate the phase of a response, whole turns taken away so that it is near 0 at the band's upper end."""
-    phase = np.unwrap(np.angle(response.response[inside]))
-    phase -= 2 * math.pi * round(phase[-1] / (2 * math.pi))
-    return np.asarray(np.interp(grid_hz, response.frequency_hz[inside], phase), dtype=np.float64)
-
-
-def _cut_line(line: Samples, *, n_taps: int, delay: int) -> Samples:
-    """Cut a periodic impulse response whose peak is at 0 to its last `delay` samples and the first of what is left."""
-    fir = np.roll(line, delay)[:n_taps]
-    n_rise, n_fall = delay // 2, (n_taps - delay) // 2
-    fir[:n_rise] *= np.sin(math.pi / 2 * np.arange(n_rise) / max(n_rise, 1)) ** 2
-    fir[n_taps - n_fall :] *= np.cos(math.pi / 2 * np.arange(n_fall) / max(n_fall, 1)) ** 2
-    return fir
 
 
 def _make_fir(
@@ -445,8 +374,13 @@ def _make_fir(
         return fft.irfft(_make_minimum_phase(log_gain.real))[:n_taps] * taper, 0
     line: Samples = fft.irfft(np.exp(log_gain))
     if phase == "corrected":
+        # The last `delay` samples of the periodic impulse response, and the first of what is left.
         delay = min(lead, n_taps // 2)
-        return _cut_line(line, n_taps=n_taps, delay=delay), delay
+        fir = np.roll(line, delay)[:n_taps]
+        n_rise, n_fall = delay // 2, (n_taps - delay) // 2
+        fir[:n_rise] *= np.sin(math.pi / 2 * np.arange(n_rise) / max(n_rise, 1)) ** 2
+        fir[n_taps - n_fall :] *= np.cos(math.pi / 2 * np.arange(n_fall) / max(n_fall, 1)) ** 2
+        return fir, delay
     delay = (n_taps - 1) // 2
     line = np.roll(line, delay)[: 2 * delay + 1]
     return line * signal.windows.tukey(len(line), 0.5), delay

@@ -93,7 +93,7 @@ class SensorTable(fields.TomlTable):
 
     One `channel`, or three `channels` (x, y, z); of another `device` than the one that plays, if it is named. The scale
     is `full_scale_m_s2`, or a data sheet's `sensitivity_mv_per_g` with the input's peak voltage at full scale,
-    `input_peak_v`.
+    `input_peak_v`; journals and certificates hold both.
     """
 
     channel: Channel | None = None
@@ -105,25 +105,26 @@ class SensorTable(fields.TomlTable):
 
     @model_validator(mode="before")
     @classmethod
-    def _scale(cls, table: Any) -> Any:  # noqa: ANN401 - whatever the file holds
+    def _find_scale(cls, table: Any) -> Any:  # noqa: ANN401 - whatever the file holds
         if not isinstance(table, dict):
             return table
         # What comes through here counts as Python's, whose lists are no tuples.
         given: dict[str, Any] = {
             key: tuple(value) if isinstance(value, list) else value for key, value in table.items()
         }
-        scale = [given.get(name) for name in ("sensitivity_mv_per_g", "input_peak_v")]
-        if not any(scale):
+        sheet = [given.get(name) for name in ("sensitivity_mv_per_g", "input_peak_v")]
+        if sheet == [None, None]:
             return given
-        if "full_scale_m_s2" in given or not all(isinstance(one, int | float) for one in scale):
+        known = [
+            float(one) for one in sheet if isinstance(one, int | float) and 0 < one <= fields.MOST
+        ]
+        scale = 1e3 * known[1] / known[0] * STANDARD_GRAVITY if len(known) == len(sheet) else None
+        if scale is None or given.setdefault("full_scale_m_s2", scale) != scale:
             raise ValueError(
-                "must have full_scale_m_s2 alone, or sensitivity_mv_per_g and input_peak_v together; take one pair"
+                "must have full_scale_m_s2 alone, or sensitivity_mv_per_g and input_peak_v together, above 0; "
+                "take one pair"
             )
-        try:
-            sensitivity, peak = (float(one) for one in scale if one)
-        except OverflowError:
-            raise ValueError("got a whole number beyond every scale; correct it") from None
-        return given | {"full_scale_m_s2": 1e3 * peak / sensitivity * STANDARD_GRAVITY}
+        return given
 
     @model_validator(mode="after")
     def _has_channels(self) -> Self:
@@ -138,7 +139,13 @@ class SensorTable(fields.TomlTable):
 
 
 class CoilTable(fields.TomlTable):
-    """`[[simulation.coils]]`: a simulated voice coil in place of the actuator of the same name; see `coil.Coil`."""
+    """`[[simulation.coils]]`: a simulated voice coil in place of the actuator of the same name.
+
+    full_scale_m_s2: acceleration at full scale far above resonance. saturation: drive (in full scales) at which the
+    amplifier approaches its limit, `s tanh(u / s)`; none for a linear one. noise_m_s2: RMS of the noise of each axis of
+    the sensor. direction: for positive drive. latency: samples from drive to sensor. drift_db_per_min: change of gain
+    since the start.
+    """
 
     name: fields.Words
     resonance_hz: fields.Positive = 160.0
@@ -254,12 +261,18 @@ def read_rig(path: Path) -> Rig:
     for channel, use in rig.outputs():
         uses.setdefault(channel, []).append(use)
     mistakes = [
-        f"{path.name}: channel {channel}: got {' and '.join(shared)}, but a channel has one use; move one of them"
+        f"channel {channel}: got {' and '.join(shared)}, but a channel has one use; move one of them"
         for channel, shared in sorted(uses.items())
         if len(shared) > 1
     ]
+    names = [actuator.name for actuator in rig.actuators]
+    mistakes += [
+        f"simulation.coils must have the names of actuators ({', '.join(map(repr, names))}), got {coil.name!r}"
+        for coil in (rig.simulation.coils if rig.simulation else ())
+        if coil.name not in names
+    ]
     if mistakes:
-        raise ValueError("\n".join(mistakes))
+        raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
     return rig
 
 

@@ -1,72 +1,66 @@
-"""A device that is simulated: it asks for blocks as a real one does, and coils of `[simulation]` move its sensor."""
+"""Sinks for machines without hardware: voice coils that move a simulated sensor, and WAV files."""
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from math import inf
 from threading import Event, Thread
 from time import perf_counter
 
 import numpy as np
 from scipy import signal
 
-from feel321.study.actuator.device import BlockTimes, Device, Fill, SessionClock
+from feel321.study.actuator.device import BlockTimes, Fill, SessionClock, Sink
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.rig import (
+    FILE_DEVICE,
     SIMULATED_DEVICE,
-    ActuatorTable,
     CoilTable,
     Rig,
     SimulationTable,
 )
 from feel321.types import Samples
 
+BLOCK_FRAMES = 512  # longest delay of a stop, as with a device
+MOST_BEHIND_S = 0.2  # of its own time: a machine that lags by more slows the device down
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Coil:
-    """A voice coil, driven in units of full scale, that moves a mass on a spring.
 
-    full_scale_m_s2: acceleration at full scale far above resonance. saturation: drive (in full scales) at which the
-    amplifier approaches its limit, `s tanh(u / s)`; infinite for a linear one. noise_m_s2: RMS of the noise of each
-    axis of the sensor. direction: of the acceleration for positive drive; any length but zero. latency: samples from
-    drive to sensor. drift_db_per_min: change of gain since the start.
-    """
+class FileSink(Sink):
+    """Keeps the blocks of a playback, which are filled in the time that they would take."""
 
-    resonance_hz: float
-    q: float
-    full_scale_m_s2: float = 10.0
-    drift_db_per_min: float = 0.0
-    saturation: float = math.inf
-    noise_m_s2: float = 0.0
-    direction: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    latency: int = 0
+    name = FILE_DEVICE
 
-    def __post_init__(self) -> None:
-        """Refuse coils that cannot exist."""
-        for name in ("resonance_hz", "q", "full_scale_m_s2", "saturation"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"coil: {name} must be positive, got {getattr(self, name)}")
-        for name in ("noise_m_s2", "latency"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"coil: {name} must be 0 or more, got {getattr(self, name)}")
-        if not np.linalg.norm(self.direction) > 0:
-            raise ValueError("coil: direction must not be zero; name an axis, such as (0, 0, 1)")
+    def begin(self) -> None:
+        """Begin a playback."""
+        self._begin_s = self._clock()
+        self.blocks: list[Frames] = []
+
+    def serve_due(self) -> bool:
+        """Fill a block that would have been played by now."""
+        n_filled = BLOCK_FRAMES * len(self.blocks)
+        if (self._clock() - self._begin_s) * self._rate_hz - n_filled < BLOCK_FRAMES:
+            return False
+        out = np.zeros((BLOCK_FRAMES, self._rig.n_channels), dtype=np.float32)
+        sent_s = self._begin_s + n_filled / self._rate_hz
+        # What is in a file is out.
+        self._fill(out, BlockTimes(now_s=inf, dac_s=sent_s, dac_source=""), None)
+        self.blocks.append(out)
+        return True
 
 
 class SimulatedCoil:
-    """A coil at work: a causal filter that takes drive block by block and keeps its state between blocks.
+    """A voice coil at work: a causal filter that takes drive block by block and keeps its state between blocks.
 
     Acceleration over force of a mass on a damped spring is `s² / (s² + s ω₀ / Q + ω₀²)`, made discrete by the bilinear
     transform with the resonance kept in its place. How drive is cut into blocks changes nothing, noise included.
     """
 
-    def __init__(self, coil: Coil, *, rate_hz: float, rng: np.random.Generator) -> None:
+    def __init__(self, coil: CoilTable, *, rate_hz: float, rng: np.random.Generator) -> None:
         if not rate_hz > 2 * coil.resonance_hz:
             raise ValueError(
                 f"rate_hz must be above twice the resonance of {coil.resonance_hz:g} Hz, got {rate_hz:g}"
             )
         self.coil, self.rate_hz = coil, rate_hz
         self._rng = rng
-        self._direction = np.array(coil.direction) / np.linalg.norm(coil.direction)
+        direction = np.array(coil.direction or (1.0, 0.0, 0.0))
+        self._direction = direction / np.linalg.norm(direction)
         self._b, self._a = discretise(coil, rate_hz=rate_hz)
         self._state = np.zeros(2)
         self._line = np.zeros(coil.latency)
@@ -74,12 +68,10 @@ class SimulatedCoil:
 
     def process(self, drive: Samples) -> Samples:
         """Return acceleration in m/s², shape (3, n), for drive in full scales, shape (n,)."""
-        if drive.ndim != 1 or not np.isfinite(drive).all():
-            raise ValueError(f"drive must be finite numbers, shape (n,), got shape {drive.shape}")
         coil, n = self.coil, len(drive)
         self._line = np.concatenate([self._line, drive])
         late, self._line = self._line[:n], self._line[n:]
-        if math.isfinite(coil.saturation):
+        if coil.saturation is not None:
             late = coil.saturation * np.tanh(late / coil.saturation)
         moved, self._state = signal.lfilter(self._b, self._a, late, zi=self._state)
         minutes = (self._n_done + np.arange(n)) / self.rate_hz / 60
@@ -89,18 +81,11 @@ class SimulatedCoil:
         return np.outer(self._direction, moved) + coil.noise_m_s2 * noise
 
 
-def discretise(coil: Coil, *, rate_hz: float) -> tuple[Samples, Samples]:
+def discretise(coil: CoilTable, *, rate_hz: float) -> tuple[Samples, Samples]:
     """Make numerator and denominator, shape (3,) each, of a coil's digital filter of unit gain at high frequencies."""
-    omega = 2 * rate_hz * math.tan(math.pi * coil.resonance_hz / rate_hz)
+    omega = 2 * rate_hz * np.tan(np.pi * coil.resonance_hz / rate_hz)
     b, a = signal.bilinear([1.0, 0.0, 0.0], [1.0, omega / coil.q, omega**2], fs=rate_hz)
     return np.asarray(b, dtype=np.float64), np.asarray(a, dtype=np.float64)
-
-
-SIMULATED = Device(
-    index=-1, name=SIMULATED_DEVICE, host_api="feel321", n_outputs=1024, n_inputs=1024
-)
-BLOCK_FRAMES = 512
-MOST_BEHIND_S = 0.2  # of its own time: a machine that lags by more slows the device down
 
 
 class Hardware:
@@ -109,35 +94,20 @@ class Hardware:
     def __init__(self, rig: Rig, *, rate_hz: float) -> None:
         simulation = rig.simulation or SimulationTable()
         tables = {coil.name: coil for coil in simulation.coils}
-        names = [actuator.name for actuator in rig.actuators]
-        if unknown := [name for name in tables if name not in names]:
-            raise ValueError(
-                f"simulation.coils must have the names of actuators ({', '.join(map(repr, names))}), got {unknown[0]!r}"
-            )
         self._rng = np.random.default_rng(simulation.seed)
-        self._coils = [
-            (actuator.channel - 1, self._make_coil(actuator, tables, simulation, rate_hz=rate_hz))
-            for actuator in rig.actuators
-        ]
+        self._coils = []
+        for actuator in rig.actuators:
+            own = tables.get(actuator.name, CoilTable(name=actuator.name))
+            late = own.latency + simulation.latency
+            direction = own.direction or actuator.direction
+            own = own.model_copy(update={"direction": direction, "latency": late})
+            coil = SimulatedCoil(own, rate_hz=rate_hz, rng=self._rng)
+            self._coils.append((actuator.channel - 1, coil))
         self._noise_m_s2 = simulation.noise_m_s2
         self._sensor = rig.sensor
         along = np.array([simulation.sensor_direction])
         several = rig.sensor is not None and len(rig.sensor.inputs) > 1
         self._axes = np.eye(3) if several else along / np.linalg.norm(along)
-
-    def _make_coil(
-        self,
-        actuator: ActuatorTable,
-        tables: Mapping[str, CoilTable],
-        simulation: SimulationTable,
-        *,
-        rate_hz: float,
-    ) -> SimulatedCoil:
-        own = tables.get(actuator.name, CoilTable(name=actuator.name)).model_dump(exclude={"name"})
-        own["direction"] = own["direction"] or actuator.direction or (1.0, 0.0, 0.0)
-        own["saturation"] = own["saturation"] or float("inf")
-        own["latency"] += simulation.latency
-        return SimulatedCoil(Coil(**own), rate_hz=rate_hz, rng=self._rng)
 
     def move(self, out: Frames) -> Samples:
         """Return what the sensor's place does, in m/s², shape (axes, n), for frames sent, shape (n, channels)."""
@@ -155,49 +125,45 @@ class Hardware:
         return np.clip(moved.T / self._sensor.full_scale_m_s2, -1, 1).astype(np.float32)
 
 
-class SimulatedStream:
-    """What `stream.DeviceStream` is, for the simulated device; a thread asks for its blocks."""
+class SimulatedStream(Sink):
+    """Coils of `[simulation]` that a thread moves, block by block, as a device would."""
 
-    def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill) -> None:
-        self.device = SIMULATED
+    name = SIMULATED_DEVICE
+
+    def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
+        super().__init__(rig, rate_hz=rate_hz, fill=fill, clock=clock)
+        simulation = rig.simulation or SimulationTable()
         self.latency_s = rig.device.latency_s
-        self.there_and_back_s = (
-            rig.device.latency_s + (rig.simulation.latency if rig.simulation else 0) / rate_hz
-        )
+        self.there_and_back_s = rig.device.latency_s + simulation.latency / rate_hz
         self._hardware = Hardware(rig, rate_hz=rate_hz)
-        self._speed = rig.simulation.speed if rig.simulation else 1.0
-        self._rate_hz, self._fill, self._n_channels = rate_hz, fill, rig.n_channels
-        self._sensed = self._hardware.sense(
-            np.zeros((BLOCK_FRAMES, rig.n_channels), dtype=np.float32)
-        )
+        self._speed = simulation.speed
+        self._sensed = self._hardware.sense(self._make_block())
         self._begin_s, self._frame = perf_counter(), 0
         self._closing = Event()
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
 
     @property
+    def identity(self) -> dict[str, object]:
+        """What a journal says of it."""
+        return {"device": self.name, "host_api": "feel321", "is_program": False}
+
+    @property
     def is_active(self) -> bool:
         """Whether it still asks for blocks."""
         return self._thread.is_alive()
 
-    @property
-    def is_silent(self) -> bool:
-        """Whether it has asked for nothing for long: only when it has ended."""
-        return not self.is_active
-
-    def find_fault(self) -> str:
-        """Describe why the stream does not run; empty if it does."""
-        return "" if self.is_active else "stopped"
-
-    def compare_clocks(self, clock: SessionClock) -> float:
+    def compare_clocks(self) -> float:
         """Find by how much the session's clock is ahead of the device's, in s."""
-        return clock() - (perf_counter() - self._begin_s) * self._speed
+        return self._clock() - (perf_counter() - self._begin_s) * self._speed
 
-    def close(self) -> bool:
+    def close(self) -> None:
         """Silence the device and let it go."""
         self._closing.set()
         self._thread.join()
-        return True
+
+    def _make_block(self) -> Frames:
+        return np.zeros((BLOCK_FRAMES, self._rig.n_channels), dtype=np.float32)
 
     def _run(self) -> None:
         block_s = BLOCK_FRAMES / self._rate_hz
@@ -211,8 +177,7 @@ class SimulatedStream:
             self._serve()
 
     def _serve(self) -> None:
-        out = np.zeros((BLOCK_FRAMES, self._n_channels), dtype=np.float32)
-        now_s = self._frame / self._rate_hz
+        out, now_s = self._make_block(), self._frame / self._rate_hz
         times = BlockTimes(now_s=now_s, dac_s=now_s + self.latency_s, adc_s=now_s)
         self._frame += BLOCK_FRAMES
         self._fill(out, times, self._sensed)  # as with a device, of the block before

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.study.actuator.output import StreamOutput, open_stream
+from feel321.study.actuator.output import Output, open_output
 from feel321.study.actuator.rig import read_rig
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def main(folder: Path, *, rate_hz: float) -> None:
         sounds = dict(stored)
     rig = read_rig(folder / "rig.toml")
     try:
-        with open_stream(
+        with open_output(
             rig, sounds, rate_hz=rate_hz, folder=folder / "delivered", clock=perf_counter
         ) as output:
             say({"identity": dict(output.identity)})
@@ -37,7 +37,7 @@ def main(folder: Path, *, rate_hz: float) -> None:
 
 
 def obey(
-    output: StreamOutput, *, do: str, sound: str = "", gap_s: float = 0.0, after_s: float = 0.0
+    output: Output, *, do: str, sound: str = "", gap_s: float = 0.0, after_s: float = 0.0
 ) -> None:
     if do == "start":
         output.start(sound, gap_s=gap_s)
@@ -57,7 +57,7 @@ def obey(
         say({"clock_s": perf_counter()})
 
 
-def collect(output: StreamOutput) -> dict[str, Any]:
+def collect(output: Output) -> dict[str, Any]:
     while output.is_playing:
         sleep(0.002)
     over_s = perf_counter()

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from time import monotonic, sleep
 from types import SimpleNamespace
@@ -20,19 +21,18 @@ import pytest
 
 from feel321.study.actuator import calibrate as module
 from feel321.study.actuator import doctor
-from feel321.study.actuator.calibrate import calibrate_rig, find_failures
+from feel321.study.actuator.calibrate import SweepStopped, calibrate_rig, find_failures
 from feel321.study.actuator.certificate import (
     Certificate,
-    find_certificate,
+    judge_certificates,
     list_certificates,
     write_certificate,
 )
-from feel321.study.actuator.duplex import SweepStopped
 from feel321.study.actuator.figure import make_figure
-from feel321.study.actuator.output import StreamOutput
+from feel321.study.actuator.output import Output
 from feel321.study.actuator.response import Sweep, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig
-from feel321.study.actuator.simulated import BLOCK_FRAMES, Coil, SimulatedCoil, SimulatedStream
+from feel321.study.actuator.simulated import BLOCK_FRAMES, SimulatedCoil, SimulatedStream
 from feel321.study.cli import main
 
 RATE_HZ = 8000.0
@@ -217,7 +217,7 @@ def test_limits_that_are_not_kept_are_named(rig: Rig, certificate: Certificate) 
 def test_a_stop_is_silent_within_a_block(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[tuple[bool, float]] = []
     stopped: list[bool] = []
-    serve, stop = SimulatedStream._serve, StreamOutput.stop
+    serve, stop = SimulatedStream._serve, Output.stop
 
     def watch(stream: Any) -> None:
         is_stopped, fill = bool(stopped), stream._fill
@@ -236,7 +236,7 @@ def test_a_stop_is_silent_within_a_block(rig: Rig, monkeypatch: pytest.MonkeyPat
         wait_for_blocks(sent, n=4)
 
     monkeypatch.setattr(SimulatedStream, "_serve", watch)
-    monkeypatch.setattr(StreamOutput, "stop", note)
+    monkeypatch.setattr(Output, "stop", note)
     with pytest.raises(SweepStopped):
         calibrate_rig(
             alter(rig, "simulation", speed=4.0), rate_hz=RATE_HZ, made=MADE,
@@ -295,7 +295,7 @@ def test_the_verb_stores_a_certificate_and_its_figure(
     assert left.startswith("left coil: 4")
     files = sorted(path.suffix for path in (tmp_path / "calibration").iterdir())
     assert files == [".json", ".npz", ".svg"]
-    found = find_certificate(tmp_path, rig, now=MADE, rate_hz=RATE_HZ)
+    found = judge_certificates(tmp_path, rig, now=MADE, rate_hz=RATE_HZ)[0]
     assert found is not None
     assert found.id == certificate.id
     failed = replace(certificate, id="20990101T000000Z-f", failures=("coil 'x' distorts",))
@@ -316,7 +316,7 @@ def test_gains_can_be_typed(tmp_path: Path, rig: Rig, capsys: Any) -> None:
     )
     (path,) = list_certificates(tmp_path)
     assert json.loads(path.read_text(encoding="utf-8"))["method"] == "manual"
-    assert find_certificate(tmp_path, rig, now=MADE) is None  # of the device "file"
+    assert judge_certificates(tmp_path, rig, now=MADE)[0] is None  # of the device "file"
     assert call(tmp_path, "--manual", "left coil") == 2
     assert call(tmp_path, "--device", "file") == 1
     assert "rig.toml plays to files, which no sensor measures" in capsys.readouterr().err
@@ -346,20 +346,8 @@ def test_a_sensor_that_is_turned_over_gets_its_scale(
     assert "exactly half a turn" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_coil_of_one_axis_needs_no_direction_of_its_own(rig: Rig, sign: float) -> None:
-    lone = rig.actuators[0].model_copy(update={"direction": None, "plays": ("reduced", "z")})
-    own = rig.model_copy(update={"actuators": (lone,)})
-    sweep = Sweep(rate_hz=RATE_HZ, n_repeats=2)
-    coil = SimulatedCoil(
-        Coil(resonance_hz=160.0, q=3.0), rate_hz=RATE_HZ, rng=np.random.default_rng(1)
-    )
-    seen = measure_sweep(sweep, sign * coil.process(make_sweep(sweep))[2])
-    np.testing.assert_array_equal(module._find_direction(own, lone, seen), [0, 0, sign])
-
-
 def test_a_resonance_in_the_ramp_of_a_sweep_counts_against_the_limits(rig: Rig) -> None:
-    coil = Coil(resonance_hz=80.0, q=8.0, full_scale_m_s2=50.0)
+    coil = CoilTable(name="coil", resonance_hz=80.0, q=8.0, full_scale_m_s2=50.0)
     limits = rig.limits.model_copy(update={"peak_m_s2": 20.0})
     own = rig.model_copy(update={"limits": limits})
     sweep = Sweep(rate_hz=RATE_HZ, band_hz=(100.0, 800.0), n_repeats=2, peak=0.01)
@@ -465,10 +453,11 @@ def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:
         assert module.find_slip(cut, sweep) == pytest.approx(37, rel=0.3)
     assert module.find_slip(0.01 * noise, sweep) == 0
     played = iter([cut, cut, whole, *[cut] * module.N_TRIES])
-    session = SimpleNamespace(play=lambda *_: next(played))
-    assert module._play_sweep(session, sent, sweep, channel=1) is whole  # type: ignore[arg-type]  # plays only
+    bench: Any = SimpleNamespace(play=lambda *_: next(played))
+    bench.insist = partial(module.Bench.insist, bench)
+    assert module.Bench.play_sweep(bench, sent, sweep, 1) is whole
     with pytest.raises(OSError, match=r"are \d+ samples out of step, 4 times in a row"):
-        module._play_sweep(session, sent, sweep, channel=1)  # type: ignore[arg-type]  # plays only
+        module.Bench.play_sweep(bench, sent, sweep, 1)
 
 
 def test_nothing_in_the_figure_runs_off_its_edges(certificate: Certificate) -> None:

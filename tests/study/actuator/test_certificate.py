@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, Any
@@ -14,7 +16,6 @@ from feel321.study.actuator.certificate import (
     ARRAYS,
     Certificate,
     CoilCertificate,
-    find_certificate,
     judge_certificates,
     make_manual,
     read_certificate,
@@ -22,13 +23,14 @@ from feel321.study.actuator.certificate import (
 )
 from feel321.study.actuator.rig import (
     CalibrationTable,
+    CoilTable,
     LimitsTable,
     Rig,
     SensorTable,
     digest,
     take_device,
 )
-from feel321.study.actuator.simulated import Coil, discretise
+from feel321.study.actuator.simulated import discretise
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,7 +43,7 @@ RIG = Rig(
     calibration=CalibrationTable(valid_days=30.0),
 )
 GAINS = {"left coil": 12.5, "right coil": 10.0}
-COIL = Coil(resonance_hz=160, q=4, direction=(0, 0.6, 0.8))
+COIL = CoilTable(name="coil", resonance_hz=160, q=4, direction=(0, 0.6, 0.8))
 
 
 def make(**changes: Any) -> Certificate:
@@ -100,6 +102,41 @@ def test_what_was_changed_is_refused(
     assert len(faults) == 1
 
 
+GOOD: dict[str, Any] = {"name": "left coil", "channel": 1}
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        ({"coils": 5}, "coils"), ({"coils": ["x"]}, "coils.0"), ({"coils": {"a": 1}}, "coils"),
+        ({"coils": []}, "coils"), ({"coils": [GOOD]}, "coils.0.full_scale_m_s2"), ({"sensor": 5}, "sensor"),
+        ({"sensor": {"channel": 1}}, "sensor.full_scale_m_s2"), ({"band_hz": 5}, "band_hz"),
+        ({"expires_utc": "soon"}, "expires_utc"), ({"expires_utc": "2026-01-01"}, "expires_utc"),
+        ({"expires_utc": 5}, "expires_utc"), ({"rate_hz": 0}, "rate_hz"), ({"own": 1}, "own"),
+    ],
+)  # fmt: skip
+def test_what_was_forged_with_a_new_seal_is_one_line_with_its_place(
+    tmp_path: Path, change: dict[str, Any], place: str
+) -> None:
+    certificate = write_certificate(make(), tmp_path)
+    path = tmp_path / "calibration" / f"{certificate.id}.json"
+    entry = json.loads(path.read_text(encoding="utf-8")) | change
+    del entry["sha256"]
+    seal = hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()
+    path.write_text(json.dumps(entry | {"sha256": seal}), encoding="utf-8")
+    (line,) = judge_certificates(tmp_path, RIG, now=MADE)[1]
+    assert line.startswith(f"certificate {path.name}: {place}: ")
+    assert line.endswith("; calibrate again")
+
+
+def test_coils_of_another_rig_are_not_taken() -> None:
+    certificate = make()
+    (fault,) = replace(certificate, coils=dict([*certificate.coils.items()][:1])).find_faults(
+        RIG, MADE
+    )
+    assert "is of another rig" in fault
+
+
 def test_the_newest_valid_certificate_of_the_rig_is_found(tmp_path: Path) -> None:
     other = take_device(RIG, "other")
     assert judge_certificates(tmp_path, RIG, now=MADE) == (
@@ -107,7 +144,7 @@ def test_the_newest_valid_certificate_of_the_rig_is_found(tmp_path: Path) -> Non
     )  # fmt: skip
     first, second = (write_certificate(make(made=MADE + n * DAY), tmp_path) for n in (0, 1))
     for later in (timedelta(), 29 * DAY):
-        found = find_certificate(tmp_path, RIG, now=MADE + DAY + later)
+        found = judge_certificates(tmp_path, RIG, now=MADE + DAY + later)[0]
         assert found is not None
         assert found.id == second.id != first.id
     for faulty, kind in (
@@ -152,13 +189,6 @@ def test_a_filter_is_cut_where_it_has_faded() -> None:
 def test_typed_gains_must_be_of_the_rigs_coils(gains: Any, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         make_manual(RIG, gains, directions={}, made=MADE, rate_hz=RATE_HZ)
-
-
-def test_the_filters_gain_counts_against_the_limits_of_tones() -> None:
-    certificate = make()
-    assert certificate.coils["left coil"].find_gain([100.0, 200.0], rate_hz=RATE_HZ) == 1
-    halved = replace(certificate.coils["left coil"], fir=np.array([1.5, 0.5]))
-    assert halved.find_gain([10.0, 4000.0], rate_hz=RATE_HZ) == pytest.approx(2, abs=1e-3)
 
 
 def test_coils_of_unlike_latency_move_together() -> None:

@@ -20,7 +20,7 @@ from feel321.study.actuator.delivered import (
     find_moves,
     reduce_stimuli,
 )
-from feel321.study.actuator.output import open_stream
+from feel321.study.actuator.output import open_output
 from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig, read_rig
 from feel321.study.session.events import find_loss
 
@@ -337,7 +337,7 @@ def play(tmp_path: Path, stimuli: StimulusSet, *, check: DeliveryCheck, text: st
     sound = np.zeros((stimulus.n_samples, 2), dtype=np.float32)
     sound[:, 0] = stimuli.read(stimulus.stimulus_id)[0]
     folder, sounds = tmp_path / "delivered", {stimulus.stimulus_id: sound}
-    with open_stream(
+    with open_output(
         rig, sounds, rate_hz=RATE, folder=folder, clock=perf_counter, check=check
     ) as output:
         output.start(stimulus, gap_s=0.0)

@@ -188,7 +188,7 @@ def listen(
 
 def check(*recordings: NDArray[np.float64], rate_hz: float = 48000, rig: Rig = RIG) -> Any:
     pulse = make_pulse(rig, rate_hz=rate_hz)
-    return check_sensor(rig, recordings, pulse=pulse, rate_hz=rate_hz)
+    return check_sensor(rig, [one[None] for one in recordings], pulse=pulse, rate_hz=rate_hz)
 
 
 @pytest.mark.parametrize("rate_hz", [8000, 48000])
@@ -232,10 +232,6 @@ def test_a_sensor_that_records_nothing_is_named(recordings: list[NDArray[np.floa
     assert check(*recordings).fault == (
         "sensor on channel 3: got no samples, expected a recording of each pulse; check the input device"
     )
-
-
-def test_a_rig_without_a_sensor_has_none_to_check() -> None:
-    assert check(listen(), rig=RIG.model_copy(update={"sensor": None})) is None
 
 
 class Late:

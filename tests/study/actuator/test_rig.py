@@ -151,7 +151,7 @@ MASKING = "[masking]\nchannels = [3]\n"
         (
             LIMITS
             + f"[sensor]\nchannel = 1\nsensitivity_mv_per_g = 1{'0' * 400}\ninput_peak_v = 5.0\n",
-            "sensor: got a whole number beyond every scale",
+            "sensor must have full_scale_m_s2 alone, or",
         ),
         (
             LIMITS + "[calibration]\nband_hz = [1000, 20]\n",
