@@ -85,33 +85,28 @@ def test_it_begins_before_and_ends_after(gap: int, length: int, size: int) -> No
     assert not tail[LEAD - 1 :].any()
 
 
-def test_where_it_still_is_nobody_waits() -> None:
+@pytest.mark.parametrize(
+    ("gap", "is_gone"),
+    [(0, False), (LEAD + 5, False), (500, True)],
+    ids=[
+        "nobody waits where it still is",
+        "it stays where it would be back at once",
+        "it comes again",
+    ],
+)
+def test_the_next_stimulus_decides_whether_it_goes(gap: int, is_gone: bool) -> None:
     watch = masker()
     end = watch.cover(0, 0) + 10
     run(watch, end)
     watch.release(end)
-    assert watch.cover(end, 0) == end
-    assert_array_equal(run(watch, 300, frame=end), 1)
-
-
-def test_where_it_would_be_back_at_once_it_stays() -> None:
-    watch = masker()
-    end = watch.cover(0, 0) + 10
-    run(watch, end)
-    watch.release(end)
-    assert watch.cover(end, LEAD + 5) == end + LEAD + 5
-    assert_array_equal(run(watch, 300, frame=end), 1)
-
-
-def test_in_a_long_gap_it_goes_and_comes_again() -> None:
-    watch = masker()
-    end = watch.cover(0, 0) + 10
-    run(watch, end)
-    watch.release(end)
-    onset = watch.cover(end, 500)
+    onset = watch.cover(end, gap)
     heard = run(watch, 600, frame=end)
-    assert not heard[LEAD : onset - end - LEAD].any()
-    assert_array_equal(heard[onset - end - LEAD + RAMP :], 1)
+    assert onset == end + gap
+    if is_gone:
+        assert not heard[LEAD : gap - LEAD].any()
+        assert_array_equal(heard[gap - LEAD + RAMP :], 1)
+    else:
+        assert_array_equal(heard, 1)
 
 
 def test_what_never_began_leaves_no_noise() -> None:

@@ -87,22 +87,6 @@ def test_the_blocks_make_no_difference(sizes: list[int], gap: int) -> None:
     assert outs[0][1] > 500
 
 
-def test_successive_stimuli_follow_in_order() -> None:
-    mixer, sounds = make_mixer()
-    outs = []
-    for name in "abab":
-        cue = mixer.start(name, gap_s=0.01)
-        while mixer.is_playing:
-            outs.append(fill(mixer, 128, [128], 2))
-        assert cue.is_complete
-    out = np.concatenate(outs)
-    place = 0
-    for name in "abab":
-        assert not out[place : place + 80].any()
-        assert_array_equal(out[place + 80 : place + 3080], sounds[name])
-        place += -(-3080 // 128) * 128
-
-
 def test_nothing_is_scheduled_in_the_preroll() -> None:
     mixer, sounds = make_mixer(preroll_s=0.1)
     cue = mixer.start("a", gap_s=0)
@@ -131,16 +115,6 @@ def test_a_stop_is_silence_within_a_block(size: int, before: int) -> None:
     assert not fill(mixer, 500, [size], 2).any()
 
 
-def test_a_stop_fades_and_does_not_cut() -> None:
-    rig = make_rig()
-    mixer = Mixer(rig, {"a": np.full((3000, 2), 0.5, dtype=np.float32)}, rate_hz=RATE, preroll_s=0)
-    mixer.start("a", gap_s=0)
-    fill(mixer, 100, [100], 2)
-    mixer.stop()
-    steps = np.diff(np.concatenate([[0.5], fill(mixer, 100, [100], 2)[:, 0]]))
-    assert np.abs(steps).max() == pytest.approx(0.5 / 40, rel=1e-3)
-
-
 def test_the_last_sample_of_a_fade_is_exactly_silent() -> None:
     rig = make_rig()
     mixer = Mixer(rig, make_sounds(rig), rate_hz=8200.0, preroll_s=0.0)
@@ -167,16 +141,6 @@ def test_a_stop_in_the_gap_leaves_silence() -> None:
     mixer.stop()
     assert not fill(mixer, 3000, [100], 2).any()
     assert (cue.is_over, cue.n_played, cue.onset_frame) == (True, 0, NOT_SCHEDULED)
-
-
-def test_a_stop_before_the_next_block_leaves_silence() -> None:
-    mixer, _ = make_mixer()
-    cue = mixer.start("a", gap_s=0)
-    mixer.stop()
-    assert mixer.is_playing
-    assert not fill(mixer, 100, [100], 2).any()
-    assert (cue.is_over, cue.onset_frame) == (True, NOT_SCHEDULED)
-    assert not mixer.is_playing
 
 
 def test_a_stop_before_the_first_sample_leaves_silence_and_no_sync() -> None:
@@ -243,13 +207,6 @@ def test_nothing_comes_past_the_limiters() -> None:
     assert np.abs(out).max() == pytest.approx(0.02)
 
 
-def test_a_stop_of_nothing_is_nothing() -> None:
-    mixer, _ = make_mixer()
-    mixer.stop()
-    assert not mixer.is_playing
-    assert not fill(mixer, 100, [100], 2).any()
-
-
 def test_what_is_started_stops_what_plays() -> None:
     """Free switching: the old one fades within a block, the new one begins with the next, whole."""
     mixer, sounds = make_mixer()
@@ -273,19 +230,6 @@ def test_only_the_last_of_many_starts_is_heard() -> None:
     assert [cue.is_complete for cue in cues] == [False, False, False, True]
 
 
-def test_masking_begins_before_and_ends_after_on_its_channels_only() -> None:
-    mixer, sounds = make_mixer(masking=MASKED)
-    cue = mixer.start("a", gap_s=0.1)  # 800 frames; the lead are 400
-    out = fill(mixer, 5000, [333], 4)
-    assert cue.onset_frame == 800
-    assert_array_equal(out[800:3800, :2], sounds["a"][:, :2])
-    assert_array_equal(out[:, 2], out[:, 3])
-    heard = np.flatnonzero(out[:, 2])
-    assert abs(heard[0] - 400) <= 5
-    assert abs(heard[-1] - 4200) <= 5
-    assert np.sqrt(np.mean(out[800:3800, 2] ** 2)) == pytest.approx(0.1, rel=0.3)
-
-
 def test_masking_makes_the_onset_wait_where_the_gap_is_short() -> None:
     mixer, sounds = make_mixer(masking=MASKED)
     cue = mixer.start("a", gap_s=0)
@@ -306,16 +250,6 @@ def test_masking_outlasts_a_stop() -> None:
     assert not out[600:, 2].any()
 
 
-def test_masking_comes_again_by_its_seed() -> None:
-    outs = []
-    for seed in (3, 3, 4):
-        mixer, _ = make_mixer(masking=MASKED.model_copy(update={"seed": seed}))
-        mixer.start("a", gap_s=0)
-        outs.append(fill(mixer, 4000, [100], 4)[:, 2])
-    assert_array_equal(outs[0], outs[1])
-    assert np.abs(outs[0] - outs[2]).max() > 0.01
-
-
 @settings(deadline=None)
 @given(size=st.integers(1, 3000), gap=st.integers(0, 900))
 def test_the_sync_pulse_begins_with_the_stimulus(size: int, gap: int) -> None:
@@ -327,12 +261,11 @@ def test_the_sync_pulse_begins_with_the_stimulus(size: int, gap: int) -> None:
     assert_array_equal(out[:, 4], expected)
 
 
-@pytest.mark.parametrize(("lead", "sample"), [(0, 0), (400, 400), (1999, 1999)])
-def test_the_sync_pulse_waits_for_the_vibration(lead: int, sample: int) -> None:
+def test_the_sync_pulse_waits_for_the_vibration() -> None:
     mixer, _ = make_mixer(sync=SYNC)
-    cue = mixer.start("a", gap_s=0, lead_s=lead / RATE)
+    cue = mixer.start("a", gap_s=0, lead_s=1999 / RATE)
     out = fill(mixer, 5000, [70], 5)
-    assert np.flatnonzero(out[:, 4])[0] == cue.onset_frame + sample
+    assert np.flatnonzero(out[:, 4])[0] == cue.onset_frame + 1999
 
 
 def test_a_lead_leaves_a_pause_that_the_limiter_counts_as_one() -> None:
@@ -378,12 +311,6 @@ def test_free_switching_cannot_outwit_the_limiter() -> None:
     )
     seconds = np.sqrt((energy[8000:] - energy[:-8000]) / 8000)
     assert seconds.max() <= 0.15 * (1 + 1e-6)
-
-
-def test_what_was_not_loaded_is_refused() -> None:
-    mixer, _ = make_mixer()
-    with pytest.raises(ValueError, match="must be one of the 2 that were loaded, got 'c'"):
-        mixer.start("c", gap_s=0)
 
 
 def test_filling_allocates_nothing_that_lasts() -> None:

@@ -35,25 +35,8 @@ def make_rig(*actuators: ActuatorTable, **tables: Any) -> Rig:
 def store(folder: Path, samples: np.ndarray, *, name: str = "s", rate: int = RATE) -> Stimulus:
     write_wav(folder / f"{name}.wav", samples, rate)
     n = samples.shape[-1]
-    return Stimulus(
-        name,
-        "r",
-        "dft321",
-        "as_is",
-        "test",
-        f"{name}.wav",
-        rate,
-        n,
-        n / rate,
-        1.0,
-        1.0,
-        1.0,
-        1.0,
-        1.0,
-        0,
-        "",
-        "",
-    )
+    file, ones = f"{name}.wav", [1.0] * 5
+    return Stimulus(name, "r", "dft321", "as_is", "test", file, rate, n, n / rate, *ones, 0, "", "")
 
 
 def noise(n: int, *, channels: int = 1, rms: float = 0.2) -> np.ndarray:
@@ -76,15 +59,6 @@ def test_equal_scales_leave_every_bit(tmp_path: Path) -> None:
     assert not rendered[:, [1, 2, 4, 5]].any()
 
 
-def test_scales_give_the_same_acceleration(tmp_path: Path) -> None:
-    samples = noise(500)
-    rig = make_rig(coil("weak", 1, full_scale_m_s2=25.0), coil("strong", 2, full_scale_m_s2=400.0))
-    rendered = render_stimulus(store(tmp_path, samples), tmp_path, rig, full_scale_m_s2=50.0)
-    assert_array_equal(
-        rendered * np.float32([25, 400]), np.stack([samples, samples], axis=1) * np.float32(50)
-    )
-
-
 def test_axes_go_to_those_who_play_them(tmp_path: Path) -> None:
     samples = noise(500, channels=3)
     rig = make_rig(coil("a", 1, "z"), coil("b", 2, "x", "y", "reduced"), coil("c", 3))
@@ -94,12 +68,15 @@ def test_axes_go_to_those_who_play_them(tmp_path: Path) -> None:
 
 
 def test_a_set_is_rendered_whole(tmp_path: Path) -> None:
-    stimuli = StimulusSet(
-        tmp_path, (store(tmp_path, noise(50)), store(tmp_path, noise(60), name="t")), ""
-    )
-    assert {
-        k: v.shape for k, v in render_set(stimuli, make_rig(), full_scale_m_s2=100.0).items()
-    } == {"s": (50, 2), "t": (60, 2)}
+    both = (store(tmp_path, noise(50)), store(tmp_path, noise(60), name="t"))
+    stimuli, sounds = StimulusSet(tmp_path, both, ""), {}
+    rendered = render_set(stimuli, make_rig(), full_scale_m_s2=100.0)
+    assert {name: sound.shape for name, sound in rendered.items()} == {"s": (50, 2), "t": (60, 2)}
+    # Whoever looks for problems renders it too, and hands it on.
+    find_rig_problems(make_rig(), stimuli, rate_hz=RATE, full_scale_m_s2=100.0, sounds=sounds)
+    assert sounds.keys() == rendered.keys()
+    for name, sound in rendered.items():
+        assert_array_equal(sounds[name], sound)
 
 
 @pytest.mark.parametrize(
@@ -145,10 +122,6 @@ def problems(
     return find_rig_problems(
         rig, StimulusSet(folder, tuple(stimuli), ""), rate_hz=RATE, full_scale_m_s2=full_scale_m_s2
     )
-
-
-def test_what_fits_has_no_problems(tmp_path: Path) -> None:
-    assert problems(tmp_path, [store(tmp_path, noise(3000))], make_rig()) == []
 
 
 def test_stimuli_that_just_meet_the_limits_fit(tmp_path: Path) -> None:
@@ -206,11 +179,6 @@ def test_a_little_above_a_limit_is_above_it(tmp_path: Path) -> None:
     assert [line.split("above ")[1].split()[0] for line in lines] == [
         "limits.duration_s", "limits.peak_m_s2", "limits.rms_m_s2",
     ]  # fmt: skip
-
-
-def test_a_stimulus_at_a_lower_rate_is_a_problem_too(tmp_path: Path) -> None:
-    (line,) = problems(tmp_path, [store(tmp_path, noise(50), rate=500)], make_rig())
-    assert "got a rate of 500 Hz, the study plays at 1000 Hz" in line
 
 
 def test_sliding_rms_is_that_of_every_window() -> None:
