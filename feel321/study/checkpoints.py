@@ -3,8 +3,9 @@
 The repository is `.evidence` beside `study.toml`, bare, written and read by dulwich, so that no lab computer needs git.
 A commit holds one file, `digests`: name, size and SHA-256 of every file that is covered, never contents, so that a
 withdrawal leaves no answer in the history. Its subject is the occasion, its body the reason that somebody gave. Each
-copy of a study commits to a branch of its own, named after computer and folder, so that copies can share a remote.
-Whoever can write to the folder can make the repository anew; only a remote where they cannot write shows that.
+copy of a study commits to a branch of its own, named after computer and folder, so that copies can share a remote;
+where a remote has more of that branch than the folder, a backup was restored, and with a reason for it the study goes
+on as another branch. Whoever can write to the folder can make the repository anew; only a remote shows that.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from queue import Empty, Queue
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from time import monotonic
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from feel321.files import digest_file, make_folder, sync_folder, temporary_folder
+from feel321.files import create_text, digest_file, make_folder, sync_folder, temporary_folder
 from feel321.study.findings import Seal
 from feel321.study.session.journal import SESSION_FILE, digest, list_journals, utc_now
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
@@ -35,7 +37,9 @@ if TYPE_CHECKING:
 EVIDENCE, DIGESTS, HEADS = ".evidence", b"digests", b"refs/heads/"
 
 LOCK_S, PUSH_S, FETCH_S = 60.0, 15.0, 120.0
-"""How long another process may hold the repository, and how long a remote may take: no session waits for a network."""
+"""How long another process may hold the repository, and how long all remotes may take: no session waits for them."""
+
+ATTRIBUTES = "# Digests are of bytes: git must not convert line endings.\n* -text\n"
 
 COVERED = (
     "*.toml", "frozen.json", "ratings.csv", "participants.csv", "matches.csv",
@@ -65,6 +69,15 @@ class Checkpoint:
     marks: Mapping[str, FileMark]
 
 
+class Own(NamedTuple):
+    """The history in a study's folder, its remotes (URL -> branches pushed there), what is wrong, and its branch."""
+
+    history: list[Checkpoint]
+    pushed: dict[str, set[str]]
+    problem: str
+    branch: str
+
+
 def is_journal(name: str) -> bool:
     """Check whether a file is a journal, which only grows."""
     return SESSION_FILE.fullmatch(name.rpartition("/")[2]) is not None
@@ -84,22 +97,40 @@ def take_marks(study: StudyFolder) -> dict[str, FileMark]:
     return marks
 
 
+def read_lines(path: Path) -> bytes:
+    """Read the whole lines of a journal, with the line ends that it was written with."""
+    content = path.read_bytes()
+    return content[: content.rfind(b"\n") + 1].replace(b"\r\n", b"\n")
+
+
 def _take_mark(path: Path) -> FileMark:
     if not is_journal(path.name):
         return FileMark(path.stat().st_size, digest_file(path))
-    content = path.read_bytes()
-    whole = content[: content.rfind(b"\n") + 1]
-    return FileMark(len(whole), digest(whole))
+    lines = read_lines(path)
+    return FileMark(len(lines), digest(lines))
+
+
+def list_lost(before: Mapping[str, FileMark], now: Mapping[str, FileMark]) -> list[str]:
+    """List the sessions that were there and are not, or not to their end; withdrawn participants have lost none."""
+    lost = []
+    for name in filter(is_journal, sorted(before)):
+        who, session = name.split("/")[1], int(name[-8:-6])
+        size = now[name].size if name in now else 0
+        if size < before[name].size and f"sessions/{who}/{TOMBSTONE_FILE}" not in {*before, *now}:
+            lost.append(f"{'the end of ' if size else ''}session {session} of {who}")
+    return lost
 
 
 # The repository.
 
 
-def name_branch(study: StudyFolder) -> str:
-    """Name the branch of this copy of a study."""
+def _name_branch(study: StudyFolder, repo: BaseRepo) -> str:
+    """Name the branch of this copy of a study: after computer and folder, and since when it was restored."""
     host = socket.gethostname()
     place = digest(f"{host}:{study.path.absolute()}")[:8]
-    return f"{re.sub('[^A-Za-z0-9]+', '-', host).strip('-') or 'computer'}-{place}"
+    name = f"{re.sub('[^A-Za-z0-9]+', '-', host).strip('-') or 'computer'}-{place}"
+    head = _refs(repo).follow(b"HEAD")[0][-1].removeprefix(HEADS).decode()
+    return head if head.startswith(f"{name}-restored-") else name
 
 
 @contextmanager
@@ -130,6 +161,8 @@ def _make_repository(home: Path) -> None:
     with temporary_folder(beside=home) as made:  # a kill leaves no half of one
         Repo.init_bare(made).close()
         made.rename(home)
+    with suppress(FileExistsError):
+        create_text(home.with_name(".gitattributes"), ATTRIBUTES)
 
 
 def _describe_damage(home: Path, error: Exception) -> str:
@@ -163,24 +196,32 @@ def _read_history(repo: BaseRepo, tip: Any) -> list[Checkpoint]:  # noqa: ANN401
     return history[::-1]
 
 
-def read_own(study: StudyFolder) -> tuple[list[Checkpoint], dict[str, set[str]], str]:
-    """Read the history in the folder, its remotes (URL -> branches that were pushed there), and what is wrong."""
+def read_own(study: StudyFolder) -> Own:
+    """Read the repository in the folder."""
     from dulwich.repo import Repo
 
-    home, remotes = study.path / EVIDENCE, {}
+    home, remotes, branch = study.path / EVIDENCE, {}, ""
     if not home.is_dir():
-        return [], {}, ""
+        return Own([], {}, "", "")
     try:
         with Repo(home) as repo:
+            branch = _name_branch(study, repo)
             remotes = {url: _list_pushed(repo, name) for url, name in _list_remotes(repo).items()}
-            return _read_history(repo, _refs(repo).as_dict().get(b"HEAD")), remotes, ""
+            tip = _refs(repo).as_dict().get(b"HEAD")
+            return Own(_read_history(repo, tip), remotes, "", branch)
     except Exception as error:  # noqa: BLE001 - what is damaged raises anything
-        return [], remotes, _describe_damage(home, error)
+        return Own([], remotes, _describe_damage(home, error), branch)
 
 
 def find_newest(study: StudyFolder) -> str:
     """Find the id of the newest checkpoint in the folder; empty if there is none."""
-    return next((one.id for one in read_own(study)[0][::-1]), "")
+    return next((one.id for one in read_own(study).history[::-1]), "")
+
+
+def is_begun(study: StudyFolder, by: str, who: str) -> bool:
+    """Check whether something began at a checkpoint and none says how it ended."""
+    own = [one for one in read_own(study).history if (one.by, one.who) == (by, who)]
+    return bool(own) and own[-1].begins
 
 
 def _list_remotes(repo: Repo) -> dict[str, bytes]:
@@ -201,33 +242,58 @@ def take_checkpoint(
     by, who: the occasion (`session`, `simulate`, `analyze`, `build`, `withdraw`, `seal`; `before ...`, `failed ...`);
     remote: a further one, which is kept if it takes this.
     """
-    from dulwich.objects import Blob, Commit, Tree
-
     remote = remote and _prepare_remote(remote, study)
+    own = read_own(study) if reason else None
+    ahead = _find_ahead(own) if own else []
     with _opening(study) as repo:
-        marks = take_marks(study).items()
-        lines = [f"{name}\t{mark.size}\t{mark.sha256}\n" for name, mark in marks]
-        blob, tree, commit = Blob.from_string("".join(lines).encode()), Tree(), Commit()
-        tree.add(DIGESTS, 0o100644, blob.id)
-        tip = _refs(repo).as_dict().get(b"HEAD")
-        commit.tree, commit.parents = tree.id, [tip] if tip else []
-        commit.author = commit.committer = b"feel321 <feel321@localhost>"
-        commit.author_time = commit.commit_time = int(now().timestamp())
-        commit.author_timezone = commit.commit_timezone = 0
-        commit.message = "\n\n".join(filter(None, [f"{by} {who}".strip(), reason])).encode()
-        objects = study.path / EVIDENCE / "objects"
-        for one in (blob, tree, commit):
-            repo.object_store.add_object(one)
-            sync_folder(objects / one.id[:2].decode())
-        sync_folder(objects)
-        branch = name_branch(study).encode()
-        _refs(repo)[HEADS + branch] = commit.id
-        _refs(repo).set_symbolic_ref(b"HEAD", HEADS + branch)
-        pushed = {} if by.startswith("before") else _push_all(repo, branch, new=remote)
-    utc = datetime.fromtimestamp(commit.commit_time, UTC).isoformat()
+        branch, marks = _name_branch(study, repo), take_marks(study)
+        if ahead:
+            lost = "; ".join(list_lost(ahead[-1].marks, marks)) or "no session"
+            by, reason = "restored", f"{reason} (restored, lost: {lost})"
+            branch = f"{branch.partition('-restored-')[0]}-restored-{ahead[-1].id[:8]}"
+        message = "\n\n".join(filter(None, [f"{by} {who}".strip(), reason]))
+        moment = now()
+        done = _commit(repo, branch, marks, message=message, utc=moment)
+    pushed = {} if by.startswith("before") else _push_all(study, branch, new=remote)
+    utc = moment.astimezone(UTC).isoformat(timespec="seconds")
     places = tuple(url for url, problem in pushed.items() if not problem)
     problems = tuple(f"{url}: takes no checkpoint ({why})" for url, why in pushed.items() if why)
-    return Seal(utc, commit.id.decode(), places, problems)
+    return Seal(utc, done, places, problems)
+
+
+def _find_ahead(own: Own) -> list[Checkpoint]:
+    """Find the history of this branch at a remote that has more of it: the folder was restored from a backup."""
+    known = {one.id for one in own.history}
+    for url in own.pushed:
+        with suppress(OSError):  # said when it is pushed to
+            theirs = fetch_branches(url, own.history).get(own.branch, [])
+            if theirs and theirs[-1].id not in known:
+                return theirs
+    return []
+
+
+def _commit(
+    repo: Repo, branch: str, marks: Mapping[str, FileMark], *, message: str, utc: datetime
+) -> str:
+    from dulwich.objects import Blob, Commit, Tree
+
+    lines = [f"{name}\t{mark.size}\t{mark.sha256}\n" for name, mark in marks.items()]
+    blob, tree, commit = Blob.from_string("".join(lines).encode()), Tree(), Commit()
+    tree.add(DIGESTS, 0o100644, blob.id)
+    tip = _refs(repo).as_dict().get(b"HEAD")
+    commit.tree, commit.parents = tree.id, [tip] if tip else []
+    commit.author = commit.committer = b"feel321 <feel321@localhost>"
+    commit.author_time = commit.commit_time = int(utc.timestamp())
+    commit.author_timezone = commit.commit_timezone = 0
+    commit.message = message.encode()
+    objects = Path(repo.path) / "objects"
+    for one in (blob, tree, commit):
+        repo.object_store.add_object(one)
+        sync_folder(objects / one.id[:2].decode())
+    sync_folder(objects)
+    _refs(repo)[HEADS + branch.encode()] = commit.id
+    _refs(repo).set_symbolic_ref(b"HEAD", HEADS + branch.encode())
+    return commit.id.decode()
 
 
 # Remotes.
@@ -252,37 +318,68 @@ def _prepare_remote(remote: str, study: StudyFolder) -> str:
     return str(folder)
 
 
-def _push_all(repo: Repo, branch: bytes, *, new: str) -> dict[str, str]:
-    """Push a branch to every remote, and keep a new one that took it; returns what went wrong, by URL."""
-    remotes = _list_remotes(repo)
-    tip = _refs(repo)[HEADS + branch]
-    known = {one.id.encode() for one in _read_history(repo, tip)} if remotes or new else set()
-    done = {}
-    for url in dict.fromkeys([*remotes, *filter(None, [new])]):
-        name = remotes.get(url, b"remote%d" % (len(remotes) + 1))
-        pushed = set() if url == new else _list_pushed(repo, name)
-        with suppress(OSError):  # of a push that was killed: nobody else has this branch
-            Path(url, f"{(HEADS + branch).decode()}.lock").unlink()
+def _push_all(study: StudyFolder, branch: str, *, new: str) -> dict[str, str]:
+    """Push a branch to every remote at once, and keep a new one that took it; returns what went wrong, by URL.
 
-        def choose(refs: Mapping[bytes, bytes], pushed: set[str] = pushed) -> dict[bytes, bytes]:
-            if any(HEADS + one.encode() not in refs for one in pushed):
-                raise ValueError("what was pushed there is gone; see feel321 audit")
-            if refs.get(HEADS + branch, tip) not in known:
-                raise ValueError("it has checkpoints that are not here; see feel321 audit")
-            return {HEADS + branch: tip}
+    The repository is not held meanwhile: others go on committing while a remote does not answer.
+    """
+    from filelock import FileLock, Timeout
 
-        try:
-            client, path = _find_client(url)
-            _within(PUSH_S, client.send_pack, path, choose, repo.generate_pack_data)
-        except (OSError, ValueError) as error:
-            done[url] = str(error)
-            continue
-        done[url] = ""
-        config = repo.get_config()
-        config.set((b"remote", name), b"url", url.encode())
-        config.write_to_path()
-        _refs(repo)[b"refs/remotes/" + name + b"/" + branch] = tip
+    home, ref = study.path / EVIDENCE, HEADS + branch.encode()
+    try:
+        with FileLock(home.with_name(f"{EVIDENCE}.push.lock"), timeout=PUSH_S):
+            own = read_own(study)  # with what another process committed since
+            if own.problem:
+                raise ValueError(own.problem)
+            urls = dict.fromkeys([*own.pushed, *filter(None, [new])])
+            pushed = {url: set() if url == new else own.pushed[url] for url in urls}
+            known = {one.id.encode() for one in own.history}
+            found = _within(
+                PUSH_S, {url: _Push(home, url, ref, known, pushed[url]) for url in urls}
+            )
+    except Timeout:
+        return {EVIDENCE: f"another process is pushing for more than {PUSH_S:g} s"}
+    done = {url: problem for url, (_, problem) in found.items()}
+    if fresh := [url for url in urls if not done[url] and branch not in pushed[url]]:
+        with _opening(study) as repo:
+            for url in fresh:
+                remotes, config = _list_remotes(repo), repo.get_config()
+                name = remotes.get(url, b"remote%d" % (len(remotes) + 1))
+                config.set((b"remote", name), b"url", url.encode())
+                config.write_to_path()
+                _refs(repo)[b"refs/remotes/" + name + b"/" + branch.encode()] = _refs(repo)[ref]
     return done
+
+
+@dataclass(frozen=True, slots=True)
+class _Push:
+    """A push of a branch to a remote; known: the commits of it here, pushed: branches that were pushed there."""
+
+    home: Path
+    url: str
+    ref: bytes
+    known: set[bytes]
+    pushed: set[str]
+
+    def __call__(self) -> None:
+        from dulwich.repo import Repo
+
+        with suppress(OSError):  # of a push that was killed: nobody else has this branch
+            Path(self.url, f"{self.ref.decode()}.lock").unlink()
+        client, path = _find_client(self.url)
+        with Repo(self.home) as repo:
+            tip = _refs(repo)[self.ref]
+            client.send_pack(path, lambda refs: self.choose(refs, tip), repo.generate_pack_data)
+
+    def choose(self, refs: Mapping[bytes, bytes], tip: bytes) -> dict[bytes, bytes]:
+        if any(HEADS + one.encode() not in refs for one in self.pushed):
+            raise ValueError("what was pushed there is gone; see feel321 audit")
+        if refs.get(self.ref, tip) not in self.known:
+            raise ValueError(
+                "it has checkpoints that are not here; see feel321 audit, and if this folder was restored from a "
+                "backup, say so: feel321 seal --reason TEXT"
+            )
+        return {self.ref: tip}
 
 
 def _find_client(url: str) -> tuple[Any, str]:
@@ -294,24 +391,27 @@ def _find_client(url: str) -> tuple[Any, str]:
     return get_transport_and_path(url, config=StackedConfig.default(), ssh_command=ssh)
 
 
-def _within(seconds: float, act: Callable[..., Any], *given: Any) -> Any:  # noqa: ANN401 - whatever it takes and gives
-    """Do what waits for another computer, for so long at most."""
-    done: Queue[tuple[Any, str]] = Queue()
+def _within(seconds: float, jobs: Mapping[str, Callable[[], Any]]) -> dict[str, tuple[Any, str]]:
+    """Do what waits for other computers, all at once and for so long at most: results, and what went wrong."""
+    done: Queue[tuple[str, Any, str]] = Queue()
 
-    def work() -> None:
+    def work(name: str, job: Callable[[], Any]) -> None:
         try:
-            done.put((act(*given), ""))
+            done.put((name, job(), ""))
         except Exception as error:  # noqa: BLE001 - a transport raises anything
-            done.put((None, f"{type(error).__name__}: {error}"))
+            done.put((name, None, f"{type(error).__name__}: {error}"))
 
-    Thread(target=work, daemon=True).start()
-    try:
-        value, problem = done.get(timeout=seconds)
-    except Empty:
-        raise TimeoutError(f"no answer within {seconds:g} s") from None
-    if problem:
-        raise OSError(problem)
-    return value
+    for name, job in jobs.items():
+        Thread(target=work, args=(name, job), daemon=True).start()
+    found: dict[str, tuple[Any, str]] = dict.fromkeys(
+        jobs, (None, f"no answer within {seconds:g} s")
+    )
+    end_s = monotonic() + seconds
+    with suppress(Empty):
+        for _ in jobs:
+            name, value, problem = done.get(timeout=max(end_s - monotonic(), 0.001))
+            found[name] = value, problem
+    return found
 
 
 def fetch_branches(url: str, known: Sequence[Checkpoint]) -> dict[str, list[Checkpoint]]:
@@ -334,8 +434,10 @@ def fetch_branches(url: str, known: Sequence[Checkpoint]) -> dict[str, list[Chec
                 found[branch] = list(known[: ends.get(tip, 0)]) or _read_history(repo, tip)
         return found
 
-    branches: dict[str, list[Checkpoint]] = _within(FETCH_S, fetch)
-    return branches
+    branches, problem = _within(FETCH_S, {url: fetch})[url]
+    if problem:
+        raise OSError(problem)
+    return dict(branches)
 
 
 # Occasions.

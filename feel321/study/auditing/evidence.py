@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from feel321.study.checkpoints import (
     EVIDENCE,
     Checkpoint,
     FileMark,
+    Own,
     fetch_branches,
     is_journal,
-    name_branch,
+    list_lost,
+    read_lines,
     read_own,
     take_marks,
 )
@@ -53,59 +56,82 @@ class Evidence:
 
 def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) -> Evidence:
     """Compare a study with its checkpoints, here and at its remotes; expect: the id of one that must be here."""
-    own = Evidence(study)
+    found = Evidence(study)
     if study.is_rehearsal:
-        return own
-    history, pushed, problem = read_own(study)
-    own.findings += filter(None, [problem])
+        return found
+    own, today = read_own(study), take_marks(study)
+    history = own.history
+    found.findings += filter(None, [own.problem])
     binding, held = [history], []
-    for url in dict.fromkeys([*pushed, *remotes]):
+    for url in dict.fromkeys([*own.pushed, *remotes]):
         try:
             branches = fetch_branches(url, history)
         except OSError as error:
-            own.remarks.append(f"{url}: could not be looked at ({error})")
+            found.remarks.append(f"{url}: could not be looked at ({error})")
             held.append(f"{url} could not be looked at")
             continue
-        for branch in sorted(pushed.get(url, set()) - set(branches)):
+        for branch in sorted(own.pushed.get(url, set()) - set(branches)):
             text = f"{url}: had the checkpoints of {branch} and has none now; ask whoever keeps it"
-            own.findings.append(text)
-        binding.append(_compare_remote(url, branches, history, own=own))
+            found.findings.append(text)
+        binding.append(_compare_remote(url, branches, own, found=found, today=today))
         there = {one.id for theirs in branches.values() for one in theirs}
         held += [f"{url} has those until {one.utc}" for one in history if one.id in there][-1:]
-    if not any(one.id.startswith(expect) for one in history) and expect:
+    if expect and not any(one.id.startswith(expect) for one in history):
         text = f"has no checkpoint {expect}; if the id is right, the history was made anew or turned back"
-        own.findings.append(f"{study.path / EVIDENCE}: {text}")
-    today = take_marks(study)
+        found.findings.append(f"{study.path / EVIDENCE}: {text}")
     for one in filter(None, binding):
-        _Comparison(study, one, today, own).run()
-    own.checkpoint = history[-1].id if history else ""
-    own.sentence = _describe(history, held, today) if history else "without evidence: no checkpoint"
-    return own
+        _Comparison(study, one, today, found).run()
+    found.checkpoint = history[-1].id if history else ""
+    found.sentence = (
+        _describe(history, held, today) if history else "without evidence: no checkpoint"
+    )
+    return found
 
 
 def _compare_remote(
-    url: str, branches: Mapping[str, list[Checkpoint]], history: list[Checkpoint], *, own: Evidence
+    url: str,
+    branches: Mapping[str, list[Checkpoint]],
+    own: Own,
+    *,
+    found: Evidence,
+    today: Mapping[str, FileMark],
 ) -> list[Checkpoint]:
     """Compare the history here with a remote's; returns one of there that must hold of this folder, too."""
-    home, mine, known = own.study.path / EVIDENCE, name_branch(own.study), {o.id for o in history}
+    home, known = found.study.path / EVIDENCE, {one.id for one in own.history}
     binding = []
     for branch, theirs in branches.items():
-        missing = sum(one.id not in known for one in theirs)
+        unknown = [one for one in theirs if one.id not in known]
         said = f"{branch} at {url}, the newest of {theirs[-1].utc}"
-        if not history:
-            own.remarks.append(f"{home}: has none; compared with the checkpoints of {said}")
-        elif missing == len(theirs):
+        found.findings += _find_withdrawn(found.study, unknown)
+        if not own.history:
+            found.remarks.append(f"{home}: has none; compared with the checkpoints of {said}")
+        elif len(unknown) == len(theirs):
             text = f"shares none of the checkpoints of {said}; it was made anew, or this is another study"
-            own.findings.append(f"{home}: {text}")
-        elif missing and branch == mine:
-            text = f"lacks {missing} checkpoints of {said}; an old copy was restored, or it was made anew"
-            own.findings.append(f"{home}: {text}")
-        elif missing:
-            own.remarks.append(f"{home}: another copy of this study went on as {said}")
+            found.findings.append(f"{home}: {text}")
+        elif unknown and branch == own.branch:
+            text = f"lacks {len(unknown)} checkpoints of {said}; an old copy was restored, or it was made anew"
+            remedy = "if a backup was restored, say so: feel321 seal --reason TEXT"
+            found.findings.append(f"{home}: {text}; {remedy}")
+        elif unknown:
+            lost = ", ".join(list_lost(theirs[-1].marks, today))
+            text = f"another copy of this study went on as {said}" + f"; not here: {lost}" * bool(
+                lost
+            )
+            found.remarks.append(f"{home}: {text}")
             continue
-        if missing:
-            binding.append((branch == mine, theirs[-1].utc, theirs))
+        if unknown:
+            binding.append((branch == own.branch, theirs[-1].utc, theirs))
     return max(binding, default=(False, "", []))[-1]
+
+
+def _find_withdrawn(study: StudyFolder, unknown: Sequence[Checkpoint]) -> Iterator[str]:
+    """Find who withdrew at checkpoints that are not here, and has data here: a backup brought them back."""
+    for one in unknown:
+        folder = study.sessions / one.who
+        is_there = (folder / PLAN_FILE).exists() and not (folder / TOMBSTONE_FILE).exists()
+        if one.by == "withdraw" and not one.begins and is_there:
+            again = f"feel321 withdraw {quote(str(study.path))} --participant {one.who}"
+            yield f"{folder}: withdrew at the checkpoint of {one.utc}, and is back from a copy; remove again: {again}"
 
 
 def _describe(history: Sequence[Checkpoint], held: list[str], today: Mapping[str, FileMark]) -> str:
@@ -204,7 +230,7 @@ class _Comparison:
     def _judge_journal(self, name: str) -> Iterator[str]:
         """Demand that a journal begins with all that it ever was."""
         path, good = self.study.path / name, 0
-        content = path.read_bytes()
+        content = read_lines(path)
         for mark, one in sorted(self.seen[name].items(), key=lambda item: item[0].size):
             when = f"at the checkpoint of {one.utc}; restore it from a copy"
             if len(content) < mark.size:
@@ -215,6 +241,8 @@ class _Comparison:
                 yield f"{path}, lines {first + 1} to {last}: are not those {when}"
                 return
             good = mark.size
+        if b"\r\n" in path.read_bytes():
+            self.own.remarks.append(f"{path}: has other line endings, and no other change")
 
     def _judge_lost(self, who: str, names: Sequence[str]) -> None:
         folder, files = self.study.sessions / who, [name.rpartition("/")[2] for name in names]

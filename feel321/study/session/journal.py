@@ -105,8 +105,8 @@ def write_line(record: Record, previous: str) -> bytes:
 
 
 def read_chain(content: bytes, name: str) -> Chain:
-    """Read all whole lines of a journal and check that they form one chain."""
-    *lines, torn = content.split(b"\n")
+    """Read all whole lines of a journal and check that they form one chain; a checkout may have changed line ends."""
+    *lines, torn = content.replace(b"\r\n", b"\n").split(b"\n")
     records = Records()
     previous = START
     for number, line in enumerate(lines, start=1):

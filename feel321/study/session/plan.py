@@ -251,7 +251,7 @@ def create_plan(path: Path, plan: Plan) -> None:
 
 def require_plan(path: Path) -> Plan:
     """Read a stored plan; what is not as it was stored is refused."""
-    content = path.read_bytes()
+    content = path.read_bytes().replace(b"\r\n", b"\n")  # a checkout may have changed line ends
     body = content.rpartition(_SEAL)[0] + b"\n}"
     if content != _seal(body):
         raise ValueError(

@@ -117,6 +117,27 @@ def copy_and_go_on(study: StudyFolder) -> None:
     assert find(twin) == ()
 
 
+def lose_disk(study: StudyFolder) -> None:
+    """A backup is restored: what is lost is named, whoever withdrew since is back, and the study goes on."""
+    backup = study.path.with_name("backup")
+    shutil.copytree(study.path, backup)
+    simulate(study, 3)
+    withdraw(study, "sim002")
+    shutil.rmtree(study.path)
+    backup.rename(study.path)
+    again = f"remove again: feel321 withdraw {study.path} --participant sim002"
+    assert any(one.endswith(again) for one in find(study))
+    assert any("lacks " in one and "seal --reason" in one for one in find(study))
+    (problem,) = seal(study).problems
+    assert "if this folder was restored" in problem
+    assert seal(study, "the disk failed").problems == ()
+    (finding,) = find(study)
+    assert finding.endswith(again)
+    withdraw(study, "sim002")
+    said = "declares: the disk failed (restored, lost: session 1 of sim003)"
+    assert any(one.endswith(said) for one in examine(study).remarks)
+
+
 def set_clock_back(study: StudyFolder) -> None:
     def now() -> Any:
         return utc_now() - timedelta(hours=3)
@@ -138,8 +159,11 @@ def add_method(study: StudyFolder) -> None:
 
 def change_line_ends(study: StudyFolder) -> None:
     add_method(study)
-    for path in (study.settings, study.path / "methods" / "mine.py"):
+    plans = [folder / "plan.json" for folder in study.participants]
+    for path in (study.settings, study.path / "methods" / "mine.py", *plans, *study.journals):
         path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    said = [one for one in examine(study).remarks if "has other line endings" in one]
+    assert len(said) == 2 + len(plans) + len(study.journals)
 
 
 def build_otherwise(study: StudyFolder) -> None:
@@ -201,6 +225,7 @@ HONEST: dict[str, Callable[[StudyFolder], Any]] = {
     "a folder that was moved": move,
     "a copy without times that went on beside it": copy_and_go_on,
     "a clock that was set back": set_clock_back,
+    "a disk that was lost": lose_disk,
     "settings changed, with a reason": decide,
     "line ends converted": change_line_ends,
     "a new method": add_method,
