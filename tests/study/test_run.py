@@ -17,8 +17,7 @@ import pytest
 from feel321.study import lab
 from feel321.study.actuator.device import Device
 from feel321.study.actuator.rig import digest, read_rig
-from feel321.study.auditing.entries import list_remarks
-from feel321.study.auditing.study import audit_study
+from feel321.study.auditing.study import audit_study, list_remarks
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.lab import Visit, run_participant

@@ -1,12 +1,12 @@
 """The journals of one participant: each chain, its header and times, and how one session follows another."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 
-from feel321.study.auditing.replay import audit_steps
+from feel321.study.auditing.replay import MALFORMED, audit_steps
 from feel321.study.folder import DELIVERED, name_delivered
 from feel321.study.persons.answers import audit_personal
 from feel321.study.ratings import find_misplaced
@@ -15,17 +15,28 @@ from feel321.study.session.journal import Chain, Record, list_journals, name_jou
 from feel321.study.session.plan import Plan
 
 
+def guard(place: Path, findings: Iterable[str]) -> Iterator[str]:
+    """Make one finding of what cannot be looked at, so that everything else is."""
+    try:
+        yield from findings
+    except (OSError, ValueError) as error:
+        yield str(error) if str(place) in str(error) else f"{place}: {error}"
+    except MALFORMED as error:
+        text = f"holds what feel321 does not write ({type(error).__name__}: {error})"
+        yield f"{place}: {text}; restore it from a copy"
+
+
 def audit_journals(folder: Path, plan: Plan) -> Iterator[str]:
     """Verify all journals of a participant."""
-    chains = {}
+    chains: dict[Path, Chain] = {}
     for path in sorted(folder.glob("session-*.jsonl")):  # Copies under other names too.
-        try:
-            chains[path] = read_journal(path)
-        except (OSError, ValueError) as error:
-            yield str(error)
-        else:
-            yield from (f"{path}{finding}" for finding in _audit_journal(chains[path], plan, path))
+        yield from guard(path, _audit_file(path, plan, chains))
     yield from _audit_succession(list_journals(folder), chains)
+
+
+def _audit_file(path: Path, plan: Plan, chains: dict[Path, Chain]) -> Iterator[str]:
+    chains[path] = chain = read_journal(path)
+    yield from (f"{path}{finding}" for finding in _audit_journal(chain, plan, path))
 
 
 def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
@@ -45,9 +56,9 @@ def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
     yield from find_misplaced(path, header, plan)
     yield from _audit_header(header, plan, path)
     yield from _audit_clocks(header, chain.records)
-    for before, record in pairwise(chain.records):
-        is_older = datetime.fromisoformat(record.utc) < datetime.fromisoformat(before.utc)
-        if is_older and record.event != events.ClockStepped.event:
+    times = [datetime.fromisoformat(record.utc) for record in chain.records]
+    for record, (before, time) in zip(chain.records[1:], pairwise(times), strict=True):
+        if time < before and record.event != events.ClockStepped.event:
             yield f", line {record.sequence + 1}: is older than the line before, and nothing says why"
     steps = list(audit_steps(chain.records, plan))
     yield from steps

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +104,7 @@ def write_line(record: Record, previous: str) -> bytes:
     return f'{body[:-1]}, "sha256": "{digest(body)}"}}\n'.encode()
 
 
+@lru_cache(maxsize=4)  # whoever derives several tables reads each journal once
 def read_chain(content: bytes, name: str) -> Chain:
     """Read all whole lines of a journal and check that they form one chain; a checkout may have changed line ends."""
     *lines, torn = content.replace(b"\r\n", b"\n").split(b"\n")
@@ -244,7 +245,7 @@ def create_journal(path: Path, *, now: Clock) -> Journal:
 def require_journal(path: Path, *, now: Clock) -> Journal:
     """Go on with a journal that is there; a record and the notice say so if its last line was unfinished."""
     chain = read_journal(path)
-    journal = Journal(path, now, chain.records, tip=chain.tip)
+    journal = Journal(path, now, Records(chain.records), tip=chain.tip)
     if chain.torn:
         with _naming(path):
             torn = _cut_torn_line(path, chain.torn)

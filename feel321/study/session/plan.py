@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import version
 from platform import platform, python_version
 from typing import TYPE_CHECKING, Any
@@ -251,7 +251,14 @@ def create_plan(path: Path, plan: Plan) -> None:
 
 def require_plan(path: Path) -> Plan:
     """Read a stored plan; what is not as it was stored is refused."""
-    content = path.read_bytes().replace(b"\r\n", b"\n")  # a checkout may have changed line ends
+    plan = _read_plan(path.read_bytes(), path)
+    require_protocols(path, [task.protocol for task in plan.tasks], plan.methods)
+    return plan
+
+
+@lru_cache(maxsize=4)  # whoever derives several tables reads each plan once
+def _read_plan(content: bytes, path: Path) -> Plan:
+    content = content.replace(b"\r\n", b"\n")  # a checkout may have changed line ends
     body = content.rpartition(_SEAL)[0] + b"\n}"
     if content != _seal(body):
         raise ValueError(
@@ -273,7 +280,6 @@ def require_plan(path: Path) -> Plan:
         raise ValueError(
             f"{path}: the plan's format must be {FORMAT}, got {stored}; use the feel321 that wrote it"
         )
-    require_protocols(path, [task.protocol for task in plan.tasks], plan.methods)
     return plan
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.auditing.study import audit_study
+from feel321.study.auditing.study import audit_study, examine
 from feel321.study.folder import StudyFolder
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session.journal import (
@@ -328,7 +328,7 @@ def test_a_malformed_record_hides_nobody_else(copy: StudyFolder, changes: dict[s
 
 def test_progress_is_told_per_participant(copy: StudyFolder) -> None:
     told: list[tuple[int, int]] = []
-    audit_study(copy, progress=lambda done, total: told.append((done, total)))
+    examine(copy, progress=lambda done, total: told.append((done, total)))
     assert told == [(1, 3), (2, 3), (3, 3)]
 
 
