@@ -28,7 +28,7 @@ from feel321.files import (
 )
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import people as progress
-from feel321.study.checkpoints import declaring
+from feel321.study.checkpoints import declaring, is_begun, note_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.matches import MATCHES_FILE, write_matches
 from feel321.study.numbers import RELEASED, Holder, read_holder
@@ -38,7 +38,6 @@ from feel321.study.session.events import NoteTaken, SessionFinished, SessionRele
 from feel321.study.session.journal import (
     PARTICIPANT_ID,
     Clock,
-    Journal,
     list_journals,
     read_anchor,
     require_journal,
@@ -51,54 +50,59 @@ RESULTS = ("report", "tradeoff", "power")
 """Folders of results in a study that ratings may be in, unless another name was given."""
 
 
+Say = Callable[[str], None]
+
+
 def withdraw_participant(
     study: StudyFolder,
     participant: str,
     *,
     now: Clock,
     reason: str = "",
-    warn: Callable[[str], None] | None = None,
+    warn: Say = lambda _: None,
 ) -> list[str]:
     """Remove the data of a participant for good; a tombstone keeps the code from being used again."""
-    say: Callable[[str], None] = warn or (lambda _: None)
-    removed = _withdraw_rehearsals(study, participant, say=say)
-    if removed and participant not in {folder.name for folder in study.participants}:
+    removed = _withdraw_rehearsals(study, participant, say=warn)
+    if removed and not (study.sessions / participant).exists():
         return removed
     folder = require_folder(study, participant)
     found = progress.read_tombstone(folder)
-    if _is_over(study, folder, found):
-        if removed or found is None:
-            return removed
-        raise ValueError(f"participant {participant}: withdrew at {found.utc}, all data are gone")
+    is_over = found is not None and found.state == progress.REMOVED
+    if found and is_over and not any((progress.find_leftovers(folder), *find_data_left(study))):
+        if is_begun(study, "withdraw", participant):  # killed before its last checkpoint
+            _announce([note_checkpoint(study, "withdraw", who=participant)], warn)
+        elif not removed:
+            raise ValueError(
+                f"participant {participant}: withdrew at {found.utc}, all data are gone"
+            )
+        return removed
     if folder.is_symlink():  # what it leads to is left, but looked at
         found = found or _make_tombstone(folder, reason=reason, now=now)
-        _announce(_drop_link(folder), say)
-    with hold_folder(folder), declaring(study, "withdraw", who=participant, warn=say):
+        _announce(_drop_link(folder), warn)
+    with hold_folder(folder), declaring(study, "withdraw", who=participant, warn=warn):
         # Or the tombstone of a withdrawal that was interrupted.
         tombstone = found or _make_tombstone(folder, reason=reason, now=now)
         progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVING))
-        removed += _remove_data(folder, say)
-        _announce(clear_derived(study, tombstone), say)
+        removed += _remove_data(folder, warn)
+        _announce(_clear_derived(study, tombstone), warn)
         progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVED))
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     return removed
 
 
-def _is_over(study: StudyFolder, folder: Path, found: progress.Tombstone | None) -> bool:
-    """Whether a withdrawal was finished, and nothing of the participant has come back with a copy."""
-    if found is None or found.state != progress.REMOVED:
-        return False
-    return not any((progress.find_leftovers(folder), *find_data_left(study)))
-
-
-def _announce(lines: Iterable[str], say: Callable[[str], None]) -> None:
+def _announce(lines: Iterable[str], say: Say) -> None:
     for line in filter(None, lines):
         say(line)
 
 
-def clear_derived(study: StudyFolder, tombstone: progress.Tombstone) -> Iterator[str]:
+def _clear_derived(study: StudyFolder, tombstone: progress.Tombstone) -> Iterator[str]:
     """Remove the participant from all that was derived, whatever a kill left of it included; yield what is left."""
-    yield from _clear_unfinished(study)
+    sweep(study.path)
+    sweep_temporary()
+    for path in sorted(study.path.rglob("*")):
+        if UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name):
+            still = f"{path}: is still being written; when it is finished, run feel321 audit"
+            yield from _drop_link(path) if path.is_symlink() else [still]
     yield from _renew_tables(study)
     if tombstone.journals:
         yield from _clear_results(study)
@@ -107,24 +111,19 @@ def clear_derived(study: StudyFolder, tombstone: progress.Tombstone) -> Iterator
             yield output.describe() if is_there else f"{output.describe()}; nothing is there now"
 
 
-def _withdraw_rehearsals(
-    study: StudyFolder, participant: str, *, say: Callable[[str], None]
-) -> list[str]:
+def _withdraw_rehearsals(study: StudyFolder, participant: str, *, say: Say) -> list[str]:
     """Remove what was rehearsed under the participant's code."""
-    own = replace(study, is_rehearsal=True)
-    folder = own.sessions / participant
-    if study.is_rehearsal or not PARTICIPANT_ID.fullmatch(participant):
+    rehearsals = replace(study, is_rehearsal=True).sessions
+    folder = rehearsals / participant
+    is_code = not study.is_rehearsal and PARTICIPANT_ID.fullmatch(participant)
+    if not is_code or not (folder.is_symlink() or folder.is_dir()):
         return []
-    removed = []
-    if folder.is_symlink() or folder.is_dir():
-        _announce(_drop_link(folder), say)
-        with hold_folder(folder):
-            removed = [
-                f"{own.sessions.name}/{participant}/{name}" for name in _remove_data(folder, say)
-            ]
-        (folder / progress.LOCK_FILE).unlink(missing_ok=True)
-        folder.rmdir()
-    return removed
+    _announce(_drop_link(folder), say)
+    with hold_folder(folder):
+        removed = _remove_data(folder, say)
+    (folder / progress.LOCK_FILE).unlink(missing_ok=True)
+    folder.rmdir()
+    return [f"{rehearsals.name}/{participant}/{name}" for name in removed]
 
 
 def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> int:
@@ -133,23 +132,23 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     Of one who never began there is nothing to keep: the plan goes, and the code may be used again.
     """
     folder = require_folder(study, participant)
+
+    def refuse(why: str) -> ValueError:
+        return ValueError(f"participant {participant}: {why}")
+
     if progress.read_tombstone(folder) is not None:
-        raise ValueError(f"participant {participant}: withdrew, there is nothing to release")
+        raise refuse("withdrew, there is nothing to release")
     with hold_folder(folder):
         if (holder := read_holder(folder)) is None:
-            raise ValueError(
-                f"participant {participant}: has no number, there is nothing to release"
-            )
+            raise refuse("has no number, there is nothing to release")
         if holder.state == RELEASED:
-            raise ValueError(
-                f"participant {participant}: was released before; number {holder.number} is free"
-            )
-        if (journal := _open_newest(folder, now=now)) is not None:
+            raise refuse(f"was released before; number {holder.number} is free")
+        journals = list_journals(folder)
+        journal = require_journal(journals[-1], now=now) if journals else None
+        if journal and (len(journals) > 1 or journal.records.find_header()):
             if journal.records.has(SessionFinished):
-                raise ValueError(
-                    f"participant {participant}: has finished, so the slot stays taken; to remove the data: "
-                    "feel321 withdraw"
-                )
+                remedy = "to remove the data: feel321 withdraw"
+                raise refuse(f"has finished, so the slot stays taken; {remedy}")
             journal.write(SessionReleased())
             return holder.number
         _remove_data(folder, lambda _: None)
@@ -214,12 +213,11 @@ def _make_tombstone(folder: Path, *, reason: str, now: Clock) -> progress.Tombst
     )
 
 
-def _remove_data(folder: Path, say: Callable[[str], None]) -> list[str]:
+def _remove_data(folder: Path, say: Say) -> list[str]:
     """Remove everything in a folder but its tombstone and the lock that is held; returns the names."""
     kept = {folder / TOMBSTONE_FILE, folder / progress.LOCK_FILE}
-    removed = []
-    for path in sorted({*folder.rglob("*")} - kept, reverse=True):
-        removed.append(path.relative_to(folder).as_posix())
+    removed = sorted({*folder.rglob("*")} - kept, reverse=True)
+    for path in removed:
         if path.is_symlink():
             _announce(_drop_link(path), say)
         elif path.is_dir():
@@ -227,7 +225,7 @@ def _remove_data(folder: Path, say: Callable[[str], None]) -> list[str]:
         else:
             path.unlink()
     sync_folder(folder)
-    return sorted(removed)
+    return sorted(path.relative_to(folder).as_posix() for path in removed)
 
 
 def _drop_link(path: Path) -> Iterator[str]:
@@ -236,18 +234,6 @@ def _drop_link(path: Path) -> Iterator[str]:
         target = path.resolve()
         path.unlink()
         yield f"{path}: was a link and is removed; {target} is left, remove the participant's data there"
-
-
-def _clear_unfinished(study: StudyFolder) -> Iterator[str]:
-    """Remove what killed runs left, in the study and in the system's temporary folder; name what a live one holds."""
-    sweep(study.path)
-    sweep_temporary()
-    for path in sorted(study.path.rglob("*")):
-        if UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name):
-            if path.is_symlink():
-                yield from _drop_link(path)
-            else:
-                yield f"{path}: is still being written; when it is finished, run feel321 audit"
 
 
 def _clear_results(study: StudyFolder) -> Iterator[str]:
@@ -293,15 +279,6 @@ def _renew_tables(study: StudyFolder) -> Iterator[str]:
                 # A derived table can be made again; the data of someone who withdrew may not stay.
                 path.unlink(missing_ok=True)
                 yield f"{path}: was removed, because it could not be rewritten ({error})"
-
-
-def _open_newest(folder: Path, *, now: Clock) -> Journal | None:
-    """Open the newest journal; None if no session was ever begun."""
-    journals = list_journals(folder)
-    journal = require_journal(journals[-1], now=now) if journals else None
-    if journal is None or (len(journals) == 1 and not journal.records.find_header()):
-        return None
-    return journal
 
 
 # What is left of those who withdrew, for the audit.

@@ -16,8 +16,16 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.study import checkpoints
 from feel321.study.auditing.study import examine
-from feel321.study.checkpoints import EVIDENCE, declaring, find_newest, read_own, take_checkpoint
+from feel321.study.checkpoints import (
+    EVIDENCE,
+    declaring,
+    find_newest,
+    note_checkpoint,
+    read_own,
+    take_checkpoint,
+)
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.persons.withdrawal import withdraw_participant
@@ -103,6 +111,21 @@ def kill_withdrawal(study: StudyFolder) -> None:
     study.journals[1].unlink()
     seal(study)
     withdraw(study)
+
+
+def kill_before_the_last_checkpoint(study: StudyFolder) -> None:
+    def note(own: StudyFolder, by: str, **options: Any) -> str:
+        if by == "withdraw":
+            raise KeyboardInterrupt
+        return note_checkpoint(own, by, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(checkpoints, "note_checkpoint", note)
+        with pytest.raises(KeyboardInterrupt):
+            withdraw(study)
+    withdraw(study)
+    with pytest.raises(ValueError, match="all data are gone"):
+        withdraw(study)
 
 
 def move(study: StudyFolder) -> StudyFolder:
@@ -222,6 +245,7 @@ HONEST: dict[str, Callable[[StudyFolder], Any]] = {
     "a session that was killed, sealed and resumed": kill_session,
     "a withdrawal": withdraw,
     "a withdrawal that was killed and repeated": kill_withdrawal,
+    "a withdrawal that was killed before its last checkpoint": kill_before_the_last_checkpoint,
     "a folder that was moved": move,
     "a copy without times that went on beside it": copy_and_go_on,
     "a clock that was set back": set_clock_back,

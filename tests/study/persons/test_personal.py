@@ -16,10 +16,10 @@ from feel321.study.checkpoints import read_own
 from feel321.study.cli import main
 from feel321.study.collect import collect_sessions
 from feel321.study.persons import answers
-from feel321.study.session.journal import list_journals, read_journal
+from feel321.study.session.journal import list_journals, read_journal, utc_now
 from feel321.study.simulation import simulate_study
 from feel321.study.study import Study
-from tests.study.persons.conftest import copy_study, now
+from tests.study.persons.conftest import copy_study
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -100,9 +100,9 @@ def test_the_file_may_be_removed_and_the_ratings_stay(held: StudyFolder) -> None
 
 DYING = """
 import os, signal, sys
-from datetime import UTC, datetime
 from pathlib import Path
 from feel321.study.folder import StudyFolder
+from feel321.study.session.journal import utc_now
 from feel321.study.simulation import simulate_study
 import feel321.stimuli.sets.manifest, feel321.study.sessions, feel321.study.persons.answers, filelock
 root, steps = Path(sys.argv[1]), [int(one) for one in sys.argv[2].split(",")]
@@ -120,7 +120,7 @@ for step in steps:
     study, child = StudyFolder(root / str(step)), os.fork()
     if not child:
         die_at(step)
-        simulate_study(study, participants=1, seed=3, now=lambda: datetime.now(UTC))
+        simulate_study(study, participants=1, seed=3, now=utc_now)
         os._exit(0)
     _, status = os.waitpid(child, 0)
     print(step, "whole" if os.WIFEXITED(status) else "killed", flush=True)
@@ -142,7 +142,7 @@ def test_after_any_kill_each_answer_has_its_record_and_each_record_its_answer(
 ) -> None:
     ends = kill_at(asking, tmp_path / "kills", range(0, 200, stride))
     assert "killed" in ends.values()
-    simulate_study(asking, participants=1, seed=3, now=now)
+    simulate_study(asking, participants=1, seed=3, now=utc_now)
     whole = list_values(asking)
     for step in ends:
         study = type(asking)(tmp_path / "kills" / str(step))
@@ -154,7 +154,7 @@ def test_after_any_kill_each_answer_has_its_record_and_each_record_its_answer(
                 if record.event == "answered"
             }
             assert named <= answers.read_personal(folder).keys(), step
-        simulate_study(study, participants=1, seed=3, now=now)
+        simulate_study(study, participants=1, seed=3, now=utc_now)
         assert list_values(study) == whole, step
         assert audit_study(study) == [], step
 
@@ -176,7 +176,7 @@ def test_answers_apart_are_collected_with_the_journal_that_names_them(
     shutil.rmtree(main_study.sessions)
     for name in ("ratings.csv", "participants.csv", "answers.csv"):
         (main_study.path / name).unlink()
-    found = collect_sessions(main_study, [held.path], now=now)
+    found = collect_sessions(main_study, [held.path], now=utc_now)
     assert (found.refused, found.notes) == ([], [])
     assert list_values(main_study) == list_values(held)
     assert audit_study(main_study) == []
