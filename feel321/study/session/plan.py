@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import datetime, timedelta
 from functools import cache, lru_cache
 from importlib.metadata import version
@@ -175,25 +175,16 @@ def make_plan(
     by_code = list_by_code(stimuli, seed=design.seed).items()
     named = [Item(code, row.recording, row.reducer, row.level, row.role) for code, row in by_code]
     own = make_trials(design, named, number=number)
+    decided: dict[str, Any] = {
+        one.name: getattr(entry, one.name) for entry in (design, own) for one in fields(entry)
+    }
     return Plan(
         participant=participant,
         number=number,
         simulated=simulated,
-        seed=design.seed,
-        between=design.between,
-        groups=own.groups,
-        order=design.order,
-        repeats=design.repeats,
-        tasks=own.tasks,
-        flow=design.flow,
         stimuli_sha256=stimuli.sha256,
-        trials=own.trials,
-        threshold=own.threshold,
-        task_order=design.task_order,
-        matching=own.matching,
-        questions=own.questions,
-        recordings_per_participant=design.recordings_per_participant,
         methods=stimuli.find_methods() | digest_protocols(task.protocol for task in own.tasks),
+        **decided,
     )
 
 
@@ -414,16 +405,10 @@ def open_session(
     with hold_lock(folder / ".lock", busy=busy):
         if (folder / TOMBSTONE_FILE).exists():
             raise ValueError(f"{folder}: {folder.name} was withdrawn; take another code")
-        is_begun = any(
-            journals.read_journal(path).records.find_header()
-            for path in journals.list_journals(folder)
-        )
+        files = journals.list_journals(folder)
+        is_begun = any(journals.read_journal(path).records.find_header() for path in files)
         stored = _compare_stored(folder / PLAN_FILE, plan, is_begun=is_begun)
-        own = dict(identity)
-        yield (
-            stored,
-            _open_newest(folder, stored, identity=own, now=now, stale=stale, accept_rig=accept_rig),
-        )
+        yield stored, _Opening(folder, stored, dict(identity), now, stale).open(accept_rig)
 
 
 def _compare_stored(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
@@ -444,70 +429,85 @@ def _compare_stored(path: Path, plan: Plan, *, is_begun: bool) -> Plan:
     return stored
 
 
-def _open_newest(
-    folder: Path,
-    plan: Plan,
-    *,
-    identity: dict[str, Any],
-    now: Clock,
-    stale: Stale,
-    accept_rig: bool,
-) -> Journal:
-    files = journals.list_journals(folder)
-    if not files:
-        return _begin_next(folder, plan, identity, now=now)
-    journal = journals.require_journal(files[-1], now=now)
-    if journal.records.has(events.SessionReleased):
-        raise ValueError(
-            f"{journal.path}: {folder.name} was released, the place in the design is free; take another code"
-        )
-    begun = journal.records.find_header()
-    if begun is None:
-        journal.write(_make_header(journal, plan, identity))
+@dataclass(frozen=True, slots=True)
+class _Opening:
+    """A session that is begun, resumed, or left for a new one."""
+
+    folder: Path
+    plan: Plan
+    identity: dict[str, Any]
+    now: Clock
+    stale: Stale
+
+    def open(self, accept_rig: bool) -> Journal:  # noqa: FBT001 - called once
+        """Open the newest journal, or begin the next one."""
+        files = journals.list_journals(self.folder)
+        if not files:
+            return self._begin()
+        journal = journals.require_journal(files[-1], now=self.now)
+        if journal.records.has(events.SessionReleased):
+            raise ValueError(
+                f"{journal.path}: {self.folder.name} was released, the place in the design is free; take another code"
+            )
+        begun = journal.records.find_header()
+        if begun is None:
+            journal.write(self._make_header(journal))
+            return journal
+        header = self._make_header(journal).to_data()
+        accepted = journal.records.find(events.RigAccepted)
+        if differences := compare_headers(begun, header, accepted=accepted):
+            names = {line.partition(" ")[0] for line in differences}
+            untouched = {kind.event for kind in events.UNTOUCHED}
+            if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
+                # Another rig, say, does no harm: nobody has done anything yet.
+                return self._supersede(journal)
+            is_rig = all(name.startswith(ACCEPTABLE) for name in names)
+            if not (is_rig and accept_rig):
+                raise ValueError(describe_refusal(journal.path, begun, differences, is_rig=is_rig))
+            if not journal.records.has(events.SessionFinished):
+                rig = header.get("presenter", {}).get("rig")
+                journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
+        return self._resume(journal)
+
+    def _resume(self, journal: Journal) -> Journal:
+        if journal.records.has(events.SessionFinished):
+            return journal
+        is_stale = self._is_stale(journal.records)
+        is_superseded = journal.records.has(events.SessionSuperseded)
+        if is_superseded or (is_stale and self.stale.policy == "restart"):
+            return self._supersede(journal)
+        journal.write(events.SessionResumed(*_describe_opening(journal)))
+        if is_stale and self.stale.policy == "warm_up":
+            journal.write(events.WarmUpBegun())
         return journal
-    header = _make_header(journal, plan, identity).to_data()
-    accepted = journal.records.find(events.RigAccepted)
-    if differences := compare_headers(begun, header, accepted=accepted):
-        untouched = {kind.event for kind in events.UNTOUCHED}
-        names = {line.partition(" ")[0] for line in differences}
-        if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
-            # Another rig, say, does no harm: nobody has done anything yet.
-            return _supersede(journal, plan, identity)
-        is_rig = all(name.startswith(ACCEPTABLE) for name in names)
-        if not (is_rig and accept_rig):
-            raise ValueError(describe_refusal(journal.path, begun, differences, is_rig=is_rig))
-        if not journal.records.has(events.SessionFinished):
-            rig = header.get("presenter", {}).get("rig")
-            journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
-    return _resume(journal, plan, identity, now=now, stale=stale)
 
+    def _make_header(self, journal: Journal) -> events.SessionBegun:
+        plan, session = self.plan, len(journals.list_journals(self.folder))
+        planned = (plan.participant, plan.sha256, plan.stimuli_sha256, plan.seed)
+        own = (JOURNAL_FORMAT, *planned, self.identity, session)
+        return events.SessionBegun(*own, *_describe_opening(journal))
 
-def _resume(
-    journal: Journal, plan: Plan, identity: dict[str, Any], *, now: Clock, stale: Stale
-) -> Journal:
-    if journal.records.has(events.SessionFinished):
+    def _begin(self) -> Journal:
+        number = len(journals.list_journals(self.folder)) + 1
+        journal = journals.create_journal(self.folder / journals.name_journal(number), now=self.now)
+        journal.write(self._make_header(journal))
         return journal
-    is_stale = _is_stale(journal, now=now, stale=stale)
-    is_superseded = journal.records.has(events.SessionSuperseded)
-    if is_superseded or (is_stale and stale.policy == "restart"):
-        return _supersede(journal, plan, identity)
-    journal.write(events.SessionResumed(*_describe_opening(journal)))
-    if is_stale and stale.policy == "warm_up":
-        journal.write(events.WarmUpBegun())
-    return journal
 
+    def _supersede(self, journal: Journal) -> Journal:
+        """Leave a session as it is and begin the next one; after a crash in between, the second step alone is due."""
+        if not journal.records.has(events.SessionSuperseded):
+            number = len(journals.list_journals(self.folder)) + 1
+            journal.write(events.SessionSuperseded(number))
+        return self._begin()
 
-def _make_header(journal: Journal, plan: Plan, identity: dict[str, Any]) -> events.SessionBegun:
-    return events.SessionBegun(
-        JOURNAL_FORMAT,
-        plan.participant,
-        plan.sha256,
-        plan.stimuli_sha256,
-        plan.seed,
-        identity,
-        len(journals.list_journals(journal.path.parent)),
-        *_describe_opening(journal),
-    )
+    def _is_stale(self, records: Records) -> bool:
+        if self.stale.after_h is None:
+            return False
+        # An opening that was itself broken off leaves fresh records of an old session.
+        opening = {kind.event for kind in events.OPENING}
+        last = next(record for record in reversed(records) if record.event not in opening)
+        away = self.now() - datetime.fromisoformat(last.utc)
+        return away > timedelta(hours=self.stale.after_h)
 
 
 def _describe_opening(journal: Journal) -> tuple[dict[str, str], str, dict[str, float]]:
@@ -515,30 +515,6 @@ def _describe_opening(journal: Journal) -> tuple[dict[str, str], str, dict[str, 
     versions = {name: version(name) for name in ("feel321", "numpy", "scipy")}
     clock = {"presenter_s": journal.records.find_elapsed()}
     return {"python": python_version(), **versions}, platform(), clock
-
-
-def _begin_next(folder: Path, plan: Plan, identity: dict[str, Any], *, now: Clock) -> Journal:
-    path = folder / journals.name_journal(len(journals.list_journals(folder)) + 1)
-    journal = journals.create_journal(path, now=now)
-    journal.write(_make_header(journal, plan, identity))
-    return journal
-
-
-def _supersede(journal: Journal, plan: Plan, identity: dict[str, Any]) -> Journal:
-    """Leave a session as it is and begin the next one; after a crash in between, the second step alone is due."""
-    folder = journal.path.parent
-    if not journal.records.has(events.SessionSuperseded):
-        journal.write(events.SessionSuperseded(len(journals.list_journals(folder)) + 1))
-    return _begin_next(folder, plan, identity, now=journal.now)
-
-
-def _is_stale(journal: Journal, *, now: Clock, stale: Stale) -> bool:
-    if stale.after_h is None:
-        return False
-    # An opening that was itself broken off leaves fresh records of an old session.
-    opening = {kind.event for kind in events.OPENING}
-    last = next(record for record in reversed(journal.records) if record.event not in opening)
-    return now() - datetime.fromisoformat(last.utc) > timedelta(hours=stale.after_h)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.trial import Flow, Judgement, Page, Part, Task, Trial
+from feel321.protocols.trial import Page
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.numbers import Station, plan_participants
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
@@ -21,51 +21,19 @@ from feel321.study.session.journal import (
     require_journal,
     utc_now,
 )
-from feel321.study.session.plan import PLAN_FILE, Plan, replay, require_plan
+from feel321.study.session.plan import PLAN_FILE, replay, require_plan
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study
 from tests.study.conftest import SMALLEST_STUDY
+from tests.study.persons.planned import TRIALS, make_small_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-TRIALS = 4
-
 
 def tell_time() -> datetime:
     return datetime(2026, 1, 1, 12, tzinfo=UTC)
-
-
-def make_trial(number: int) -> Trial:
-    return Trial(
-        number=number,
-        block=1,
-        repeat=1,
-        protocol="realism",
-        scale="realism",
-        timing="strict",
-        recording="bumps",
-        parts=(Part("test", f"code{number}"),),
-        judgements=(Judgement("test", f"code{number}"),),
-    )
-
-
-def make_small_plan(participant: str, *, number: int, simulated: bool) -> Plan:
-    return Plan(
-        participant=participant,
-        number=number,
-        simulated=simulated,
-        seed=7,
-        between={"grip": ("pen", "power")},
-        groups={"grip": "pen" if number % 2 else "power"},
-        order="williams",
-        repeats=1,
-        tasks=(Task("realism", "strict"),),
-        flow=Flow(max_attempts=2),
-        stimuli_sha256="5" * 64,
-        trials=tuple(make_trial(number) for number in range(1, TRIALS + 1)),
-    )
 
 
 @dataclass(frozen=True)

@@ -197,7 +197,7 @@ CLAIM = """
 import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
-from conftest import make_small_plan
+from planned import make_small_plan
 from feel321.study.folder import StudyFolder
 from feel321.study.numbers import Station, plan_participants
 study, who, kill_at = StudyFolder(Path(sys.argv[2])), sys.argv[3], int(sys.argv[4])
