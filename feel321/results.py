@@ -13,7 +13,7 @@ from feel321.analysis.contrasts.bradley_terry import BradleyTerry
 from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, ReducerDifference
 from feel321.analysis.contrasts.discrimination import Discrimination
 from feel321.analysis.mixed.model import Estimate, MixedFit
-from feel321.analysis.power.design import Power, PowerPlan
+from feel321.analysis.power.plan import PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.front import About
@@ -64,7 +64,6 @@ __all__ = [
     "PaperClaim",
     "Part",
     "Place",
-    "Power",
     "PowerPlan",
     "Primaries",
     "Primary",

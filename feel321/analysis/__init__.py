@@ -46,9 +46,8 @@ if _TYPE_CHECKING:
         plot_spectrogram,
         plot_spectrum,
     )
-    from feel321.analysis.power.design import PowerDesign, Truth
-    from feel321.analysis.power.find import find_power
     from feel321.analysis.power.plan import plan_power
+    from feel321.analysis.power.truth import PowerDesign, Truth
     from feel321.analysis.primary.model import fit_attributes, fit_primary
     from feel321.analysis.report.write import write_report
     from feel321.analysis.screening.consistency import rater_model
@@ -64,8 +63,8 @@ if _TYPE_CHECKING:
 __all__ = [
     "RULES", "PowerDesign", "Table", "Truth", "advise_tradeoff", "align_spaces", "bradley_terry",
     "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate",
-    "discriminate", "equivalence", "export_r", "find_power",
-    "fit_attributes", "fit_choices", "fit_mixed", "fit_primary", "fit_space", "intraclass",
+    "discriminate", "equivalence", "export_r", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary",
+    "fit_space", "intraclass",
     "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "non_inferiority", "p1401", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model",

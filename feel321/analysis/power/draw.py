@@ -1,7 +1,6 @@
 """Draws of a simulated study: its stimuli, what people think of them, and what they do to the scale.
 
-Every attribute is drawn by itself. The same draws give the ratings with the planted slopes and those without any, so
-that power and false positives are about the same people and stimuli.
+Every attribute is drawn by itself.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.power.design import HIGH, LOW, SHARES, SPREADS, PowerDesign, Truth
+from feel321.analysis.power.truth import HIGH, LOW, SHARES, PowerDesign, Truth
 from feel321.analysis.primary.plan import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO
 
 if TYPE_CHECKING:
@@ -134,18 +133,14 @@ def _pick(count: int, wanted: int, rng: np.random.Generator) -> tuple[Codes, Cod
     return picked, np.arange(wanted) // count
 
 
-def draw_ratings(
-    scenario: Scenario, stimuli: Stimuli, rng: np.random.Generator
-) -> tuple[Samples, Samples]:
-    """Draw ratings with the planted slopes and without any, each (n_attributes, people, n_items, repeats)."""
+def draw_ratings(scenario: Scenario, stimuli: Stimuli, rng: np.random.Generator) -> Samples:
+    """Draw ratings with the planted slopes, (n_attributes, people, n_items, repeats)."""
     planted, truth = scenario.planted, scenario.truth
     felt = _draw_percepts(scenario, stimuli, rng)
     shape = (*felt.shape, scenario.design.repeats)
     points = felt[..., None] + rng.normal(0, truth.rating_sd, shape)
-    shift = planted.slopes @ (stimuli.metrics - planted.centre).T
-    habit = _draw_habits(truth, shape, rng)
-    slopes = shift[:, None, :, None]
-    return _set_slider(points + slopes, truth, habit), _set_slider(points, truth, habit)
+    points += (planted.slopes @ (stimuli.metrics - planted.centre).T)[:, None, :, None]
+    return _set_slider(points, truth, rng)
 
 
 def _draw_percepts(scenario: Scenario, stimuli: Stimuli, rng: np.random.Generator) -> Samples:
@@ -173,98 +168,22 @@ def _draw_percepts(scenario: Scenario, stimuli: Stimuli, rng: np.random.Generato
     return felt
 
 
-class Habits(NamedTuple):
-    """How people use the scale; kind: (people,), -1 for careful; guess, lapsed, line: ratings' shape."""
-
-    kind: Codes
-    guess: Samples
-    lapsed: NDArray[np.bool_]
-    line: Samples
-
-
-def _draw_habits(truth: Truth, shape: tuple[int, ...], rng: np.random.Generator) -> Habits | None:
+def _set_slider(points: Samples, truth: Truth, rng: np.random.Generator) -> Samples:
+    """Turn percepts into ratings: by careful people, with lapses, and by careless ones."""
     shares = np.cumsum([getattr(truth, name) for name in SHARES[1:]])
-    if not shares[-1] and not truth.lapse_rate:
-        return None
-    people = shape[1]
-    kind = np.searchsorted(shares, rng.random(people), side="right")
-    line = 100 * rng.uniform(0.2, 0.8, people)[:, None, None] + rng.normal(0, STRAIGHT_SD, shape)
-    guess, lapsed = rng.uniform(LOW, HIGH, shape), rng.random(shape)
-    return Habits(np.where(kind < len(shares), kind, -1), guess, lapsed < truth.lapse_rate, line)
-
-
-def _set_slider(points: Samples, truth: Truth, habits: Habits | None) -> Samples:
-    """Turn percepts into ratings."""
-    if habits is not None:
-        kind = habits.kind[:, None, None]
+    if shares[-1] or truth.lapse_rate:
+        shape, people = points.shape, points.shape[1]
+        chosen = rng.random((people, 1, 1))
+        kind = np.searchsorted(shares, chosen, side="right")
+        place = 100 * rng.uniform(0.2, 0.8, (people, 1, 1))
+        line = place + rng.normal(0, STRAIGHT_SD, shape)
+        guess, lapsed = rng.uniform(LOW, HIGH, shape), rng.random(shape) < truth.lapse_rate
         points = np.where(kind == REVERSER, LOW + HIGH - points, points)
-        points = np.where(habits.lapsed | (kind == CLICKER), habits.guess, points)
-        points = np.where(kind == STRAIGHT, habits.line, points)
+        points = np.where(lapsed | (kind == CLICKER), guess, points)
+        points = np.where(kind == STRAIGHT, line, points)
     if truth.step:
         points = np.round(points / truth.step) * truth.step
     return points.clip(LOW, HIGH) if truth.bounded else points
-
-
-def keep_slopes(scenario: Scenario, stimuli: Stimuli) -> Samples:
-    """Compute what the ends of the scale and lapses leave of the planted slopes, (n_attributes, n_metrics).
-
-    Notes
-    -----
-    A careful person's expected rating of a stimulus is the mean of a normal variable that is cut at the ends of the
-    scale. What remains of the slopes is the generalised least squares fit of these means with the true spreads, which
-    is what the primary model estimates.
-    """
-    planted, truth = scenario.planted, scenario.truth
-    means = truth.mean + planted.slopes @ (stimuli.metrics - planted.centre).T
-    if not truth.bounded and not truth.lapse_rate:
-        return planted.slopes
-    spread = np.sqrt(_add_variances(truth, stimuli, planted))
-    seen = _cut_means(means, spread) if truth.bounded else means
-    seen = seen + truth.lapse_rate * ((LOW + HIGH) / 2 - seen)
-    columns = np.column_stack([np.ones(len(spread)), stimuli.within, stimuli.between])
-    root = np.linalg.cholesky(find_covariance(scenario, stimuli))
-    whole = np.linalg.solve(root, np.column_stack([columns, seen.T]))
-    width = columns.shape[1]
-    solved = np.linalg.lstsq(whole[:, :width], whole[:, width:], rcond=None)[0]
-    kept: Samples = solved[1 : 1 + planted.slopes.shape[1]].T
-    return kept
-
-
-def _cut_means(means: Samples, spread: Samples) -> Samples:
-    from scipy.stats import norm
-
-    spread = spread + 1e-12
-    below, above = (LOW - means) / spread, (HIGH - means) / spread
-    cut = LOW * norm.cdf(below) + HIGH * norm.sf(above)
-    cut += means * (norm.cdf(above) - norm.cdf(below))
-    found: Samples = cut + spread * (norm.pdf(below) - norm.pdf(above))
-    return found
-
-
-def _add_variances(truth: Truth, stimuli: Stimuli, planted: PlantedSlopes) -> Samples:
-    """Add up how far single ratings of every stimulus lie from its mean, (n_items,)."""
-    whole = sum(getattr(truth, name) ** 2 for name in SPREADS)
-    slopes = planted.slope_sds**2 + planted.recording_sds**2
-    added: Samples = whole + stimuli.within**2 @ slopes
-    return added
-
-
-def find_covariance(scenario: Scenario, stimuli: Stimuli) -> Samples:
-    """Compute the covariance of the stimuli's mean ratings over people and repeats, (n_items, n_items)."""
-    design, truth, people = scenario.design, scenario.truth, scenario.design.participants
-    alike = [np.eye(codes.max() + 1)[codes] for codes in (stimuli.scene, stimuli.kind)]
-    noise = truth.person_item_sd**2 + truth.rating_sd**2 / design.repeats
-    own = stimuli.within * scenario.planted.slope_sds
-    found = (truth.item_sd**2 + noise / people + 1e-9) * np.eye(len(own))
-    found += truth.person_sd**2 / people + own @ own.T / people
-    for marks, shared, personal in zip(
-        alike, (truth.recording_sd, truth.reducer_sd),
-        (truth.person_recording_sd, truth.person_reducer_sd), strict=True,
-    ):  # fmt: skip
-        found += (shared**2 + personal**2 / people) * (marks @ marks.T)
-    theirs = stimuli.within * scenario.planted.recording_sds
-    covariance: Samples = found + (theirs @ theirs.T) * (alike[0] @ alike[0].T)
-    return covariance
 
 
 def tabulate_ratings(stimuli: Stimuli, ratings: Samples, metrics: tuple[str, ...]) -> DataFrame:

@@ -1,37 +1,57 @@
-"""The power of a study: the record, its tables and its page."""
+"""The power of a study: what was found, its tables, figure and page."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from feel321 import __version__
+from feel321.analysis.figures import style
+from feel321.analysis.power import plan as planning
 from feel321.analysis.report.section import Picture
 from feel321.analysis.tradeoff import results
-from feel321.study.power import figures, tables, words
-from feel321.study.power.record import Planned, find_sizes
+from feel321.analysis.words import ABSENT, format_count, format_name
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Mapping
 
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from feel321.analysis.power.design import Power
+    from feel321.analysis.power.plan import PowerPlan
 
-CAPTION = (
-    "Power against participants, a curve for each number of recordings ({own} in the study: bold). Lines: closed form, "
-    "at the first step of Holm's method. Circles: simulated studies with Holm's method, 95 % Monte Carlo intervals. "
-    "Dashed: limit for infinitely many participants. Thin line: target power."
-)
-OTHERS = "Power with other numbers of reducers and of repeated ratings, all else as in the study. Line: closed form."
+HEIGHT_CM = 7.5
+END_CM = 0.42
+"""Least distance between two names at the ends of curves."""
 
-MUCH = 0.9
-"""Share of a planted slope: where less is left of it, a note says so."""
+LINE: dict[str, Any] = {"color": style.GREY, "linewidth": style.THIN}
+
+TICK = 0.06
+"""Least distance of two labelled numbers of participants, as a share of the axis."""
+
+WALKS = ("-", (0, (5, 1.2)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (1, 1)), (0, (8, 1.5)))
+"""Line styles, for curves besides that of the study's own number."""
+
+SPREADS = {
+    "person_sd": "People, in their mean rating",
+    "recording_sd": "Recordings",
+    "item_sd": "Stimuli of a recording",
+    "reducer_sd": "Reducers",
+    "person_recording_sd": "One person's recordings",
+    "person_reducer_sd": "One person's reducers",
+    "person_item_sd": "One person's stimuli",
+    "rating_sd": "Ratings repeated by one person",
+}
+"""Standard deviation of a truth -> what differs by it."""
 
 
-class StudyPower(Planned, results.PageResult):
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class StudyPower(results.PageResult):
     """The power of a study, planned from its own settings and stimuli.
 
     Parameters
@@ -49,12 +69,17 @@ class StudyPower(Planned, results.PageResult):
         What was assumed and what is unusual, one sentence each.
     """
 
-    __slots__ = ()
+    plan: PowerPlan
+    name: str
+    effects: DataFrame
+    share: int
+    notes: tuple[str, ...] = ()
 
     @property
     def answer(self) -> str:
         """Which design is enough, its power and interval, in one sentence; or why none is."""
-        return words.describe_plan(self)
+        row = self._find_row(self.plan.hypothesis)
+        return planning.describe_plan(self.plan, share=self.share, size=row["size"], per=row["per"])
 
     def to_frame(self) -> DataFrame:
         """Return the power of all designs.
@@ -72,21 +97,18 @@ class StudyPower(Planned, results.PageResult):
         Returns
         -------
         dict of str to DataFrame
-            `designs`: the grid; `hypotheses`, `differences` and `fits`: of every simulated design; `planted`: the
-            slopes.
+            `designs`: the grid; `hypotheses` and `fits`: of every simulated design; `planted`: the slopes.
         """
-        frames = {"designs": self.to_frame(), "planted": self.effects}
-        for name, column in (("hypotheses", "table"), ("differences",) * 2, ("fits", "counts")):
-            frames[name] = self._stack(column)
-        return {name: frame for name, frame in frames.items() if len(frame)}
-
-    def _stack(self, name: str) -> DataFrame:
         import pandas as pd
 
-        powers = self.plan.powers
-        frames = [getattr(one, name).assign(**find_sizes(one.design)) for one in powers]
-        stacked: DataFrame = pd.concat(frames, ignore_index=True)
-        return stacked
+        frames = {"designs": self.to_frame(), "planted": self.effects}
+        for name, column in (("hypotheses", "table"), ("fits", "counts")):
+            parts = [
+                getattr(one, column).assign(**planning.find_sizes(one.design))
+                for one in self.plan.powers
+            ]
+            frames[name] = pd.concat(parts, ignore_index=True)
+        return {name: frame for name, frame in frames.items() if len(frame)}
 
     def summary(self) -> str:
         """Write the answer for reading.
@@ -96,81 +118,174 @@ class StudyPower(Planned, results.PageResult):
         str
             The answer, a line per hypothesis, and the notes.
         """
-        return "\n".join([
-            self.answer,
-            *(card["line"] for card in words.list_cards(self)),
-            *self.notes,
-            *_note_ends(self),
-            FREEZE,
-        ])
+        lines = [
+            "; ".join(f"{name}: {value}" for name, value in row.items())
+            for row in self._list_hypotheses()
+        ]
+        return "\n".join([self.answer, *lines, *self.notes])
 
-    def _make_page(self, tables_: Mapping[str, DataFrame]) -> results.PageParts:
-        content = build_content(self)
-        values = {
-            "result": self, "content": content, "grids": tables.tabulate(self, tables_),
-            "shown": words.describe_size(self), "cards": content["cards"],
+    def _find_row(self, hypothesis: tuple[str, str]) -> dict[str, Any]:
+        """Find what is known of a hypothesis in the design that is shown, and what was planted."""
+        attribute, metric = hypothesis
+        effects = self.effects
+        chosen = effects[(effects["attribute"] == attribute) & (effects["metric"] == metric)]
+        planted = {str(name): value for name, value in chosen.iloc[0].to_dict().items()}
+        return planning.find_row(self.plan, hypothesis) | planted
+
+    def _list_hypotheses(self) -> list[dict[str, str]]:
+        """List what is said of each hypothesis in the design that is shown."""
+        rows = []
+        for hypothesis in self.plan.shown.design.hypotheses:
+            row = self._find_row(hypothesis)
+            size, per = row["size"], row["per"]
+            unit = f" points per {per}"
+            rows.append({
+                "Hypothesis": f"{format_name(row['metric'])} on {format_name(row['attribute'])}",
+                "Planted": f"{row['points']:.2g} points per {per} ({row['source']})",
+                "Power": _format_power(row), "Detectable": _write(row["detectable"] * size, unit),
+                "Interval": "± " + _write(row["width"] * size / 2, unit),
+            })  # fmt: skip
+        return rows
+
+    def _list_designs(self, step: Mapping[str, Any]) -> list[dict[str, str]]:
+        return [
+            {
+                "Participants": str(row["people"]), "Recordings": str(row["recordings"]),
+                "Reducers": str(row["reducers"]), "Repeats": str(row["repeats"]), "Trials": str(row["trials"]),
+                "Power": _format_power(row), "At most": planning.format_power(row["ceiling"]),
+                f"Detectable, points per {step['per']}": _write(step["size"] * row["detectable"]),
+                "Enough": "recommended" if row["recommended"] else "yes" if row["enough"] else "no",
+            }
+            for row in _list_rows(self.to_frame())
+        ]  # fmt: skip
+
+    def _list_spreads(self) -> list[dict[str, str]]:
+        truth = self.plan.shown.truth
+        found = {name: getattr(truth, key) for key, name in SPREADS.items()}
+        for whose, given, usual in (
+            ("People's", truth.slope_sds, truth.slope_points),
+            ("Recordings'", truth.recording_slope_sds, truth.recording_slope_points),
+        ):
+            found |= {
+                f"{whose} slopes on {format_name(n)}, per unit": sd for n, sd in given.items()
+            }
+            if not given:
+                found[f"{whose} slopes, per standard deviation of the metric"] = usual
+        return [{"What differs": name, "SD in points": f"{sd:.3g}"} for name, sd in found.items()]
+
+    def _make_page(self, tables: Mapping[str, DataFrame]) -> results.PageParts:
+        plan, shown, step = self.plan, self.plan.shown, self._find_row(self.plan.hypothesis)
+        design = shown.design
+        sizes = [planning.find_sizes(one.design) for one in plan.powers]
+        chosen = plan.recommended and planning.find_sizes(plan.recommended)
+        powers = [
+            size
+            | {"studies": one.studies, "hypotheses": one.table.to_dict("records")}
+            | {"fits": one.counts.to_dict("records")}
+            for size, one in zip(sizes, plan.powers, strict=True)
+        ]  # fmt: skip
+        content = {
+            "version": __version__, "study": self.name, "answer": self.answer, "verdict": plan.verdict,
+            "wanted": plan.wanted, "hypothesis": list(plan.hypothesis), "share": self.share, "recommended": chosen,
+            "designs": tables["designs"].to_dict("records"), "powers": powers,
+            "planted": self.effects.to_dict("records"), "truth": asdict(shown.truth), "seed": shown.seed,
+            "notes": list(dict.fromkeys([*self.notes, *plan.notes])),
         }  # fmt: skip
-        return results.PageParts("power.html", content, list(_list_pictures(self)), values)
+        own = plan.powers[0].design
+        grid = self.to_frame()
+        # Of the smallest designs that are enough, which may need hundreds of people, only the recommended one is drawn.
+        grid = grid[(grid["kind"] != "smallest") | grid["recommended"].astype(bool)]
+        grid = grid[(grid["reducers"] == own.reducers) & (grid["repeats"] == own.repeats)]
+        grid = grid.drop_duplicates(["participants", "recordings"])
+        drawing = partial(draw_power, grid, own.recordings, wanted=plan.wanted)
+        fits = _list_rows(tables["fits"]) if "fits" in tables else []
+        grids: dict[str, list[dict[str, Any]]] = {
+            "hypotheses": [*self._list_hypotheses()], "designs": [*self._list_designs(step)],
+            "spreads": [*self._list_spreads()], "fits": fits,
+        }  # fmt: skip
+        values = {
+            "result": self, "content": content, "own": own.recordings,
+            "shown": f"{format_count(design.participants * self.share, 'participant')}, "
+            + planning.describe_units(design.recordings, design.reducers),
+            "grids": {
+                name: {"head": [*rows[0]], "rows": [[*row.values()] for row in rows]}
+                for name, rows in grids.items() if rows
+            },
+        }  # fmt: skip
+        picture = Picture("power", "Power against participants", drawing)
+        return results.PageParts("power.html", content, [picture], values)
 
 
-FREEZE = (
-    "Before the first rating, feel321 freeze writes down the hypotheses and the analysis, so that results can be told "
-    "apart into confirmatory and exploratory ones."
-)
+def _format_power(row: Mapping[str, Any]) -> str:
+    """Write a power in closed form, and what was simulated with its interval."""
+    power = planning.format_power(row["power"])
+    if not isfinite(row["simulated"]):
+        return power
+    ends = "{simulated_low:.2f} to {simulated_high:.2f}".format(**row)
+    return f"{power}, simulated {planning.format_power(row['simulated'])} ({ends})"
 
 
-def build_content(result: Planned) -> dict[str, Any]:
-    """Build what results.json holds."""
-    plan = result.plan
-    return {
-        "version": __version__, "study": result.name, "answer": words.describe_plan(result), "wanted": plan.wanted,
-        "hypothesis": list(plan.hypothesis), "share": result.share,
-        "recommended": find_sizes(plan.recommended) if plan.recommended else None,
-        "designs": result.to_frame().to_dict("records"),
-        "powers": [_describe_power(one) for one in plan.powers],
-        "planted": result.effects.to_dict("records"), "truth": asdict(result.shown.truth),
-        "seed": result.shown.seed,
-        "cards": words.list_cards(result), "notes": list_notes(result),
-    }  # fmt: skip
+def _list_rows(frame: DataFrame) -> list[dict[str, Any]]:
+    return [{str(name): value for name, value in row.items()} for row in frame.to_dict("records")]
 
 
-def _describe_power(one: Power) -> dict[str, Any]:
-    return {
-        **find_sizes(one.design), "studies": one.studies, "family": list(one.family),
-        "hypotheses": one.table.to_dict("records"), "differences": one.differences.to_dict("records"),
-        "fits": one.counts.to_dict("records"),
-    }  # fmt: skip
+def _write(value: float, unit: str = "") -> str:
+    return f"{value:.2g}{unit}" if isfinite(value) else ABSENT
 
 
-def list_notes(result: Planned) -> list[str]:
-    """List all that was assumed or is unusual, once each."""
-    own = (note for one in result.plan.powers for note in one.notes)
-    return list(
-        dict.fromkeys([*result.notes, *_note_ends(result), *result.plan.notes, *own, FREEZE])
-    )
+def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
+    """Draw power against participants, a curve for each number of recordings; own: that of the study."""
+    people = sorted(table["people"].unique())
+    endless = people[-1] + 0.1 * max(people[-1] - people[0], 1)
+    with style.print_style():
+        figure, axes = style.new_figure(HEIGHT_CM)
+        ends = {}
+        for place, number in enumerate(sorted(table["recordings"].unique())):
+            rows = table[table["recordings"] == number].sort_values("people")
+            look: dict[str, Any] = {"color": style.BLACK, "linewidth": 1.6, "linestyle": "-"}
+            if number != own:
+                look = {
+                    "color": style.GREY,
+                    "linewidth": 1.0,
+                    "linestyle": WALKS[(place + 1) % len(WALKS)],
+                }
+            axes.plot(rows["people"], rows["power"], **look, zorder=3)
+            seen = rows[rows["simulated"].notna()]
+            style_of = {"colors": look["color"], "linewidths": 1.4, "zorder": 4}
+            axes.vlines(seen["people"], seen["simulated_low"], seen["simulated_high"], **style_of)
+            axes.plot(
+                seen["people"], seen["simulated"], linestyle="none", marker="o", markersize=5, color="white",
+                markeredgecolor=look["color"], markeredgewidth=1.2, zorder=5,
+            )  # fmt: skip
+            ends[number] = float(rows["ceiling"].iloc[-1])
+            last = [rows["people"].iloc[-1], endless], [rows["power"].iloc[-1], ends[number]]
+            axes.plot(*last, color=look["color"], linestyle=(0, (2, 2)), linewidth=0.8)
+        axes.axhline(wanted, color=style.GREY, linewidth=style.THIN, zorder=1)
+        axes.set(
+            xlabel="Participants",
+            ylabel="Power",
+            ylim=(-0.02, 1.04),
+            yticks=np.arange(0, 1.01, 0.2),
+        )
+        axes.set_xlim(right=endless)
+        axes.grid(axis="y", color=style.PALE, linewidth=style.THIN)
+        axes.set_axisbelow(True)
+        ticks: list[int] = []
+        for count in reversed(people):  # whose labels do not touch, from the largest down
+            if not ticks or ticks[0] - count >= TICK * (people[-1] - people[0]):
+                ticks.insert(0, count)
+        axes.set_xticks([*ticks, endless], [*map(str, ticks), "\N{INFINITY}"])
+        _name_ends(axes, ends, own)
+    return figure
 
 
-def _note_ends(result: Planned) -> Iterator[str]:
-    """Say which slopes the ends of the scale make much flatter."""
-    for one in result.shown.design.hypotheses:
-        row = result.find_row(result.shown, one)
-        if abs(row["kept"]) < MUCH * abs(row["slope"]):
-            left = f"{row['kept'] * row['size']:.2g} of {row['points']:.2g} points per {row['per']}"
-            yield f"The ends of the scale, and people who lapse, leave {left} of {words.name_hypothesis(row)}."
-
-
-def _list_pictures(result: Planned) -> Iterator[Picture]:
-    own, wanted = result.plan.powers[0].design, result.plan.wanted
-    table = result.to_frame()
-    # Of the smallest designs that are enough, which may need hundreds of people, only the recommended one is drawn.
-    table = table[(table["kind"] != "smallest") | table["recommended"].astype(bool)]
-    still = (table["reducers"] == own.reducers) & (table["repeats"] == own.repeats)
-    grid = table[still].drop_duplicates(["participants", "recordings"])
-    grid = grid.assign(participants=grid["people"])
-    caption = CAPTION.format(own=own.recordings)
-    yield Picture(
-        "power", caption, partial(figures.draw_power, grid, own.recordings, wanted=wanted)
-    )
-    same = (table["participants"] == own.participants) & (table["recordings"] == own.recordings)
-    if figures.list_varied(others := table[same]):
-        yield Picture("others", OTHERS, partial(figures.draw_others, others, own, wanted=wanted))
+def _name_ends(axes: Axes, ends: Mapping[int, float], own: int) -> None:
+    """Name curves at their right ends, each at its own height, from the highest down."""
+    order = sorted(ends, key=lambda number: -ends[number])
+    apart = 1.06 * END_CM / HEIGHT_CM
+    heights = style.spread([ends[number] for number in order], apart, low=-0.02)
+    stroke: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "clip_on": False}
+    for number, height in zip(order, heights, strict=True):
+        axes.plot([1.0, 1.02], [ends[number], height], **stroke | LINE)
+        weight = "bold" if number == own else "normal"
+        axes.text(1.03, height, f"{number} recordings", va="center", fontweight=weight, **stroke)

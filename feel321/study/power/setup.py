@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pandas import DataFrame
 
-from feel321.analysis.power import design as records
-from feel321.analysis.power import find
 from feel321.analysis.power import plan as planning
+from feel321.analysis.power import truth as planted
+from feel321.analysis.power.simulate import find_power
+from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.report import parts
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table import reading
@@ -24,7 +26,7 @@ from feel321.stimuli.sets import build, manifest
 from feel321.study import provenance, ratings
 from feel321.study.metrics import measure_declared
 from feel321.study.observer.model import make_model
-from feel321.study.power import assume, page
+from feel321.study.power.page import StudyPower
 from feel321.study.session import codes
 from feel321.study.session import plan as plans
 from feel321.study.settings import read, schema
@@ -32,7 +34,7 @@ from feel321.study.settings import read, schema
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from feel321.analysis.power.design import Power, PowerDesign, PowerPlan, Truth
+    from feel321.analysis.power.truth import PowerDesign, Truth
     from feel321.analysis.report.parts import RatingsPart
     from feel321.analysis.table.metrics import Step
     from feel321.analysis.table.reading import Further, Table
@@ -46,26 +48,36 @@ if TYPE_CHECKING:
 OWN = "study"
 """A pilot that is no file: the study's own ratings."""
 
+KEPT = ".studies"
+"""Folder, in that of the results, of simulated studies: an interrupted call is continued from there."""
+
 UNBUILT = "0" * 64
 """Digest of a stimulus set that is not built."""
 
-PEOPLE = 16
-"""Raters of each attribute in the design around which others are compared."""
+PEOPLE, FEWEST = 16, 3
+"""Raters of each attribute in the design around which others are compared; without so many there is no model."""
 
 MOST_POINTS = 100
 """More than the whole scale per step of a metric is a slip."""
 
-WHO, SCENE, REDUCER, ITEM = "participant", "recording", "reducer", "item"
+GIVEN, OBSERVED = "given", "simulated observers"
+"""Where a slope comes from."""
+
+WHO, SCENE, REDUCER, ITEM, RATING = "participant", "recording", "reducer", "item", "rating"
 
 
 @dataclass(frozen=True, slots=True)
 class PowerTask:
-    """What is planned; share: one in so many participants rates each attribute."""
+    """What is planned.
+
+    effects: a row per hypothesis: attribute, metric, points per step of the metric, the step, and its source; share:
+    one in so many participants rates each attribute.
+    """
 
     design: PowerDesign
     truth: Truth
-    effects: assume.Effects
-    settings: Settings
+    effects: DataFrame
+    name: str
     share: int = 1
     notes: tuple[str, ...] = ()
 
@@ -77,7 +89,7 @@ def set_up(
     pilot: str | Path | None = None,
     pilot_manifest: Path | None = None,
     screening: Sequence[str] = (),
-    wanted: float = records.ENOUGH,
+    wanted: float = planted.ENOUGH,
 ) -> PowerTask:
     """Set up the power analysis of a study.
 
@@ -104,27 +116,20 @@ def set_up(
             f"session.protocols ({names}) ask for no rating of a single stimulus, so there is no slope to plan for; "
             "add realism or similarity"
         )
-    found = _plant(
-        settings,
-        _name_attributes(rated),
-        steps=parts.find_table_steps(table),
-        effects=effects or {},
+    slopes = _plant(settings, rated, steps=parts.find_table_steps(table), effects=effects or {})
+    design = replace(
+        _make_design(rated, slopes, settings), wanted=wanted, screening=tuple(screening)
     )
-    own = _make_design(rated, found, settings)
-    own = replace(own, wanted=wanted, screening=tuple(screening))
-    usual = settings.observer
-    known = {
-        "slopes": found.to_slopes(), **{name: getattr(usual, name) for name in records.SHARES},
-    }  # fmt: skip
-    truth, notes = records.Truth(**known), list[str]()
+    named = slopes["attribute"] + "/" + slopes["metric"]
+    known = dict(zip(named, slopes["points"] / slopes["size"], strict=True))
+    usual = {"slopes": known, **{name: getattr(settings.observer, name) for name in planted.SHARES}}
+    truth, notes = planted.Truth(**usual), _list_notes(rated, slopes, share)
     if pilot is not None:
-        table = _read_pilot(
-            study, settings, stimuli, pilot=pilot, listed=pilot_manifest, further=further
-        )
-        truth, notes = _fit_pilot(
-            table, known, "this study" if str(pilot) == OWN else Path(pilot).name
-        )
-    return PowerTask(own, truth, found, settings, share, (*_note_levels(rated), *notes))
+        given = _read_pilot(study, settings, stimuli, pilot, pilot_manifest, further)
+        name = "this study" if str(pilot) == OWN else Path(pilot).name
+        truth, simulated = _fit_pilot(given, usual, name)
+        notes += simulated
+    return PowerTask(design, truth, slopes, settings.study.name, share, tuple(notes))
 
 
 def tabulate_plan(
@@ -201,63 +206,73 @@ def _foresee(one: build.Foreseen, duration_s: float, rate_hz: float) -> manifest
     )  # fmt: skip
 
 
-def _name_attributes(rated: Sequence[RatingsPart]) -> list[str]:
-    """Name attributes by their scale, and by the level where there are several."""
-    several = len({part.level for part in rated}) > 1
-    return [part.lead if several else part.scale for part in rated]
-
-
 def _make_design(
-    rated: Sequence[RatingsPart], effects: assume.Effects, settings: Settings
+    rated: Sequence[RatingsPart], slopes: DataFrame, settings: Settings
 ) -> PowerDesign:
     """Make the design of the study itself, with a usual number of people who rate each attribute."""
-    metrics = tuple(effects.steps)
+    metrics, attributes = (tuple(slopes[name].unique()) for name in ("metric", "attribute"))
     items = rated[0].rows[[SCENE, REDUCER, ITEM, *metrics]].drop_duplicates(ITEM)
     origin = rated[0].rows.drop_duplicates(SCENE).set_index(SCENE)["source"]
     if not origin.is_unique:
         items = items.assign(source=items[SCENE].map(origin))
-    return records.PowerDesign(
-        items, metrics, tuple(effects.points.index), participants=PEOPLE,
-        repeats=settings.session.repeats,
-    )  # fmt: skip
+    repeats = settings.session.repeats
+    return planted.PowerDesign(items, metrics, attributes, participants=PEOPLE, repeats=repeats)
 
 
-def _note_levels(rated: Sequence[RatingsPart]) -> list[str]:
-    levels = list(dict.fromkeys(part.level for part in rated))
-    if len(levels) == 1:
-        return []
-    return [f"Metrics are those at level {levels[0]}; at {', '.join(levels[1:])} they are alike."]
-
-
-# What is planted.
+def _list_notes(rated: Sequence[RatingsPart], slopes: DataFrame, share: int) -> list[str]:
+    levels, notes = list(dict.fromkeys(part.level for part in rated)), list[str]()
+    if len(levels) > 1:
+        others = ", ".join(levels[1:])
+        notes.append(f"Metrics are those at level {levels[0]}; at {others} they are alike.")
+    if share > 1:
+        notes.append(f"Each attribute is rated by one in {share} participants, as [between] says.")
+    if (slopes["source"] != GIVEN).any():
+        notes.append(
+            "Slopes without --effect are those of the simulated observers in study.toml: better give the smallest "
+            "slope that would matter to you."
+        )
+    notes.append(
+        "Before the first rating, feel321 freeze writes down the hypotheses and the analysis, so that results can be "
+        "told apart into confirmatory and exploratory ones."
+    )
+    return notes
 
 
 def _plant(
     settings: Settings,
-    attributes: Sequence[str],
+    rated: Sequence[RatingsPart],
     *,
     steps: Mapping[str, Step],
     effects: Mapping[str, float],
-) -> assume.Effects:
-    """Plant the slopes that are asked for, those of one scale last, and those of the observers elsewhere."""
-    points = DataFrame(np.nan, index=list(attributes), columns=list(steps))
+) -> DataFrame:
+    """Plant the slopes that are asked for, those of one scale last, and those of the observers elsewhere.
+
+    Attributes are named by their scale, and by the level where there are several.
+    """
+    several = len({part.level for part in rated}) > 1
+    attributes = [part.lead if several else part.scale for part in rated]
+    chosen: dict[tuple[str, str], float] = {}
     for name in sorted(effects, key=lambda one: "/" in one):
         attribute, one_only, metric = name.rpartition("/")
         check_name(metric, steps, "effect, metric")
         if one_only:
-            check_name(attribute, list(points.index), "effect, attribute")
-        points.loc[attribute or points.index, metric] = _check_points(name, effects[name])
-    if points.isna().any(axis=None):
-        points = points.fillna(_find_felt(settings, steps))
-    return assume.Effects(points, steps, tuple(effects))
-
-
-def _check_points(name: str, value: float) -> float:
-    if not isinstance(value, int | float | np.integer) or not abs(value) <= MOST_POINTS:
-        raise ValueError(
-            f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value!r}"
-        )
-    return float(value)
+            check_name(attribute, attributes, "effect, attribute")
+        value = effects[name]
+        if not isinstance(value, int | float | np.integer) or not abs(value) <= MOST_POINTS:
+            raise ValueError(
+                f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value!r}"
+            )
+        chosen |= {(one, metric): float(value) for one in ([attribute] if one_only else attributes)}
+    asked = list(product(attributes, steps))
+    felt = _find_felt(settings, steps) if len(chosen) < len(asked) else {}
+    return DataFrame([
+        {
+            "attribute": attribute, "metric": metric, "points": chosen.get((attribute, metric), felt.get(metric)),
+            "per": steps[metric].per, "size": steps[metric].size,
+            "source": GIVEN if (attribute, metric) in chosen else OBSERVED,
+        }
+        for attribute, metric in asked
+    ])  # fmt: skip
 
 
 def _find_felt(settings: Settings, steps: Mapping[str, Step]) -> dict[str, float]:
@@ -273,22 +288,46 @@ def _find_felt(settings: Settings, steps: Mapping[str, Step]) -> dict[str, float
 
 
 def _fit_pilot(table: Table, known: Mapping[str, Any], name: str) -> tuple[Truth, list[str]]:
-    """Take the standard deviations of a pilot, and say where they come from."""
+    """Take the standard deviations of a pilot: the root mean square of those of all attributes."""
     rated = list(parts.split_parts(table))
     if not rated:
         raise ValueError(f"{name}: holds no rating of a single test stimulus; give other ratings")
     people = len({who for part in rated for who in part.rows[WHO]})
+    found = [_fit_truth(part.rows, known) for part in rated]
+    pooled: dict[str, Any] = {
+        name: _pool([getattr(one, name) for one in found]) for name in planted.SPREADS
+    }
+    for kind in ("slope_sds", "recording_slope_sds"):
+        sds = [getattr(one, kind) for one in found]
+        shared = sorted(set.intersection(*(set(one) for one in sds)))
+        pooled[kind] = {metric: _pool([one[metric] for one in sds]) for metric in shared}
+    pooled["mean"] = float(np.mean([one.mean for one in found]))
+    pooled["source"] = f"the primary model of {people} people's ratings in {name}"
     simulated = bool(table.rows["simulated"].any())
     notes = [f"{name}: ratings come from simulated participants, not from people."] * simulated
-    source = f"the primary model of {people} people's ratings in {name}"
-    return replace(assume.fit_truths(rated, known), source=source), notes
+    return replace(found[0], **pooled), notes
 
 
-def _read_pilot(
+def _pool(sds: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(sds))))
+
+
+def _fit_truth(rows: DataFrame, known: Mapping[str, Any]) -> Truth:
+    """Take the spreads of one attribute; what repeats differ by is told from taste where there are repeats."""
+    changes = dict(known)
+    metrics = list(dict.fromkeys(name.split("/")[-1] for name in known["slopes"]))
+    cells = rows.groupby([WHO, ITEM], observed=True)[RATING]
+    if spare := len(rows) - cells.ngroups:
+        squares = ((rows[RATING] - cells.transform("mean")) ** 2).sum()
+        changes["rating_sd"] = float(np.sqrt(squares / spare))
+    fit = fit_primary(rows, metrics, explain=False)
+    return planted.Truth.from_fit(fit, repeats=round(len(rows) / cells.ngroups), **changes)
+
+
+def _read_pilot(  # noqa: PLR0917 - what is given, and what it is read with
     study: StudyFolder,
     settings: Settings,
     stimuli: StimulusSet,
-    *,
     pilot: str | Path,
     listed: Path | None,
     further: Further | None,
@@ -313,17 +352,6 @@ def _read_pilot(
     )
 
 
-# The plan.
-
-KEPT = ".studies"
-"""Folder, in that of the results, of simulated studies: an interrupted call is continued from there."""
-
-FEWEST = 3
-"""Raters of each attribute, without whom there is no model."""
-
-FACTORS = ("participants", "recordings", "reducers", "repeats")
-
-
 @dataclass(frozen=True, slots=True)
 class Sizes:
     """The numbers that are compared, those of `plan_power` where nothing is said, and how well.
@@ -341,14 +369,14 @@ class Sizes:
 
     def __post_init__(self) -> None:
         """Refuse what is no number of anything."""
-        for name in FACTORS:
+        for name in planted.SIZES:
             _as_numbers(getattr(self, name), name)
         if self.studies < 0:
             raise ValueError(f"studies must be 0 or more, got {self.studies}")
 
     def list_factors(self, share: int) -> dict[str, tuple[int, ...]]:
         """List the numbers of each factor; participants become those who rate each attribute."""
-        numbers = {name: _as_numbers(getattr(self, name), name) for name in FACTORS}
+        numbers = {name: _as_numbers(getattr(self, name), name) for name in planted.SIZES}
         people = numbers["participants"]
         if odd := [number for number in people if number % share]:
             raise ValueError(
@@ -371,71 +399,32 @@ def _as_numbers(numbers: int | Sequence[int], what: str) -> tuple[int, ...]:
 
 def plan_study(
     task: PowerTask, sizes: Sizes, *, keep: Path, workers: Workers, progress: Progress
-) -> page.StudyPower:
+) -> StudyPower:
     """Compute the power of all designs."""
     factors = sizes.list_factors(task.share)
     near = min(factors["participants"] or (PEOPLE,), key=lambda number: abs(number - PEOPLE))
     make_folder(keep)
+    design = task.design.change(participants=near)
     plan = planning.plan_power(
-        task.design.change(participants=near), task.truth, **factors,
-        hypothesis=_find_hypothesis(task, sizes.hypothesis, near), studies=sizes.studies, seed=sizes.seed,
-        workers=workers, keep=keep, progress=progress,
+        design, task.truth, **factors, hypothesis=_find_hypothesis(task, design, sizes.hypothesis),
+        studies=sizes.studies, seed=sizes.seed, workers=workers, keep=keep, progress=progress,
     )  # fmt: skip
-    if not plan.powers:
-        plan = replace(plan, powers=_find_closed(task, plan, near))
-    name, effects = task.settings.study.name, tabulate_effects(task)
-    return page.StudyPower(plan, name, effects, task.share, tuple(_list_notes(task)))
+    return StudyPower(plan, task.name, task.effects, task.share, task.notes)
 
 
-def _find_closed(task: PowerTask, plan: PowerPlan, participants: int) -> tuple[Power, ...]:
-    """Find the closed form of the given design and of the recommended one."""
-    given = task.design.change(participants=participants)
-    return tuple(
-        find.find_power(one, task.truth, studies=0) for one in (given, plan.recommended) if one
-    )
-
-
-def _find_hypothesis(task: PowerTask, name: str, participants: int) -> tuple[str, str] | None:
+def _find_hypothesis(task: PowerTask, design: PowerDesign, name: str) -> tuple[str, str] | None:
     """Find the hypothesis of a name, or the one with the least power among those whose slope was given.
 
     None, for the one with the least power of all, where no slope was given.
     """
-    known = {"/".join(one): one for one in task.design.hypotheses}
+    known = {"/".join(one): one for one in design.hypotheses}
     if name:
         return known[check_name(name, known, "hypothesis")]
     if not any(task.truth.slopes.values()):
-        return task.design.hypotheses[0]
-    table = find.find_power(
-        task.design.change(participants=participants), task.truth, studies=0
-    ).table
-    given = np.array([task.effects.is_given(*one) for one in task.design.hypotheses])
-    asked = table[given & (table["slope"] != 0)].sort_values("power", kind="stable")
-    return None if asked.empty else (asked["attribute"].iloc[0], asked["metric"].iloc[0])
-
-
-def tabulate_effects(task: PowerTask) -> DataFrame:
-    """List what is planted, a row per hypothesis."""
-    effects, rows = task.effects, []
-    for (attribute, metric), slope in zip(
-        task.design.hypotheses, effects.to_slopes().values(), strict=True
-    ):
-        step, said = effects.steps[metric], effects.is_given(attribute, metric)
-        rows.append({
-            "attribute": attribute, "metric": metric, "points": slope * step.size, "per": step.per, "size": step.size,
-            "source": "given" if said else "simulated observers",
-        })  # fmt: skip
-    return DataFrame(rows)
-
-
-def _list_notes(task: PowerTask) -> list[str]:
-    notes = list(task.notes)
-    if task.share > 1:
-        notes.append(
-            f"Each attribute is rated by one in {task.share} participants, as [between] says."
-        )
-    if not all(task.effects.is_given(*one) for one in task.design.hypotheses):
-        notes.append(
-            "Slopes without --effect are those of the simulated observers in study.toml: better give the smallest "
-            "slope that would matter to you."
-        )
-    return notes
+        return design.hypotheses[0]
+    power = find_power(design, task.truth, studies=0).table["power"]
+    asked = task.effects[(task.effects["source"] == GIVEN) & (task.effects["points"] != 0)]
+    if asked.empty:
+        return None
+    place = power.loc[asked.index].sort_values(kind="stable").index[0]
+    return design.hypotheses[place]

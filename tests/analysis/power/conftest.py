@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.power.design import PowerDesign, Truth
 from feel321.analysis.power.draw import Scenario
+from feel321.analysis.power.truth import PowerDesign, Truth
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""What a power analysis is about: a study's design, the truth that is planted in it, and what is found."""
+"""What a power analysis is about: a study's design, and the truth that is planted in it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from feel321.analysis.arrays import check_columns
 from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, find_recording_slope
 from feel321.doors import as_names, check_name
-from feel321.records import Result
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -356,138 +355,3 @@ def _split_residual(
     given = changes.get("rating_sd")
     noise = float(given) ** 2 / repeats if isinstance(given, int | float) else 0.0
     return {"person_item_sd": float(np.sqrt(max(residual**2 - noise, 0.0))), "rating_sd": 0.0}
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Power(Result):
-    """The power of one design.
-
-    Parameters
-    ----------
-    design : PowerDesign
-        The study.
-    truth : Truth
-        What was planted.
-    table : DataFrame
-        A row per hypothesis: ``attribute metric slope`` (planted, per unit of the metric); in closed form ``se df
-        width`` (of the 95 % interval, per unit), ``power`` (Holm's first step; NaN where the planted spreads leave
-        fewer than 2 degrees of freedom), ``ceiling`` (the same with participants without end), ``detectable`` (smallest
-        slope found with the wanted power, per unit; NaN where none is) and ``detectable_points``
-        (the same in points per standard deviation of the metric within recordings), ``participants_needed`` and
-        ``recordings_needed`` (NaN where no number is enough); by simulation, NaN without, ``kept`` (what the ends of
-        the scale and lapses leave of the slope, per unit), ``simulated`` (power, Holm's method), ``simulated_low``,
-        ``simulated_high`` (95 % Wilson interval), ``simulated_width`` (median width of the 95 % interval),
-        ``coverage`` (of the kept slope) with ``coverage_low coverage_high``, ``false_positives`` (share of p < .05 in
-        studies without any slope) with ``false_low false_high``, ``tests`` and ``null_tests`` (studies that gave a test
-        with planted slopes and without).
-    differences : DataFrame
-        A row per attribute and two metrics: ``attribute first second difference`` (planted, of slopes in points per
-        standard deviation of each metric within recordings), ``se df power ceiling detectable`` and, by simulation,
-        ``simulated simulated_low simulated_high simulated_width coverage coverage_low coverage_high tests``; at 5 %.
-    studies : int
-        Simulated studies with planted slopes, and as many without any; 0 for the closed form alone.
-    counts : DataFrame
-        What became of them, a row per reason: ``arm`` (planted, null), ``outcome`` (fitted, singular, not estimable,
-        failed), ``reason`` and ``models`` (studies x attributes). Singular fits are fitted ones with a spread of zero
-        besides and count in every share; failed ones are in none.
-    family : tuple of float
-        Share of null studies with any false positive after Holm's method, and its 95 % Wilson interval; NaN without
-        simulation.
-    seed : int
-        Of all randomness.
-    answer : str
-        The power of the hypothesis that has the least, in one sentence.
-    notes : tuple of str
-        What was assumed and what is unusual, one sentence each.
-    """
-
-    design: PowerDesign
-    truth: Truth
-    table: DataFrame
-    differences: DataFrame
-    studies: int
-    counts: DataFrame
-    family: tuple[float, float, float]
-    seed: int
-    answer: str
-    notes: tuple[str, ...] = ()
-
-    def to_frame(self) -> DataFrame:
-        """Return the power of every hypothesis.
-
-        Returns
-        -------
-        DataFrame
-            The columns of `table`.
-        """
-        return self.table
-
-    def summary(self) -> str:
-        """Write the answer for reading.
-
-        Returns
-        -------
-        str
-            One sentence with the answer, a row per hypothesis, and notes.
-        """
-        return _summarise(self.answer, self.table, self.notes)
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class PowerPlan(Result):
-    """The power of many designs, and the smallest that is enough.
-
-    Parameters
-    ----------
-    table : DataFrame
-        A row per design: ``participants recordings reducers repeats trials`` (of one person), ``kind`` (given, one
-        factor, grid), of the hypothesis in closed form ``power ceiling detectable width``, by simulation where it was
-        simulated ``simulated simulated_low simulated_high``, ``enough`` (in closed form, at least the wanted power),
-        ``refuted`` (was simulated, and the whole interval lies below the wanted power or fewer than 90 % of the studies
-        gave a test) and ``recommended``.
-    powers : tuple of Power
-        The designs that were simulated, the given one first.
-    hypothesis : tuple of str
-        Attribute and metric that the recommendation is for.
-    wanted : float
-        Power that is asked for.
-    recommended : PowerDesign or None
-        The smallest design that is enough: fewest trials of all people together, then fewest participants.
-    answer : str
-        The recommendation in one sentence, or why there is none.
-    notes : tuple of str
-        What was assumed and what is unusual, one sentence each.
-    """
-
-    table: DataFrame
-    powers: tuple[Power, ...]
-    hypothesis: tuple[str, str]
-    wanted: float
-    recommended: PowerDesign | None
-    answer: str
-    notes: tuple[str, ...] = ()
-
-    def to_frame(self) -> DataFrame:
-        """Return all designs.
-
-        Returns
-        -------
-        DataFrame
-            The columns of `table`.
-        """
-        return self.table
-
-    def summary(self) -> str:
-        """Write the answer for reading.
-
-        Returns
-        -------
-        str
-            The recommendation in one sentence, the designs, and notes.
-        """
-        return _summarise(self.answer, self.table, self.notes)
-
-
-def _summarise(answer: str, table: DataFrame, notes: tuple[str, ...]) -> str:
-    shown = table.to_string(index=False, float_format="{:.3g}".format)
-    return "\n".join([answer, "", shown, *notes])
