@@ -79,26 +79,17 @@ def check_samples(n_samples: int, n_axes: int, rate_hz: float | None = None) -> 
 
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file to read it; a pipe, device or socket is refused at once, never waited for."""
-    _check_kind(path, path.stat().st_mode)
-    flags = ("O_NONBLOCK", "O_NOCTTY", "O_BINARY", "O_CLOEXEC")
-    descriptor = os.open(path, os.O_RDONLY | sum(getattr(os, name, 0) for name in flags))
-    try:  # something else may have been put in the file's place just now
-        _check_kind(path, os.fstat(descriptor).st_mode)
-    except (OSError, ValueError):
-        os.close(descriptor)
-        raise
-    return open(path, "rb", opener=lambda *_: descriptor)
-
-
-def _check_kind(path: Path, mode: int) -> None:
-    if stat.S_ISREG(mode):
-        return
+    mode = path.stat().st_mode
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(path))
-    got = KINDS.get(stat.S_IFMT(mode), "something else")
-    raise ValueError(
-        f"{path.name}: must be a regular file, got {got}; copy its content into a file"
-    )
+    if not stat.S_ISREG(mode):
+        got = KINDS.get(stat.S_IFMT(mode), "something else")
+        raise ValueError(
+            f"{path.name}: must be a regular file, got {got}; copy its content into a file"
+        )
+    # Nor is what may have been put in its place just now.
+    further = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY"))
+    return open(path, "rb", opener=lambda name, flags: os.open(name, flags | further))
 
 
 def read_bytes(path: Path, *, most: int | None = None) -> bytes:

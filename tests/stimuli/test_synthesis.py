@@ -21,18 +21,6 @@ def shares(recording: Recording) -> np.ndarray:
     return values / values.sum()
 
 
-def test_at_least_the_six_scenes_of_the_contract() -> None:
-    contract = {
-        "bumps",
-        "texture_drag",
-        "hard_taps",
-        "constrained_drag",
-        "isotropic_rumble",
-        "circular_motion",
-    }
-    assert contract <= set(SCENES)
-
-
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_are_seeded_and_of_the_size_of_tool_use(name: str) -> None:
     first, again, other = make_scene(name), make_scene(name), make_scene(name, rng=1)

@@ -393,10 +393,11 @@ def _take_over_parts(folder: Path) -> Path:
     It gets a name that nobody knows: a process that was left over from that build writes nothing here any more.
     """
     parts = folder / f"{PARTS}-{secrets.token_hex(4)}"
-    left = sorted(folder.glob(f"{PARTS}*"))
-    if left:
-        left[0].rename(parts)
-    for one in left[1:]:
+    for one in sorted(folder.glob(f"{PARTS}*")):
+        with suppress(
+            OSError
+        ):  # there is one already, or, on Windows, somebody still has a file open
+            one.rename(parts)
         shutil.rmtree(one, ignore_errors=True)
     make_folder(parts / FINISHED)
     sweep(folder)

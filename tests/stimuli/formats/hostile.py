@@ -72,7 +72,7 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "npz: zeros that inflate to 1.2 GB": (
         "a.npz",
         lambda: pack_zip(acceleration__npy=pack_npy((3, 50_000_000), body=bytes(ZEROS))),
-        r"promises 50,000,000 samples of 1 channels: 1,200 MB|150,000,000 samples",
+        "its arrays: 1,200 MB, at most",
     ),
     "npz: promises 1.2 GB that are not there": (
         "a.npz",
@@ -85,7 +85,7 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
         "a.npz", lambda: pack_zip(acceleration__npy=FINE.replace(b"\x93NUMPY", b"\x93\r\n\r\n\1")), "magic string"
     ),
     "npz: 65 535 files": ("a.npz", lambda: pack_directory(65535), "more than 1000 files"),
-    "mat: 40 variables of 60 MB": ("a.mat", lambda: pack_mat(60_000_000, 40), "sizes are damaged|type 0"),
+    "mat: 40 variables of 60 MB": ("a.mat", lambda: pack_mat(60_000_000, 40), "cannot be read as a MATLAB file"),
     "csv: a line of 30 MB": ("a.csv", lambda: b"1," * 15_000_000, "longer than 1048576 bytes"),
     "csv: 200 000 columns": ("a.csv", lambda: b"1," * 200_000 + b"1\n", "at most 1000 columns"),
     "csv: a cell of 9 000 letters": ("a.csv", lambda: b"x,y,z\n1,2,3\n1,2," + b"a" * 9_000, "got 'a{57}...'"),

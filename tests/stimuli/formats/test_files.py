@@ -344,13 +344,6 @@ def test_any_axis_of_an_lmt_triple_finds_its_sisters(
     assert read_recording(paths[which], unit="g", rate_hz=9000).rate_hz == 9000
 
 
-def test_an_lmt_triple_of_unequal_lengths_is_refused(tmp_path: Path, signal: Signal) -> None:
-    paths = _write_lmt(tmp_path, signal)
-    paths[1].write_text("1\n2\n")
-    with pytest.raises(ValueError, match=r"equal length, got x 60, y 2, z 60 samples"):
-        read_recording(paths[0])
-
-
 def test_an_lmt_file_without_sisters_is_refused(tmp_path: Path, signal: Signal) -> None:
     paths = _write_lmt(tmp_path, signal)
     paths[0].unlink()
@@ -389,13 +382,6 @@ def test_lost_samples_of_an_ide_file_are_refused(write_ide: Callable[..., Path])
     ):
         read_recording(path)
     assert read_recording(path, resample=True).n_samples == 508
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_an_ide_file_without_accelerometer_is_refused(write_ide: Callable[..., Path]) -> None:
-    path = write_ide(np.ones((100, 3), np.int16), unit="dps")
-    with pytest.raises(ValueError, match="an accelerometer with three axes"):
-        read_recording(path)
 
 
 def test_without_idelib_the_way_to_get_it_is_told(
