@@ -30,7 +30,7 @@ MOST_MEMBERS = 1000
 FACT_BYTES = 10_000
 """An array of one value, such as a rate, takes no more, its header included."""
 
-CHILD_S = 120.0
+CHILD_S = 300.0
 """So long may a MATLAB file take to be read."""
 
 FORMAT: Any = np.lib.format
@@ -107,6 +107,11 @@ def read_mat(path: Path, request: common.ReadingOptions) -> common.Decoded:
             raise ValueError(f"it takes longer than {CHILD_S:g} s") from None
         if done.returncode:
             said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+            if said.startswith("MemoryError"):
+                raise intake.TooLargeError(
+                    f"its variables take more than {limit / 1e6:,.0f} MB; keep the recording alone, or set a larger "
+                    f"{intake.LIMIT} in the environment"
+                )
             raise ValueError(intake.clip(said, 200) or "it ends the program that reads it")
         with np.load(io.BytesIO(done.stdout), allow_pickle=False) as archive:
             arrays = dict(archive)

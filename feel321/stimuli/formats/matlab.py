@@ -5,7 +5,6 @@ may inflate without end. So this one may die, or run out of the memory that it i
 it starts in half a second.
 """
 
-import io
 import sys
 import warnings
 
@@ -16,7 +15,7 @@ def main(path: str, limit: int) -> None:
         import resource
 
         # What is inflated, its copies, and what libraries map before they hold anything.
-        resource.setrlimit(resource.RLIMIT_AS, (4 * limit + 2**31,) * 2)
+        resource.setrlimit(resource.RLIMIT_AS, (3 * limit + 2**30,) * 2)
     except ImportError:  # Windows has no such limit
         pass
     import numpy as np
@@ -32,9 +31,7 @@ def main(path: str, limit: int) -> None:
     }
     if (total := sum(array.nbytes for array in found.values())) > limit:
         raise MemoryError(f"its variables take {total / 1e6:,.0f} MB")
-    content = io.BytesIO()
-    np.savez(content, allow_pickle=False, **found)
-    sys.stdout.buffer.write(content.getvalue())
+    np.savez(sys.stdout.buffer, allow_pickle=False, **found)
 
 
 if __name__ == "__main__":

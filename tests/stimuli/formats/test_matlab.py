@@ -96,6 +96,16 @@ def test_damage_is_refused_in_one_line(
         read_recording(tmp_path / "a.mat", rate_hz=1000)
 
 
+def test_what_inflates_beyond_the_limit_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FEEL321_LARGEST_MB", "1")
+    large = {f"v{k}": np.zeros((3, 10_000)) for k in range(9)}
+    (tmp_path / "a.mat").write_bytes(_mat(large, compressed=True))
+    with pytest.raises(ValueError, match=r"a\.mat: its variables take more than 1 MB"):
+        read_recording(tmp_path / "a.mat", rate_hz=1000)
+
+
 def test_what_takes_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.mat").write_bytes(_mat({"tmp": np.ones((3, 9))}))
     monkeypatch.setattr(arrays, "CHILD_S", 0.01)
