@@ -16,8 +16,7 @@ from feel321.analysis.mixed.model import Estimate, MixedFit
 from feel321.analysis.power.plan import PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.replication.claims import Paper, PaperClaim
-from feel321.analysis.report.front import About
-from feel321.analysis.report.standing import Hypothesis, Standing
+from feel321.analysis.report.standing import About, Hypothesis, Standing
 from feel321.analysis.report.write import Results
 from feel321.analysis.screening.consistency import RaterModel
 from feel321.analysis.screening.screen import Screening

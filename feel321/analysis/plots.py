@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.contrasts.compare import profile_reducers, stimulus_means
+from feel321.analysis.contrasts.compare import participant_means, profile_reducers, stimulus_means
+from feel321.analysis.figures import kinds
+from feel321.analysis.figures.style import assign_looks, make_handles
 from feel321.analysis.table.items import Table, open_tests
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.words import capitalise, format_axis, format_measure, format_name
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
@@ -53,33 +54,31 @@ def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = N
     'Match'
     """
     rows, _ = open_tests(ratings, [metric])
-    means = stimulus_means(rows)
-    values = rows.drop_duplicates("stimulus_id").set_index("stimulus_id")[metric]
+    values = rows.drop_duplicates("stimulus_id").set_index("stimulus_id")[[metric]]
+    stimuli = stimulus_means(rows).join(values, on="stimulus_id")
     ax = _find_axes(ax)
-    for name in order_reducers(means["reducer"]):
-        part = means[means["reducer"] == name]
-        x = part["stimulus_id"].map(values).to_numpy(np.float64)
-        points = ax.plot(x, part["mean"], "o", label=format_name(name))
-        ax.vlines(x, part["low"], part["high"], color=points[0].get_color(), alpha=0.3)
+    shown = kinds.plot_stimuli(
+        ax, stimuli, metric, looks=assign_looks(order_reducers(stimuli["reducer"]))
+    )
     ax.set(xlabel=format_axis(metric), ylabel=_label_ratings(rows))
-    ax.legend()
+    ax.legend(shown.values(), map(format_name, shown))
     return ax
 
 
 def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
-    """Plot the mean rating of each reducer, reference and anchor with its interval over participants.
+    """Plot the ratings of each reducer, reference and anchor: mean, interval, and every participant.
 
     Parameters
     ----------
     ratings : Table or DataFrame
-        Ratings; several scales and levels get a colour each.
+        Ratings; of several scales and levels the means alone, a mark each.
     ax : Axes, optional
         Where to plot; a new figure if left out.
 
     Returns
     -------
     Axes
-        The same: a row per reducer, the first one on top.
+        The same: a row per reducer, the one rated highest on top.
 
     Examples
     --------
@@ -90,16 +89,26 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
     >>> analysis.plot_profile(rows).get_xlabel()
     'Realism rating'
     """
-    profile = profile_reducers(ratings)
-    names, ax = order_reducers(profile["reducer"]), _find_axes(ax)
-    for (scale, level), part in profile.groupby(["scale", "level"], observed=True):
-        rows = [names.index(name) for name in part["reducer"]]
-        label = f"{format_name(str(scale))}, {format_name(str(level))}"
-        points = ax.plot(part["mean"], rows, "o", label=label)
-        ax.hlines(rows, part["low"], part["high"], color=points[0].get_color())
-    ax.set_yticks(range(len(names)), [format_name(name) for name in names])
-    ax.set(xlabel=_label_ratings(profile), ylim=(len(names) - 0.5, -0.5))
-    ax.legend()
+    profile, ax = profile_reducers(ratings), _find_axes(ax)
+    names = order_reducers(profile["reducer"])
+    parts = list(profile.groupby(["scale", "level"], observed=True))
+    if len(parts) == 1:
+        kinds.plot_profile(ax, profile, participant_means(ratings), looks=assign_looks(names))
+    else:
+        looks = assign_looks([
+            f"{format_name(str(scale))}, {format_name(str(level))}" for (scale, level), _ in parts
+        ])
+        rows = []
+        for name in names:
+            marks = [
+                kinds.Mark(row["mean"], row["low"], row["high"], look)
+                for (_, part), look in zip(parts, looks.values(), strict=True)
+                for row in part[part["reducer"] == name].to_dict("records")
+            ]
+            rows.append(kinds.ForestRow(format_name(name), tuple(marks)))
+        kinds.plot_forest(ax, rows, zero=False)
+        ax.legend(handles=list(make_handles(looks).values()), labels=list(looks))
+    ax.set_xlabel(_label_ratings(profile))
     return ax
 
 
@@ -116,22 +125,16 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     Returns
     -------
     Axes
-        The same: change in rating per +0.1 of a metric, a row per slope and a colour per model.
+        The same: change in rating per +0.1 of a metric, a heading per model and a row per slope.
     """
-    ax, rows = _find_axes(ax), list[str]()
-    items = models.items() if hasattr(models, "items") else [("", models)]
-    for name, model in items:
-        slopes = model.slopes
-        rows += [term for term in map(str, slopes.index) if term not in rows]
-        places = [rows.index(str(term)) for term in slopes.index]
-        label = format_name(", ".join(name) if isinstance(name, tuple) else str(name))
-        points = ax.plot(slopes["tenth"], places, "o", label=label or None)
-        ax.hlines(places, slopes["tenth_low"], slopes["tenth_high"], color=points[0].get_color())
-    ax.axvline(0, color="0.6", linewidth=0.8)
-    ax.set_yticks(range(len(rows)), [format_name(name) for name in rows])
-    ax.set(xlabel="Change in rating per +0.1 of the metric", ylim=(len(rows) - 0.5, -0.5))
-    if len(items) > 1:
-        ax.legend()
+    ax, items = _find_axes(ax), models if isinstance(models, Mapping) else {"": models}
+    named = {
+        ", ".join(name) if isinstance(name, tuple) else str(name): one
+        for name, one in items.items()
+    }
+    rows = [row for row in kinds.list_slopes(named, {}) if row.label]
+    kinds.plot_forest(ax, rows)
+    ax.set_xlabel("Change in rating per +0.1 of the metric")
     return ax
 
 
@@ -161,21 +164,20 @@ def plot_correlations(found: Association | DataFrame, *, ax: Axes | None = None)
     import pandas as pd
 
     frame = (found if isinstance(found, pd.DataFrame) else found.to_frame()).reset_index()
-    ax, rows = _find_axes(ax), np.arange(len(frame))
-    points = ax.plot(frame["value"], rows, "o", label="correlation")
-    ax.hlines(rows, frame["low"], frame["high"], color=points[0].get_color())
-    ax.vlines(frame["ceiling"], rows - 0.3, rows + 0.3, color="0.4", label="noise ceiling")
-    ax.axvline(0, color="0.6", linewidth=0.8)
+    ax = _find_axes(ax)
     keys = [key for key in ("scale", "level", "metric", "method") if key in frame]
-    if len(frame) > 1:
-        keys = [key for key in keys if key == "metric" or len(set(frame[key])) > 1]
-    labels = [
-        ", ".join(format_name(str(name)) for name in own)
-        for own in zip(*(frame[key] for key in keys), strict=True)
+    keys = [key for key in keys if key == "metric" or len(frame[key].unique()) > 1]
+    rows = [
+        kinds.ForestRow(
+            ", ".join(format_name(str(row[key])) for key in keys),
+            (kinds.Mark(row["value"], row["low"], row["high"]),),
+        )
+        for row in frame.to_dict("records")
     ]
-    ax.set_yticks(rows, labels)
-    ax.set(xlabel="Correlation with mean ratings", ylim=(len(frame) - 0.5, -0.5))
-    ax.legend()
+    ceilings = frame["ceiling"].to_numpy(float)
+    kinds.plot_forest(ax, rows, include=ceilings[np.isfinite(ceilings)])
+    ax.vlines(ceilings, np.arange(len(frame)) - 0.3, np.arange(len(frame)) + 0.3, color="0.4")
+    ax.set_xlabel("Correlation with mean ratings")
     return ax
 
 
@@ -206,16 +208,16 @@ def plot(result: object, *, ax: Axes | None = None) -> Axes:
     >>> analysis.plot(stimuli.make_scene("hard_taps")).get_ylabel()
     'Acceleration (m/s²)'
     """
+    given: Any = result
     columns = set(getattr(result, "columns", ()))
-    kinds: tuple[tuple[bool, Callable[..., Axes]], ...] = (
-        (isinstance(result, Table) or {"participant", "rating"} <= columns, plot_profile),
-        ({"value", "ceiling"} <= (columns or set(dir(result))), plot_correlations),
-        (hasattr(result, "rate_hz"), plot_recording),
-        (hasattr(result, "slopes") or (hasattr(result, "items") and not columns), plot_slopes),
-    )
-    for fits, draw in kinds:
-        if fits:
-            return draw(result, ax=ax)
+    if isinstance(result, Table) or {"participant", "rating"} <= columns:
+        return plot_profile(given, ax=ax)
+    if {"value", "ceiling"} <= (columns or set(dir(result))):
+        return plot_correlations(given, ax=ax)
+    if hasattr(result, "rate_hz"):
+        return plot_recording(given, ax=ax)
+    if hasattr(result, "slopes") or (hasattr(result, "items") and not columns):
+        return plot_slopes(given, ax=ax)
     raise TypeError(
         "result must be a Primary, an Association, a table of correlations or ratings, or a recording; got "
         f"{type(result).__name__}: call a plot_... function, or draw its to_frame()"

@@ -1,19 +1,15 @@
-"""Words and numbers of a report: names, units, digits, lists, and the record of a number.
-
-One place formats names and numbers for a reader, so that text, tables and figures agree.
-"""
+"""How names and numbers are written, so that text, tables and figures agree; sentences are in the templates."""
 
 from __future__ import annotations
 
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from feel321.types import MetricInfo
@@ -43,8 +39,8 @@ PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
 _DECLARED: ContextVar[Mapping[str, MetricInfo]] = ContextVar(
     "declared", default=MappingProxyType({})
 )
-"""What the metrics of the report that is being written declare. Not an argument: names are put into words in some
-eighty places, most of which take what they name from a table's cell, and a report is written as a whole."""
+"""What the metrics of the report that is being written declare: names are put into words in many places, most of which
+take them from a table's cell, and a report is written as a whole."""
 
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",
@@ -60,12 +56,22 @@ TWO_WAY = "95 % two-way bootstrap interval, over participants and recordings"
 ONE_WAY = "95 % bootstrap interval over participants only: these stimuli as the only ones"
 STUDENT = "95 % t interval over participants, for these recordings"
 SATTERTHWAITE = "95 % t interval, Satterthwaite's degrees of freedom"
-NONE = ""
-
-COUNT = "count"
 
 CONFIRMATORY, EXPLORATORY = "confirmatory", "exploratory"
 """Whether a result was declared before the ratings were seen, or not."""
+
+
+@contextmanager
+def declaring(info: Mapping[str, MetricInfo]) -> Iterator[None]:
+    """Call metrics by the labels that they declare, while a report is written."""
+    token = _DECLARED.set(info)
+    try:
+        yield
+    finally:
+        _DECLARED.reset(token)
+
+
+# Names.
 
 
 def format_name(name: str) -> str:
@@ -82,37 +88,6 @@ def format_name(name: str) -> str:
     return plain if info is None or info.label == name else info.label
 
 
-Made = TypeVar("Made")
-
-
-@contextmanager
-def declaring(info: Mapping[str, MetricInfo]) -> Iterator[None]:
-    """Call metrics by the labels that they declare, while a report is written."""
-    token = _DECLARED.set(info)
-    try:
-        yield
-    finally:
-        _DECLARED.reset(token)
-
-
-def make_declaring(info: Mapping[str, MetricInfo], make: Callable[[], Made]) -> Made:
-    """Make a figure, perhaps in another process, in which metrics are called by the labels that they declare."""
-    with declaring(info):
-        return make()
-
-
-def keep_together(value: object) -> object:
-    r"""Keep the percent sign with its number, and a small probability with its name, where a line may break.
-
-    Examples
-    --------
-    >>> keep_together("95 % interval"), keep_together(95)
-    ('95\xa0% interval', 95)
-    """
-    # A subclass of str is markup that was made elsewhere.
-    return TORN.sub("\N{NO-BREAK SPACE}", value) if type(value) is str else value
-
-
 def format_note(note: str, names: Iterable[str]) -> str:
     """Put the names that a note holds into words.
 
@@ -120,8 +95,6 @@ def format_note(note: str, names: Iterable[str]) -> str:
     --------
     >>> format_note("realism, as_is: 'spectral_match' is the same everywhere.", ["as_is", "spectral_match"])
     'realism, as is: spectral match is the same everywhere.'
-    >>> format_note("The spread of spectral_match_w is zero.", ["spectral_match"])
-    'The spread of spectral match within recordings is zero.'
     """
 
     def put(match: re.Match[str]) -> str:
@@ -131,18 +104,6 @@ def format_note(note: str, names: Iterable[str]) -> str:
     raw = "|".join(re.escape(name) for name in sorted(set(names), key=len, reverse=True))
     words = re.sub(rf"(?<![\w./])('?)({raw})(_[wb])?\1(?!\w)", put, note) if raw else note
     return words.replace("(Intercept)", "the intercept")
-
-
-def format_ratings(subject: str) -> str:
-    """Name ratings by their scale and level.
-
-    Examples
-    --------
-    >>> format_ratings("realism"), format_ratings("realism (level as is)")
-    ('realism ratings', 'realism ratings (level as is)')
-    """
-    name, bracket, level = subject.partition(" (level ")
-    return f"{name} ratings{bracket}{level}"
 
 
 def format_method(name: str) -> str:
@@ -155,25 +116,6 @@ def format_method(name: str) -> str:
     """
     kind = (name.removeprefix("within").strip("_") or "pearson").capitalize()
     return f"{kind} within recordings" if name.startswith("within") else kind
-
-
-def capitalise(text: str) -> str:
-    """Begin a sentence, leaving all but its first letter as it is."""
-    return text[:1].upper() + text[1:]
-
-
-def wrap_name(name: str, width: int, *, lines: int = 2) -> str:
-    """Break a name into a few lines for a figure, where it must not run off.
-
-    Examples
-    --------
-    >>> wrap_name("a rather long name of a reducer", 12).splitlines()
-    ['a rather', 'long…educer']
-    """
-    found, half = textwrap.wrap(name, width), width // 2
-    if len(found) > lines:
-        found[lines - 1 :] = [f"{found[lines - 1][: half - 1].rstrip()}…{name[-half:].lstrip()}"]
-    return "\n".join(found)
 
 
 def format_measure(scale: str) -> str:
@@ -209,6 +151,51 @@ def format_level(level: str) -> str:
     return f" (level {format_name(level)})" if level else ""
 
 
+def capitalise(text: str) -> str:
+    """Begin a sentence, leaving all but its first letter as it is."""
+    return text[:1].upper() + text[1:]
+
+
+def keep_together(value: object) -> object:
+    r"""Keep the percent sign with its number, and a small probability with its name, where a line may break.
+
+    Examples
+    --------
+    >>> keep_together("95 % interval"), keep_together(95)
+    ('95\xa0% interval', 95)
+    """
+    # A subclass of str is markup that was made elsewhere.
+    return TORN.sub("\N{NO-BREAK SPACE}", value) if type(value) is str else value
+
+
+def wrap_name(name: str, width: int, *, lines: int = 2) -> str:
+    """Break a name into a few lines for a figure, where it must not run off.
+
+    Examples
+    --------
+    >>> wrap_name("a rather long name of a reducer", 12).splitlines()
+    ['a rather', 'long…educer']
+    """
+    found, half = textwrap.wrap(name, width), width // 2
+    if len(found) > lines:
+        found[lines - 1 :] = [f"{found[lines - 1][: half - 1].rstrip()}…{name[-half:].lstrip()}"]
+    return "\n".join(found)
+
+
+def name_path(*parts: str) -> str:
+    """Join names to one, without two lists of names that give the same.
+
+    Examples
+    --------
+    >>> name_path("profile", "v1.0", "as_is")
+    'profile.v1%2E0.as_is'
+    """
+    return ".".join(part.replace("%", "%25").replace(".", "%2E") for part in parts)
+
+
+# Lists and counts.
+
+
 def join_words(names: Sequence[str], last: str = "and") -> str:
     """List names in a sentence.
 
@@ -218,6 +205,18 @@ def join_words(names: Sequence[str], last: str = "and") -> str:
     ('a', 'a, b and c')
     """
     return f" {last} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+
+
+def name_some(names: Sequence[str], most: int = 3) -> str:
+    """List the first names, and count the others.
+
+    Examples
+    --------
+    >>> name_some(["a", "b", "c", "d", "e"]), name_some(["a", "b"])
+    ('a, b, c and 2 more', 'a and b')
+    """
+    more = len(names) - most
+    return f"{', '.join(names[:most])} and {more} more" if more > 0 else join_words(names)
 
 
 def format_count(count: float, name: str) -> str:
@@ -241,6 +240,9 @@ def format_span(counts: Iterable[int]) -> str:
     """
     found = sorted(set(counts))
     return f"{found[0]}" if len(found) == 1 else f"{found[0]}–{found[-1]}"
+
+
+# Numbers.
 
 
 def format_number(value: float, *, kind: str = "correlation") -> str:
@@ -295,110 +297,13 @@ def format_estimate(
     return format_number(value, kind=kind), format_interval(low, high, kind=kind)
 
 
-@dataclass(frozen=True, slots=True)
-class Number:
-    """A number of a report, by its dotted path; NaN where it or an end of its interval is not defined.
-
-    uncertainty: kind of interval; n: how many stimuli, participants or judgements the value rests on. statistic: what
-    of its family it is; keys: what it is of (scale, level, metric, reducer, ...), in the order of the path.
-    """
-
-    name: str
-    value: float
-    low: float
-    high: float
-    uncertainty: str
-    method: str
-    n: int
-    statistic: str
-    keys: tuple[tuple[str, str], ...] = ()
-    status: str = EXPLORATORY
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what ``results.json`` holds of it: addressable without taking its name apart; NaN as None."""
-        keys, family = dict(self.keys), self.name.split(".")[0]
-        told = {name: keys.pop(name, None) for name in TIDY}
-        numbers = {name: getattr(self, name) for name in ("value", "low", "high")}
-        return {
-            "name": self.name, "family": family, **told, "statistic": self.statistic, "keys": keys,
-            **{name: None if math.isnan(value) else value for name, value in numbers.items()},
-            "uncertainty": self.uncertainty, "method": self.method, "n": self.n, "status": self.status,
-        }  # fmt: skip
-
-
-TIDY = ("scale", "level", "metric")
-"""Keys of numbers that have a field of their own in ``results.json``; null for a number that is not of one."""
-
-
-def name_path(*parts: str) -> str:
-    """Join names to the dotted path of a number.
+def format_p(p: float) -> str:
+    """Write a probability behind its name.
 
     Examples
     --------
-    >>> name_path("profile", "v1.0", "as_is")
-    'profile.v1%2E0.as_is'
+    >>> format_p(0.0123), format_p(1e-9)
+    ('p = 0.012', 'p <\N{NO-BREAK SPACE}0.001')
     """
-    return ".".join(part.replace("%", "%25").replace(".", "%2E") for part in parts)
-
-
-def make_number(name: str, value: float, method: str, *, n: int, keys: str = "") -> Number:
-    """Name a number that has no interval; an infinite one counts as not defined.
-
-    keys: what the parts of the name after its family are, such as "scale level"; the rest of it is the statistic.
-    """
-    known = float(value) if math.isfinite(value) else math.nan
-    parts = [part.replace("%2E", ".").replace("%25", "%") for part in name.split(".")[1:]]
-    own = tuple(zip(keys.split(), parts, strict=False))
-    statistic = ".".join(parts[len(own) :]) or "value"
-    return Number(name, known, math.nan, math.nan, NONE, method, int(n), statistic, own)
-
-
-def make_interval(number: Number, low: float, high: float, *, uncertainty: str) -> Number:
-    """Give a number its interval."""
-    if not math.isfinite(low + high):
-        return number
-    return replace(number, low=float(low), high=float(high), uncertainty=uncertainty)
-
-
-def count_number(name: str, value: int, *, n: int, keys: str = "") -> Number:
-    """Name a count."""
-    return replace(make_number(name, value, COUNT, n=n, keys=keys), value=int(value))
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One of the lines that open a report; clause: what the first sentence says of it, where no card does."""
-
-    text: str
-    subject: str = ""
-    lead: str = ""
-    clause: str = ""
-
-    def __str__(self) -> str:
-        """Write it as a sentence of its own."""
-        about = ", ".join(filter(None, (self.subject, self.lead)))
-        return f"{about}: {self.text}" if about else self.text
-
-
-@dataclass(frozen=True, slots=True)
-class Claim:
-    """The conclusion about one metric, for a program to read.
-
-    few: units, such as "4 reducers", of which there are so few that a finding is a hint, or that a slope is not
-    estimable. reason: why it is not confirmatory.
-    """
-
-    scale: str
-    level: str
-    metric: str
-    verdict: str
-    direction: str
-    number: str
-    hinges_on: tuple[str, ...] = ()
-    better_than: tuple[str, ...] = ()
-    higher: str = "better"
-    hinge: str = ""
-    few: tuple[str, ...] = ()
-    status: str = EXPLORATORY
-    reason: str = ""
-    beyond_level: str = ""
+    told = format_number(p, kind="p")
+    return f"p {told if told.startswith('<') else f'= {told}'}"

@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from feel321.analysis.report.front import About
+from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.screening.rules import find_rules
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary

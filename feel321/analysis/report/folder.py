@@ -1,18 +1,14 @@
-"""The folder of results of report and trade-off: replaced as a whole, and only what is its own.
+"""The folder of results: replaced as a whole, and only what is its own.
 
-A folder holds ``results.json``, ``index.html``, ``figures/*.svg`` and ``*.png``, ``tables/*.csv``. ``results.json``
-lists its files: these a later run may replace, all others stay as they are.
+A folder holds ``results.json``, pages, ``figures/*.svg`` and ``*.png``, ``tables/*.csv``. ``results.json`` lists its
+files: these a later run may replace, all others stay as they are.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import pickle
 import re
-import subprocess
-import sys
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +22,6 @@ from feel321.files import defuse, make_folder, move_files, temporary_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
-    from types import TracebackType
 
     from markupsafe import Markup
     from pandas import DataFrame
@@ -34,19 +29,20 @@ if TYPE_CHECKING:
     from feel321.analysis.report.section import Picture
     from feel321.types import MetricInfo, PathLike
 
-PAGE, RESULTS = "index.html", "results.json"
-OWN = re.compile(r"index\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv")
+PAGE, DETAILS, RESULTS = "index.html", "details.html", "results.json"
+OWN = re.compile(
+    r"index\.html|details\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv"
+)
 """Only these files may be deleted, whatever ``results.json`` lists."""
 
-BACKGROUND = len(os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else "12") > 1
-"""Whether figures may be drawn by a second process: only where there is a core for it."""
 
-
-def list_files(figures: Iterable[str], tables: Iterable[str]) -> tuple[str, ...]:
+def list_files(
+    figures: Iterable[str], tables: Iterable[str], pages: Iterable[str] = (PAGE,)
+) -> tuple[str, ...]:
     """List the files of a folder, by the names of its figures and tables."""
     drawn = (f"figures/{name}.{suffix}" for name in figures for suffix in ("svg", "png"))
     listed = [f"tables/{name}.csv" for name in tables]
-    return (RESULTS, PAGE, *drawn, *listed, *([f"tables/{DICTIONARY}"] if listed else []))
+    return (RESULTS, *pages, *drawn, *listed, *([f"tables/{DICTIONARY}"] if listed else []))
 
 
 def write_flags(frame: DataFrame) -> DataFrame:
@@ -90,66 +86,49 @@ class ResultsFolder:
     ['dictionary.csv', 'index.html', 'results.json', 'rows.csv']
     """
 
-    def __init__(self, path: PathLike, *, background: bool = False) -> None:
-        """Refuse a folder that holds other results; in the background: let a second process draw, if a core is free."""
+    def __init__(self, path: PathLike) -> None:
+        """Refuse a folder that holds other results."""
         self.path = as_path(path, "folder")
         self.pictures: list[Picture] = []
         self._place: Path | None = None
         self._closing = ExitStack()
-        self._artist: subprocess.Popen[str] | None = None
-        self._background = background and BACKGROUND
         check_target(self.path)
 
     def __enter__(self) -> ResultsFolder:
-        """Begin; the second process loads what it draws with while the first figure is computed."""
-        if self._background:
-            with suppress(OSError):  # then all is drawn here
-                self._artist = subprocess.Popen(  # noqa: S603 - our own words
-                    [sys.executable, "-c", _ARTIST, json.dumps(sys.path)],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,
-                    text=True,
-                )
+        """Begin."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Remove what was not moved to its place."""
-        if self._artist is not None:
-            self._artist.kill()
-            self._artist.communicate()
         self._closing.close()
 
     def draw(self, pictures: Iterable[Picture]) -> None:
         """Draw and save figures, each as SVG and PNG under its name."""
         for picture in pictures:
             self.pictures.append(picture)
-            if not self._hand_over(picture):
-                save_figure(picture.figure, self._stage("figures") / picture.name)
+            save_figure(picture.figure, self._stage("figures") / picture.name)
 
-    def write(
+    def write(  # noqa: PLR0913 - everything that a folder holds, by name
         self,
         content: Mapping[str, Any],
         *,
         page: Callable[[Mapping[str, Markup]], str],
         tables: Mapping[str, DataFrame],
+        details: Callable[[], str] | None = None,
         kind: str = "report",
+        dictionary: DataFrame | None = None,
         info: Mapping[str, MetricInfo] | None = None,
     ) -> Path:
-        """Write results, tables and page, and put all in the place of the former files; return the folder.
+        """Write results, tables and pages, and put all in the place of the former files; return the folder.
 
-        content: what ``results.json`` holds; its "files" are those of `list_files`. page: renders the page from the
-        figures' SVG, by name. tables: by name without suffix; `dictionary.csv` beside them describes their columns, by
-        the kind of results; info: what metrics declare of themselves.
+        content: what ``results.json`` holds; its "files" are those of `list_files`. page, details: render the pages,
+        the first from the figures' SVG by name. tables: by name without suffix; `dictionary.csv` beside them describes
+        their columns, by the kind of results where it is not given; info: what metrics declare of themselves.
         """
         files = {f"{kind}/{name}.csv": frame for name, frame in tables.items()}
         if tables:
-            files[f"{kind}/{DICTIONARY}"] = make_dictionary(files, info)
+            described = make_dictionary(files, info) if dictionary is None else dictionary
+            files[f"{kind}/{DICTIONARY}"] = described
         for file, frame in files.items():
             write_flags(frame).to_csv(
                 self._stage("tables") / file.rpartition("/")[2],
@@ -158,15 +137,15 @@ class ResultsFolder:
                 lineterminator="\n",
                 encoding="utf-8",
             )
-        self._finish_drawing()
         stage = self._stage()
         drawings = {
             one.name: inline_svg(one.name, one.caption, stage / "figures" / f"{one.name}.svg")
             for one in self.pictures
         }
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        (stage / RESULTS).write_text(f"{text}\n", encoding="utf-8", newline="")
-        (stage / PAGE).write_text(page(drawings), encoding="utf-8", newline="")
+        texts = {PAGE: page(drawings)} | ({DETAILS: details()} if details else {})
+        texts[RESULTS] = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        for name, text in texts.items():
+            (stage / name).write_text(text, encoding="utf-8", newline="")
         _replace(stage, self.path, files=content["files"])
         return self.path
 
@@ -178,60 +157,6 @@ class ResultsFolder:
         stage = self._place / part
         make_folder(stage)
         return stage
-
-    def _hand_over(self, picture: Picture) -> bool:
-        """Let the second process draw a figure; False if it cannot."""
-        if self._artist is None:
-            return False
-        order, stem = self._find_order(picture), self._stage("figures") / picture.name
-        try:
-            order.write_bytes(pickle.dumps((picture.drawing, stem)))
-            print(order, file=self._artist.stdin, flush=True)
-        except (OSError, pickle.PicklingError, AttributeError, TypeError):
-            order.unlink(missing_ok=True)
-            return False
-        return True
-
-    def _find_order(self, picture: Picture) -> Path:
-        return self._stage("orders") / f"{picture.name}.pickle"
-
-    def _finish_drawing(self) -> None:
-        """Draw from the last figure towards where the second process is, and what it could not draw."""
-        if self._artist is None:
-            return
-        left = []
-        for picture in reversed(self.pictures):
-            try:
-                self._find_order(picture).unlink()  # whoever removes an order draws it
-            except OSError:
-                left.append(picture)
-            else:
-                save_figure(picture.figure, self._stage("figures") / picture.name)
-        self._artist.communicate()
-        for picture in left:
-            stem = self._stage("figures") / picture.name
-            if self._artist.returncode or not stem.with_name(f"{stem.name}.png").exists():
-                save_figure(picture.figure, stem)
-
-
-_ARTIST = """
-import json, sys
-sys.path[:] = json.loads(sys.argv[1])
-import pickle
-from pathlib import Path
-import matplotlib.figure
-from feel321.analysis.figures.style import save_figure
-for line in sys.stdin:
-    order = Path(line.rstrip("\\n"))
-    try:
-        content = order.read_bytes()
-        order.unlink()
-    except OSError:
-        continue  # drawn by the other process
-    drawing, stem = pickle.loads(content)
-    save_figure(drawing() if callable(drawing) else drawing, stem)
-"""
-"""What the second process runs. It imports neither the caller's script nor anything of a running session."""
 
 
 METHODS = "methods.md"

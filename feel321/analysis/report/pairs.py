@@ -1,30 +1,28 @@
-"""Sections about pairs of stimuli: discrimination in ABX trials, and the map of dissimilarities."""
+"""Sections about pairs of stimuli: ABX trials, one axis against three, and maps of dissimilarities."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from statistics import median
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from feel321.analysis.contrasts.discrimination import discriminate_pairs
+from feel321.analysis import maps
+from feel321.analysis.contrasts.discrimination import Discrimination, discriminate_pairs
 from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
-from feel321.analysis.figures.scatter import draw_discrimination, draw_space
+from feel321.analysis.figures.kinds import draw_discrimination, draw_space
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.report.parts import SIGNIFICANCE
 from feel321.analysis.report.section import (
-    NAME,
-    TEXT,
-    Column,
-    PageTable,
+    Found,
     Picture,
+    Row,
     Section,
-    TableForm,
+    count_rows,
+    make_row,
     make_slug,
-    read_methods,
 )
 from feel321.analysis.space import (
     Ellipses,
@@ -34,191 +32,130 @@ from feel321.analysis.space import (
     stress_by_dimension,
 )
 from feel321.analysis.table.metrics import order_reducers
-from feel321.analysis.table.schema import ANSWERED, APART, PAIRED
-from feel321.analysis.words import (
-    COUNT,
-    Line,
-    capitalise,
-    count_number,
-    format_name,
-    format_number,
-    join_words,
-)
+from feel321.analysis.table.schema import ANSWERED, APART, LABELS, PAIRED
+from feel321.analysis.words import format_name
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.reading import Table
+    from feel321.analysis.table.items import Table
 
-Row = dict[str, Any]
-
-LEVEL = Column("Level", "level", TEXT)
 
 # ABX trials: how well what a reducer made is distinguished from its reference.
 
 RIGHT, WRONG = 100.0, 0.0
 WILSON = "95 % interval that follows from Wilson's"
-ABX = TableForm(
-    "Share of correct answers (guessing: 0.50) with Wilson's 95 % interval, test against guessing, and d'. A "
-    "dash for d': infinite, no answer was wrong.",
-    (
-        Column("Reducer", "reducer", NAME), Column("Level", "level", TEXT),
-        Column("Share", "share", end="share", method="share of correct answers", interval=WILSON, ends="wilson_"),
-        Column(
-            "d'", "d_independent", end="d", method="d', independent observations", interval=WILSON,
-            ends="d_independent_",
-        ),
-        Column("p (Holm)", "p_holm", "p", "p_holm", "exact binomial test, Holm's adjustment"),
-        Column("Correct", "n_correct", COUNT, "n_correct"), Column("Trials", "n_trials", COUNT, "n_trials"),
-    ),
-    path="abx.{level}.{reducer}", n="n_trials",
-)  # fmt: skip
-CAPTION_D = (
-    "d' in ABX trials of each reducer against its reference, with 95 % intervals that follow from Wilson's; 0 is "
-    "guessing."
-)
 
 
-def compute_discrimination(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
+def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
-    key, title = "discrimination", "Telling stimuli apart (ABX)"
     rows = table.rows[table.rows["scale"] == ANSWERED]
     if strange := int((~rows["rating"].isin([RIGHT, WRONG])).sum()):
         why = f"{strange} answers are neither 100 (right) nor 0 (wrong)"
-        return Section(key, title, notes=(f"Scale '{ANSWERED}' is not evaluated: {why}.",))
+        return Found(notes=(f"Scale '{ANSWERED}' is not evaluated: {why}.",))
     trials = rows.assign(first=rows["reducer"], second="reference", correct=rows["rating"] == RIGHT)
     compared = trials[trials["role"] != "reference"].groupby(["level", "reducer"], observed=True)
-    found = {names: discriminate_pairs(part)[None] for names, part in compared}
+    found: dict[Any, Discrimination] = {
+        names: discriminate_pairs(part)[None] for names, part in compared
+    }
     if not found:
-        return Section(key, title)
+        return Found()
     adjusted = adjust_holm([one.p for one in found.values()])
-    evaluated: list[Row] = [
-        {"level": level, "reducer": name, **asdict(one), "p_holm": p}
-        for ((level, name), one), p in zip(found.items(), adjusted, strict=True)
-    ]
-    apart, n = sum(p < SIGNIFICANCE for p in adjusted), len(found)
-    others = " For the others neither a difference nor equivalence is shown." * (apart < n)
-    answer = (
-        f"ABX: {apart} of {n} reducers and anchors were distinguished from their reference above chance "
-        f"(p (Holm) < {SIGNIFICANCE}).{others}"
+    listed: list[Row] = []
+    for ((level, reducer), one), p in zip(found.items(), adjusted, strict=True):
+        keys: Row = {"level": level, "reducer": reducer, "n": one.n_trials, "interval": WILSON}
+        listed.append(
+            make_row(
+                "share_correct", one.share, low=one.wilson_low, high=one.wilson_high, p=p, **keys
+            )
+        )
+        ends = {"low": one.d_independent_low, "high": one.d_independent_high}
+        listed.append(make_row("d_prime", one.d_independent, **ends, **keys))
+        listed += count_rows({"n_correct": one.n_correct, "n_trials": one.n_trials}, **keys)
+    apart = sum(p < SIGNIFICANCE for p in adjusted)
+    listed += count_rows({"n_distinguished": apart, "n_compared": len(found)}, n=len(found))
+    named = {
+        f"{reducer} ({format_name(str(level))})": one for (level, reducer), one in found.items()
+    }
+    caption = (
+        "d' in ABX trials of each reducer against its reference, with 95 % intervals that follow from Wilson's; 0 is "
+        "guessing. In brackets: correct answers of trials."
     )
-    named = {f"{name} ({format_name(str(level))})": one for (level, name), one in found.items()}
-    return Section(
-        key=key,
-        title=title,
-        answers=(answer,),
-        verdict=(Line(answer, clause=f"{apart} of {n} reducers and anchors were distinguished from their reference"),),
-        unseen=(count_number("abx.n_told_apart", apart, n=n), count_number("abx.n_compared", n, n=n)),
-        grids=(ABX.build(evaluated),),
-        tables={"discrimination": evaluated},
-        pictures=(Picture("discrimination", CAPTION_D, partial(draw_discrimination, named)),),
-        notes=tuple(
-            f"ABX, {name}, {level}: {note}" for (level, name), one in found.items() for note in one.notes
-        ),
-        how=read_methods(key),
+    notes = [
+        f"ABX, {reducer}, {level}: {note}"
+        for (level, reducer), one in found.items()
+        for note in one.notes
+    ]
+    return Found(
+        {"discrimination": listed}, {"apart": apart, "n": len(found)},
+        (Picture("discrimination", caption, partial(draw_discrimination, named)),), notes,
+        clauses=(f"{apart} of {len(found)} reducers and anchors were distinguished from their reference",),
     )  # fmt: skip
 
+
+DISCRIMINATION = Section(
+    "discrimination", "Telling stimuli apart (ABX)", "apart", compute_discrimination
+)
 
 # One axis against three: dissimilarities from the original beside those of identical pairs.
 
 STUDENT_T = "95 % t interval over participants"
-TOLD = TableForm(
-    "One axis against three: dissimilarity of each reducer's stimuli from the original, less that of identical pairs, "
-    "in points; and d' from how often a participant rates a pair with the original above an identical one. 95 % t "
-    "intervals over participants: other people, these recordings. A dash for d': infinite.",
-    (
-        Column("Reducer", "reducer", NAME), LEVEL,
-        Column(
-            "Difference", "difference", "rating", method="dissimilarity from the original less that of identical pairs",
-            interval=STUDENT_T,
-        ),
-        Column("t", "t", "df", "t", "paired t test over participants"), Column("df", "df", "df", "df", "paired t test"),
-        Column("p (Holm)", "p_holm", "p", "p_holm", "two-sided paired t test, Holm's adjustment over reducers"),
-        Column(
-            "Area", "area", end="area", method="area under the ROC curve, mean over participants", interval=STUDENT_T,
-            ends="area_",
-        ),
-        Column("d'", "d_prime", end="d", method="d' of that area", interval=STUDENT_T, ends="d_prime_"),
-        Column("Participants", "n_participants", COUNT, "n_participants"),
-        Column("Pairs", "n_judgements", COUNT, "n_judgements"),
-        Column("Identical", "n_identical", COUNT, "n_identical"),
-    ),
-    path="told_apart.{level}.{reducer}", n="n_judgements",
-)  # fmt: skip
 
 
-def compute_told_apart(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
+def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Compare dissimilarities from the original with those of identical pairs."""
-    key, title = "told_apart", "One axis against three"
     rows = table.rows[table.rows["scale"] == PAIRED]
-    notes, lines = [], []
-    found: list[dict[Any, Any]] = []
+    notes: list[str] = []
+    listed: list[Row] = []
+    told: list[Row] = []
     several = len(rows["level"].unique()) > 1
     for level, part in rows.groupby("level", observed=True):
         try:
-            own = compare_with_original(part).assign(level=level).to_dict("records")
+            own = compare_with_original(part).to_dict("records")
         except ValueError as error:
             notes.append(f"{PAIRED}, {level}: one axis is not compared with three. {error}")
             continue
-        found += own
+        for row in own:
+            keys: Row = {
+                "level": level,
+                "reducer": row["reducer"],
+                "n": row["n_judgements"],
+                "interval": STUDENT_T,
+            }
+            for quantity, lead in (("difference", ""), ("area", "area_"), ("d_prime", "d_prime_")):
+                ends = {end: row[f"{lead}{end}"] for end in ("low", "high")}
+                p = row["p_holm"] if quantity == "difference" else np.nan
+                listed.append(make_row(quantity, row[quantity], **ends, p=p, **keys))
+            names = ("t", "df", "n_participants", "n_judgements", "n_identical")
+            listed += count_rows({name: row[name] for name in names}, **keys)
         single = [row for row in own if row["reducer"] != EVERY]
-        apart = [row for row in single if row["p_holm"] < SIGNIFICANCE and row["difference"] > 0]
-        where = f" (level {format_name(str(level))})" if several else ""
-        rest = [str(row["reducer"]) for row in single if row not in apart]
-        told = (
-            f" No difference was shown for {join_words(rest)}; this does not show equality."
-            if rest
-            else ""
-        )
-        clause = f"one axis was distinguished from three{where} for {len(apart)} of {len(single)} reducers"
-        lines.append(
-            Line(
-                f"{capitalise(clause)}: dissimilarity from the original is above that of identical pairs "
-                f"(p (Holm) < {SIGNIFICANCE}).{told}",
-                clause=clause,
-            )
-        )
-    return Section(
-        key, title, answers=tuple(map(str, lines)), verdict=lines, grids=(TOLD.build(found),), notes=notes,
-        tables={key: found}, how=read_methods(key),
-    )  # fmt: skip
+        apart = [
+            str(row["reducer"])
+            for row in single
+            if row["p_holm"] < SIGNIFICANCE and row["difference"] > 0
+        ]
+        rest = [str(row["reducer"]) for row in single if row["reducer"] not in apart]
+        told.append({"level": str(level) * several, "apart": apart, "n": len(single), "rest": rest})
+    where = [f" (level {format_name(one['level'])})" if one["level"] else "" for one in told]
+    clauses = [
+        f"one axis was distinguished from three{place} for {len(one['apart'])} of {one['n']} reducers"
+        for place, one in zip(where, told, strict=True)
+    ]
+    facts = {"parts": told} if told else {}
+    return Found({"told_apart": listed}, facts, notes=notes, clauses=clauses)
 
+
+TOLD_APART = Section("told_apart", "One axis against three", "apart", compute_told_apart)
 
 # Dissimilarities: the perceptual map, and what its axes are associated with.
 
-KEY = "space"
 DRAWS = 200
 """Maps drawn anew; each takes a fit."""
 
-STRESS = TableForm(
-    "Stress of maps of one dimension and more ({}): how badly they fit; 0.05 is good.",
-    (
-        LEVEL, Column("Dimensions", "dimensions", COUNT, "dimensions"),
-        Column("Stress", "stress", method="Kruskal's stress-1"),
-    ),
-    path="stress.{level}.{dimensions}",
-)  # fmt: skip
-PROCRUSTES = TableForm(
-    "Agreement of the map with the stimuli's metrics, standardised, after shifting, turning and scaling.",
-    (
-        LEVEL, Column("Correlation", "correlation", method="Procrustes correlation of map and metrics"),
-        Column("p", "p", "p", "p", "permutation test, {permutations} pairings"),
-    ),
-    path="procrustes.{level}",
-)  # fmt: skip
-PROPERTIES = TableForm(
-    "What increases along a direction of the map: share of its variance between reducers that the map explains.",
-    (
-        LEVEL, Column("Of", "property", TEXT), Column("R²", "r2", method="R² of a regression on the map's axes"),
-        Column("p (Holm)", "p_holm", "p", "p_holm", "F test, Holm's adjustment"),
-    ),
-    path="property.{level}.{property}",
-)  # fmt: skip
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Arm:
+class _Arm(NamedTuple):
     """Dissimilarities of one level arm, and metrics and mean ratings of its reducers."""
 
     level: str
@@ -227,47 +164,60 @@ class _Arm:
     attributes: DataFrame
 
 
-def compute_space(table: Table, choices: Choices) -> Section:
+def compute_space(table: Table, choices: Choices) -> Found:
     """Map the dissimilarities of every level."""
-    rows = table.rows[table.rows["scale"] == PAIRED]
-    notes, grids, pictures = [], [], []
-    lines: list[Line] = []
-    tables: dict[str, list[Row]] = {}
-    for level in sorted(rows["level"].unique()):
+    dissimilar = table.rows[table.rows["scale"] == PAIRED]
+    notes: list[str] = []
+    pictures: list[Picture] = []
+    told: list[Row] = []
+    rows: dict[str, list[Row]] = {
+        f"space{part}": [] for part in ("", "_stress", "_metrics", "_properties")
+    }
+    for level in sorted(dissimilar["level"].unique()):
         try:
-            arm = _gather(table, rows[rows["level"] == level], level)
-            rng, draws = choices.make_rng(KEY, level), min(DRAWS, max(choices.draws, 3))
+            arm = _gather(table, dissimilar[dissimilar["level"] == level], level)
+            rng, draws = choices.make_rng("space", level), min(DRAWS, max(choices.draws, 3))
             ellipses = bootstrap_space(arm.matrices, draws=draws, rng=rng)
-            rng = choices.make_rng(KEY, level, "stress")
-            stress = stress_by_dimension(arm.matrices, rng=rng)
+            stress = stress_by_dimension(
+                arm.matrices, rng=choices.make_rng("space", level, "stress")
+            )
         except ValueError as error:
             notes.append(f"{PAIRED}, {level}: no map. {error}")
             continue
         caption = (
             f"Map of the dissimilarities at level {format_name(level)}, with 95 % bootstrap ellipses over "
-            "participants; only distances have a meaning. Beside it, the stress of maps by their dimensions."
+            "participants; only distances have a meaning."
         )
-        draw = partial(draw_space, ellipses, arm.names, stress=stress)
-        pictures.append(Picture(make_slug(KEY, level), caption, draw))
-        tables[f"space_{make_slug(level)}"] = list(_list_places(arm, ellipses))
-        grids.append(_build_stress(arm, stress))
+        pictures.append(
+            Picture(make_slug("space", level), caption, partial(draw_space, ellipses, arm.names))
+        )
+        n = len(arm.names)
+        for reducer, place in zip(arm.names, list_places(ellipses), strict=True):
+            rows["space"] += count_rows(place, level=level, reducer=reducer, n=n)
+        rows["space_stress"] += [
+            make_row("stress", value, level=level, dimensions=number, n=n)
+            for number, value in enumerate(stress, start=1)
+        ]
         try:
-            line, own = _relate(arm, ellipses, choices)
-            lines.append(line)
-            grids += own
+            told.append(_relate(arm, ellipses, choices, rows=rows))
         except ValueError as error:
             notes.append(f"{PAIRED}, {level}: the map is compared with nothing else. {error}")
-    return Section(
-        key=KEY,
-        title="The space of what was felt",
-        answers=tuple(map(str, lines)),
-        verdict=lines,
-        grids=grids,
-        pictures=pictures,
-        tables=tables,
-        notes=notes,
-        how=read_methods(KEY),
+    clauses = [
+        f"{'the metrics align' if one['shown'] else 'it is unclear whether the metrics align'} with the perceptual map "
+        f"(level {format_name(one['level'])})"
+        for one in told
+    ]
+    return Found(
+        rows, {"parts": told} if any(rows.values()) else {}, pictures, notes, clauses=clauses
     )
+
+
+def list_places(ellipses: Ellipses) -> Iterator[dict[str, float]]:
+    """List the places on a map with their ellipses."""
+    for (x, y), (one, two), angle in zip(
+        ellipses.space.positions, ellipses.half_axes, ellipses.angle, strict=True
+    ):
+        yield {"x": x, "y": y, "half_axis_1": one, "half_axis_2": two, "angle": angle}
 
 
 def _gather(table: Table, rows: DataFrame, level: str) -> _Arm:
@@ -305,43 +255,181 @@ def _measure(table: Table, names: list[str], level: str) -> DataFrame:
     return metrics.join(ratings.add_prefix("rated ")).reindex(names)
 
 
-def _build_stress(arm: _Arm, stress: Sequence[float]) -> PageTable:
-    rows = [
-        {"level": arm.level, "dimensions": number, "stress": value, "n": len(arm.names)}
-        for number, value in enumerate(stress, start=1)
-    ]
-    return STRESS.build(rows, caption=STRESS.caption.format(format_name(arm.level)))
-
-
-def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices) -> tuple[Line, list[PageTable]]:
+def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices, *, rows: dict[str, list[Row]]) -> Row:
     """Compare the map with metrics and mean ratings."""
     known = arm.attributes.notna().all(axis=1).to_numpy()
     attributes = arm.attributes[known]
     attributes = attributes.loc[:, attributes.std() > 0]
     metrics = attributes[[name for name in attributes if not str(name).startswith("rated ")]]
-    positions, more = ellipses.space.positions[known], {"level": arm.level, "n": len(arm.names)}
+    positions, keys = ellipses.space.positions[known], {"level": arm.level, "n": len(arm.names)}
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
-    rng = choices.make_rng(KEY, arm.level, "procrustes")
+    rng = choices.make_rng("space", arm.level, "procrustes")
     aligned = align_spaces(positions, scaled, permutations=choices.draws, rng=rng)
-    agreement = {key: getattr(aligned, key) for key in ("correlation", "p", "permutations")}
     found = regress_attributes(positions, {str(name): attributes[name] for name in attributes})
-    adjusted = found.assign(p_holm=adjust_holm(found["p"].tolist()), property=found.index)
-    r, p = format_number(aligned.correlation), format_number(aligned.p, kind="p")
-    evidence = f"Procrustes r = {r}, permutation p {p if p.startswith('<') else f'= {p}'}"
-    what = f"align with the perceptual map (level {format_name(arm.level)})"
-    shown = aligned.p < SIGNIFICANCE
-    clause = f"the metrics {what}" if shown else f"it is unclear whether the metrics {what}"
-    properties = [more | row for row in adjusted.to_dict("records")]
-    grids = [PROCRUSTES.build([more | agreement]), PROPERTIES.build(properties)]
-    return Line(f"{capitalise(clause)} ({evidence}).", clause=clause), grids
-
-
-def _list_places(arm: _Arm, ellipses: Ellipses) -> Iterator[Row]:
-    places = zip(
-        arm.names, ellipses.space.positions, ellipses.half_axes, ellipses.angle, strict=True
+    note = f"{aligned.permutations} pairings"
+    rows["space_metrics"].append(
+        make_row("procrustes", aligned.correlation, p=aligned.p, note=note, **keys)
     )
-    for name, (x, y), (one, two), angle in places:
-        yield {
-            "level": arm.level, "reducer": name, "x": x, "y": y, "half_axis_1": one, "half_axis_2": two,
-            "angle": angle,
-        }  # fmt: skip
+    for (name, row), p in zip(found.iterrows(), adjust_holm(found["p"].tolist()), strict=True):
+        rows["space_properties"].append(make_row("r2", row["r2"], p=p, property=str(name), **keys))
+    return {
+        "level": arm.level,
+        "r": aligned.correlation,
+        "p": aligned.p,
+        "shown": aligned.p < SIGNIFICANCE,
+    }
+
+
+SPACE = Section("space", "The space of what was felt", "apart", compute_space)
+
+# Maps of groups of recordings: interactions and surfaces.
+
+MAP_DRAWS = 100
+"""Maps drawn anew for each group; each takes a fit."""
+
+
+def compute_maps(table: Table, choices: Choices) -> Found:
+    """Map dissimilarities per interaction and surface, beside the map of all recordings."""
+    rows = table.rows[table.rows["scale"] == PAIRED]
+    notes: list[str] = []
+    told: list[Row] = []
+    pictures: list[Picture] = []
+    parts = ("_groups", "_agreement", "_attributes", "_axes", "_people", "")
+    found: dict[str, list[Row]] = {f"maps{part}": [] for part in parts}
+    for level in sorted(map(str, rows["level"].unique())):
+        own = rows[rows["level"] == level]
+        rng = choices.make_rng("maps", level)
+        try:
+            groups = maps.map_groups(own, draws=min(MAP_DRAWS, max(choices.draws, 3)), rng=rng)
+        except ValueError as error:
+            notes.append(f"{PAIRED}, {level}: no maps of groups. {error}")
+            continue
+        agreement = list(maps.compare_groups(groups, permuted=choices.draws, rng=rng))
+        attributes: list[Row] = []
+        if not any(name in own and len(own[name].unique()) > 1 for name in LABELS):
+            notes.append(
+                f"{PAIRED}, {level}: maps are of all recordings together; name `interaction` and `sample` in "
+                "[[recordings]], or in columns of the manifest, for maps of each."
+            )
+        for group in groups:
+            _list_group(group, level, found)
+            pictures += _draw(group, level)
+        for row in agreement:
+            keys: Row = {
+                "level": level,
+                "kind": row["kind"],
+                "group": row["first"],
+                "second_group": row["second"],
+            }
+            found["maps_agreement"].append(
+                make_row(
+                    "procrustes",
+                    row["correlation"],
+                    p=row["p"],
+                    n=row["n"],
+                    note=f"{row['permutations']} pairings",
+                    **keys,
+                )
+            )
+        try:
+            points = maps.gather_points(own, table.stimuli, groups[0], rng=rng)
+            attributes = list(maps.regress_points(points, draws=min(choices.draws, 1000), rng=rng))
+            _adjust(attributes, table.metrics)
+            axes = list(maps.regress_axes(points, [*table.metrics, maps.DIRECTIONS]))
+            _list_attributes(attributes, axes, level=level, found=found)
+            notes += [f"{PAIRED}, {level}: {note}" for note in _note_points(points, attributes)]
+        except ValueError as error:
+            notes.append(f"{PAIRED}, {level}: axes are not compared with attributes. {error}")
+        told.append({"level": level, "agreement": list(_find_least(agreement)), "attributes": attributes,
+                     "clear": [row for row in attributes if row["p_holm"] < SIGNIFICANCE]})  # fmt: skip
+    return Found(found, {"parts": told} if told else {}, pictures, notes)
+
+
+def _list_group(group: maps.GroupMap, level: str, found: dict[str, list[Row]]) -> None:
+    keys: Row = {"level": level, "kind": group.kind, "group": group.name, "n": len(group.matrices)}
+    people = {row["participant"]: row["correlation"] for row in maps.map_people(group)}
+    values = list(people.values())
+    found["maps_groups"] += count_rows(
+        {
+            "stress": group.space.stress, "agreement_median": median(values) if values else np.nan,
+            "agreement_least": min(values, default=np.nan), "n_participants": len(group.matrices),
+            "n_recordings": group.n_recordings,
+        }, **keys,
+    )  # fmt: skip
+    found["maps_people"] += [
+        make_row("procrustes", r, participant=who, **keys) for who, r in people.items()
+    ]
+    places = [{"x": x, "y": y} for x, y in group.space.positions]
+    if group.ellipses:
+        ellipses = zip(group.ellipses.half_axes, group.ellipses.angle, strict=True)
+        more = [
+            {"half_axis_1": one, "half_axis_2": two, "angle": angle}
+            for (one, two), angle in ellipses
+        ]
+        places = [place | own for place, own in zip(places, more, strict=True)]
+    for reducer, place in zip(group.names, places, strict=True):
+        found["maps"] += count_rows(place, reducer=reducer, **keys)
+
+
+def _list_attributes(
+    attributes: Sequence[Row], axes: Sequence[Row], *, level: str, found: dict[str, list[Row]]
+) -> None:
+    for row in attributes:
+        keys: Row = {"level": level, "property": row["property"], "n": row["n"]}
+        note = f"{row['permutations']} orders"
+        found["maps_attributes"].append(
+            make_row("r2", row["r2"], p=row["p_holm"], note=note, **keys)
+        )
+        names = {"axis_1": "axis_1", "axis_2": "axis_2", "p_unadjusted": "p", "p_least": "p_least"}
+        found["maps_attributes"] += count_rows(
+            {name: row[key] for name, key in names.items()}, **keys
+        )
+    for row in axes:
+        keys = {"level": level, "axis": row["axis"], "property": row["property"], "n": row["n"]}
+        found["maps_axes"] += count_rows({name: row[name] for name in ("weight", "r2")}, **keys)
+
+
+def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
+    """Adjust p by Holm over the metrics that were planned, and over the others; of those that could be small at all."""
+    for is_planned in (True, False):
+        own = [row for row in rows if (row["property"] in planned) == is_planned]
+        tested = [row for row in own if row["p_least"] < SIGNIFICANCE]
+        for row in own:
+            row["p_holm"] = float("nan")
+        for row, p in zip(tested, adjust_holm([row["p"] for row in tested]), strict=True):
+            row["p_holm"] = p
+
+
+def _draw(group: maps.GroupMap, level: str) -> Iterator[Picture]:
+    if group.ellipses:
+        caption = (
+            f"Map of the dissimilarities of {group.kind} {group.name} at level {format_name(level)}, turned onto the "
+            "map of all recordings, with 95 % bootstrap ellipses over participants."
+        )
+        slug = make_slug("maps", level, group.kind, group.name)
+        yield Picture(slug, caption, partial(draw_space, group.ellipses, group.names), detail=True)
+
+
+def _find_least(rows: Sequence[Row]) -> Iterator[Row]:
+    """Find which maps of interactions, and which of samples, agree least."""
+    for kind in LABELS:
+        own = [row for row in rows if row["kind"] == kind and row["second"] != maps.ALL]
+        if own:
+            yield min(own, key=lambda row: row["correlation"]) | {"n_pairs": len(own)}
+
+
+def _note_points(points: maps.Points, rows: Sequence[Row]) -> Iterator[str]:
+    """Say on how little a regression of axes on attributes rests."""
+    n = len(points.stimuli)
+    if mute := [row["property"] for row in rows if row["p_least"] >= SIGNIFICANCE]:
+        yield f"permutations of {n} stimuli cannot show an association of the axes with {', '.join(mute)}."
+    if points.size < maps.ENOUGH * len(rows):
+        yield (
+            f"{len(rows)} attributes are compared with {points.size} points ({n} stimuli in {len(points.places)} "
+            f"recordings); {maps.ENOUGH} for each are recommended: R² is descriptive only."
+        )
+
+
+MAPS = Section(
+    "maps", "The space of what was felt, by interaction and surface", "apart", compute_maps
+)

@@ -6,92 +6,88 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from feel321.analysis import words
 from feel321.analysis.replication import claims as paper_claims
-from feel321.analysis.replication.claims import NOT_ESTIMABLE, PaperAnswer
+from feel321.analysis.replication.claims import AGREES, DIFFERS, NOT_ESTIMABLE, PaperAnswer
 from feel321.analysis.replication.landin import tabulate_metric
-from feel321.analysis.report.section import NAME, TEXT, Column, Section, TableForm, read_methods
-from feel321.analysis.table.metrics import order_reducers
-from feel321.analysis.words import Line, make_interval, make_number
+from feel321.analysis.report.section import Found, Row, Section, make_row
+from feel321.analysis.words import capitalise, format_interval, format_number
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.replication.claims import Paper
-    from feel321.analysis.report.section import PageTable
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
-    from feel321.analysis.words import Number
 
 KEY, TITLE = "paper", "The paper's questions"
-VERDICTS = {
-    paper_claims.AGREES: "agrees", paper_claims.DIFFERS: "differs", paper_claims.OPEN: "open",
-    NOT_ESTIMABLE: "not estimable",
-}  # fmt: skip
-
-CLAIMS = TableForm(
-    "Each claim of the paper, its number and this study's with a 95 % interval (of attributes of maps: 90 % of "
-    "permutations), and where it was seen. Agrees: the whole interval lies on the paper's side of zero or of all "
-    "others, or the value within the paper's range; differs: the interval lies elsewhere; open: neither. Without: "
-    "the same without the reducers that the paper names as exceptions.",
-    (
-        Column("Claim", "name", TEXT), Column("Verdict", "_verdict", NAME), Column("The paper", "_paper", NAME),
-        Column("Here", "_here", NAME), Column("Interval", "_interval", NAME), Column("Without", "_without", NAME),
-        Column("Seen in", "source", NAME),
-    ),
-    path="claim.{name}", detail=False,
-)  # fmt: skip
+TRANSFORMS = {"recording": "Recording", "reducer": "Transform", "metric": "Metric"}
 
 
-def compute(
-    table: Table, choices: Choices, paper: Paper, *, sections: Sequence[Section] = ()
-) -> Section:
-    """Answer the questions of a paper; sections: those that follow it, which found what no metric accounts for."""
+def compute(table: Table, choices: Choices, paper: Paper, *, others: dict[str, Found]) -> Found:
+    """Answer the questions of a paper; others: what the sections that follow found."""
     answers = list(paper_claims.answer_claims(table, paper, choices))
-    surprises = [*_describe_surprises(paper, sections)] or [*_describe_excess(answers)]
-    verdict = [Line(text, TITLE) for text in surprises]
-    verdict += [Line(_count_verdicts(answers, paper), TITLE)] if answers else []
-    verdict += [Line(_describe(one), TITLE, VERDICTS[one.verdict]) for one in answers]
-    rows = [_make_row(one) for one in answers]
-    metrics = tabulate_metrics(table, paper)
-    return Section(
-        KEY, TITLE, answers=tuple(map(str, verdict)), verdict=verdict,
-        grids=[CLAIMS.build(rows), *_build_metrics(metrics)], unseen=tuple(_list_numbers(answers)),
-        tables={"paper_claims": rows, "paper_metrics": metrics}, how=read_methods(KEY),
-    )  # fmt: skip
+    odd = others["primary"].rows.get("exceptions", []) if "primary" in others else []
+    facts: dict[str, Any] = {
+        "citation": paper.citation, "seen": paper.seen, "answers": [_describe(one) for one in answers],
+        "surprises": list(_list_surprises(paper, odd)) or list(_list_excesses(answers)),
+        "ours": sum(one.claim.source == "ours" for one in answers),
+        "counts": {
+            verdict: [one.claim.name for one in answers if one.verdict == verdict]
+            for verdict in (DIFFERS, AGREES, paper_claims.OPEN, NOT_ESTIMABLE)
+        },
+    }  # fmt: skip
+    rows = {"paper_claims": [row for one in answers for row in _list_answer(one)]}
+    rows["paper_metrics"] = list(_list_metrics(tabulate_metrics(table, paper)))
+    return Found(rows, facts)
 
 
-def _describe(one: PaperAnswer) -> str:
-    return f"{one.claim.claim} [{one.claim.source}]. {words.capitalise(one.sentence)}"
+def _describe(one: PaperAnswer) -> Row:
+    claim = one.claim
+    return {
+        "name": claim.name, "claim": claim.claim, "source": claim.source, "verdict": one.verdict,
+        "sentence": capitalise(one.sentence),
+    }  # fmt: skip
 
 
-def list_claims(sections: Sequence[Section]) -> tuple[dict[str, Any], ...]:
-    """List the claims of a report with their verdicts, for a program; none where no paper is replicated."""
-    found = [one.tables["paper_claims"] for one in sections if "paper_claims" in one.tables]
-    return tuple(row for rows in found for row in rows.to_dict("records"))
+def _list_answer(one: PaperAnswer) -> Iterator[Row]:
+    claim, found = one.claim, one.found
+    keys: Row = {"claim": claim.name, "source": claim.source, "n": found.n if found else 0}
+    kind = found.kind if found else "correlation"
+    yield make_row("verdict", note=one.verdict.replace("_", " "), **keys)
+    value, low, high = claim.paper
+    told = (
+        format_number(value, kind=kind)
+        if math.isfinite(value)
+        else format_interval(low, high, kind=kind)
+    )
+    yield make_row(
+        "paper", value, low=low, high=high, interval="the paper's range", **keys | {"note": told}
+    )
+    for name, own in (("here", found), ("without", one.without)):
+        if own is not None:
+            ends = {"low": own.low, "high": own.high, "interval": own.interval}
+            yield make_row(name, own.value, **ends, **keys | {"note": own.describe()})
 
 
-def _describe_surprises(paper: Paper, sections: Sequence[Section]) -> Iterator[str]:
-    """Name reducers that were rated otherwise than the metrics predict, and whether the paper names them too."""
-    found = [one.tables["exceptions"] for one in sections if "exceptions" in one.tables]
+def _list_surprises(paper: Paper, odd: Sequence[Row]) -> Iterator[Row]:
+    """List reducers that were rated otherwise than the metrics predict, and whether the paper names them too."""
+    flagged = {(row["scale"], row["level"], row["reducer"]) for row in odd if row["note"] == "yes"}
+    rows = [
+        row
+        for row in odd
+        if row["quantity"] == "excess" and (row["scale"], row["level"], row["reducer"]) in flagged
+    ]
     named = _name_exceptions(paper)
-    odd = found[0][found[0]["exceptional"]] if found else None
-    for reducer, rows in odd.groupby("reducer", sort=False) if odd is not None else ():
-        points = [
-            words.format_number(abs(one), kind="rating") for one in sorted(rows["excess"], key=abs)
-        ]
-        span = " to ".join(dict.fromkeys([points[0], points[-1]]))
-        ways = {"higher" if one > 0 else "lower" for one in rows["excess"]}
-        where = "; ".join(map(str, rows["ratings"].map(words.format_name)))
-        also = "the paper names no such exception"
-        if reducer in named:
-            also = "the paper names it as an exception too"
-            if (told := named[reducer]) and not told >= ways:
-                also = f"the paper names it too, but as rated {' or '.join(sorted(told))}"
-        yield (
-            f"the reducer {reducer} was rated {span} points {' or '.join(sorted(ways))} than the metrics predict from "
-            f"the other reducers ({where}); {also}."
+    for reducer in dict.fromkeys(row["reducer"] for row in rows):
+        own = sorted(
+            (row for row in rows if row["reducer"] == reducer), key=lambda row: abs(row["value"])
         )
+        ways = sorted({"higher" if row["value"] > 0 else "lower" for row in own})
+        yield {
+            "reducer": reducer, "ways": ways, "points": [abs(own[0]["value"]), abs(own[-1]["value"])], "metrics": [],
+            "where": [f"{row['scale']}, {row['level']}" for row in own], "named": reducer in named,
+            "otherwise": [] if named.get(reducer, set()) >= set(ways) else sorted(named.get(reducer, ())),
+        }  # fmt: skip
 
 
 WAYS = {"positive": "higher", "negative": "lower"}
@@ -108,120 +104,32 @@ def _name_exceptions(paper: Paper) -> dict[str, set[str]]:
     return named
 
 
-COUNTED = {
-    paper_claims.DIFFERS: ("differs from this study", "differ from this study"),
-    paper_claims.AGREES: ("agrees", "agree"), paper_claims.OPEN: ("stays open", "stay open"),
-    NOT_ESTIMABLE: ("is not estimable", "are not estimable"),
-}  # fmt: skip
-
-
-def _count_verdicts(answers: Sequence[PaperAnswer], paper: Paper) -> str:
-    """Count the claims with each verdict, those first that differ, by name."""
-    told = []
-    for key, forms in COUNTED.items():
-        if own := [one.claim.name for one in answers if one.verdict == key]:
-            which = f" ({', '.join(map(words.format_name, own))})" * (key == paper_claims.DIFFERS)
-            told.append(f"{len(own)} {forms[len(own) > 1]}{which}")
-    ours = sum(one.claim.source == "ours" for one in answers)
-    added = f"; {ours} of them this study's own" if ours else ""
-    what = f"{'question' if ours else 'claim'}{'s' * (len(answers) > 1)}"
-    about = f"{what} {'about' if ours else 'of'} the paper ({paper.citation}; {paper.seen}{added})"
-    return f"of {len(answers)} {about}, {words.join_words(told)}."
-
-
-def _make_row(one: PaperAnswer) -> dict[str, Any]:
-    """Make a row of the table and of the CSV file."""
-    claim, found = one.claim, one.found
-    row: dict[str, Any] = {
-        "name": claim.name, "claim": claim.claim, "source": claim.source, "measure": claim.measure,
-        "expect": claim.expect, **_name_ends("paper", claim.paper),
-        **_name_ends("value", (found.value, found.low, found.high) if found else paper_claims.NO_NUMBER),
-        "unit": found.unit if found else "", "n": found.n if found else 0,
-        "method": found.method if found else "", "interval": found.interval if found else "",
-        "verdict": one.verdict, "exceptions": claim.exceptions,
-        **_name_ends("without", _take_ends(one.without)), "sentence": one.sentence,
-        "_verdict": VERDICTS[one.verdict], "_without": one.without.describe() if one.without else words.ABSENT,
-    }  # fmt: skip
-    kind = found.kind if found else "correlation"
-    here, interval = words.format_estimate(*_take_ends(found), kind=kind)
-    unit = f" {found.unit}" if found and found.unit else ""
-    paper, _, _ = claim.paper
-    told = words.format_number(paper, kind=kind)
-    if not math.isfinite(paper):
-        told = words.format_interval(*claim.paper[1:], kind=kind)
-    return row | {"_paper": told, "_here": f"{here}{unit}", "_interval": interval}
-
-
-def _describe_excess(answers: Sequence[PaperAnswer]) -> Iterator[str]:
-    """Name the reducers of claims about an excess that is not open, where the primary model cannot tell."""
+def _list_excesses(answers: Sequence[PaperAnswer]) -> Iterator[Row]:
+    """List the reducers of claims about an excess that is not open, where the primary model cannot tell."""
     for one in answers:
-        settled = one.claim.expect in WAYS and one.verdict in {
-            paper_claims.AGREES, paper_claims.DIFFERS,
-        }  # fmt: skip
+        settled = one.claim.expect in WAYS and one.verdict in {AGREES, DIFFERS}
         if one.claim.measure == "rating_excess" and one.found and settled:
-            points = words.format_number(abs(one.found.value), kind="rating")
-            way = "higher" if one.found.value > 0 else "lower"
-            reducer, metrics = one.claim.options["reducer"], one.claim.options.get("metrics", ())
-            metrics = [metrics] if isinstance(metrics, str) else list(metrics)
-            predict = "predicts" if len(metrics) == 1 else "predict"
-            names = words.join_words([
-                words.format_name(str(name)) for name in metrics or ["the metrics"]
-            ])
-            also = (
-                "the paper says so too"
-                if one.verdict == paper_claims.AGREES
-                else "not as in the paper"
-            )
-            yield (
-                f"the reducer {reducer} was rated {points} points {way} than {names} {predict} "
-                f"from the other reducers; {also}."
-            )
-
-
-def _take_ends(found: paper_claims.ClaimValue | None) -> paper_claims.Ends:
-    return (found.value, found.low, found.high) if found else paper_claims.NO_NUMBER
-
-
-def _name_ends(name: str, ends: paper_claims.Ends) -> dict[str, float]:
-    return dict(zip((name, f"{name}_low", f"{name}_high"), ends, strict=True))
-
-
-def _list_numbers(answers: Sequence[PaperAnswer]) -> Iterator[Number]:
-    """List the numbers that claims were answered with."""
-    for one in answers:
-        for end, found in (("", one.found), (".without", one.without)):
-            if found is not None:
-                path = words.name_path("claim", one.claim.name) + end
-                number = make_number(path, found.value, found.method, n=found.n, keys="claim")
-                yield make_interval(number, found.low, found.high, uncertainty=found.interval)
+            metrics = one.claim.options.get("metrics", ())
+            yield {
+                "reducer": one.claim.options["reducer"], "points": [abs(one.found.value)] * 2, "where": [],
+                "ways": ["higher" if one.found.value > 0 else "lower"],
+                "metrics": [metrics] if isinstance(metrics, str) else list(metrics),
+                "named": one.verdict == AGREES, "otherwise": [],
+            }  # fmt: skip
 
 
 # The paper's table: metrics of every recording and transform, with the paper's numbers and other mountings beside.
 
 MATCH_METRICS = ("spectral_match", "temporal_match")
 ROW_KEYS = ["recording", "reducer", "metric"]
-MOUNTINGS = TableForm(
-    "The same with other mountings of the sensor: each recording turned into random orientations, reduced and matched. "
-    "Mean, and the quantiles between which 90 % of the orientations lie.",
-    (
-        Column("Recording", "recording", NAME), Column("Transform", "reducer", NAME), Column("Metric", "metric", TEXT),
-        Column("As mounted", "value"), Column("Mean", "mounting_mean", end="mean", method="mean over orientations"),
-        Column("5 %", "q05", end="q05", method="5 % quantile over orientations"),
-        Column("Median", "q50", end="q50", method="median over orientations"),
-        Column("95 %", "q95", end="q95", method="95 % quantile over orientations"),
-    ),
-    path="mountings.{recording}.{reducer}.{metric}",
-)  # fmt: skip
 
 
 def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
     """Tabulate the match metrics of every recording and reducer, with the paper's numbers and mountings beside."""
     import pandas as pd
 
-    if paper.published is None or table.stimuli is None:
-        return pd.DataFrame()
-    known = [name for name in MATCH_METRICS if name in table.stimuli]
-    if not known:
+    known = [name for name in MATCH_METRICS if table.stimuli is not None and name in table.stimuli]
+    if paper.published is None or not known:
         return pd.DataFrame()
     wide = {name: tabulate_metric(table, name).reset_index() for name in known}
     long = (
@@ -232,43 +140,30 @@ def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
     for beside in (paper.published, paper.mountings):
         if beside is not None:
             found = found.merge(beside, how="left", on=ROW_KEYS)
-    texts = found.select_dtypes(exclude="number").columns
-    found[texts] = found[texts].fillna("")
     later = ~found["recording"].isin(paper.published["recording"])  # first what the paper shows
-    found = found.assign(later=later).sort_values(["later", "recording", "metric"], kind="stable")
-    return found.drop(columns="later").reset_index(drop=True)
+    return found.assign(later=later).sort_values(["later", "recording", "metric"], kind="stable")
 
 
-def _build_metrics(found: DataFrame) -> Iterator[PageTable]:
-    """Build the table of recordings by transforms, the paper's numbers below each row, and that of mountings."""
-    if found.empty:
-        return
-    reducers = order_reducers(found["reducer"])
-    form = TableForm(
-        "Spectral match (eq. 1) and temporal match (eq. 2) of every transform, for each recording as its sensor was "
-        "mounted; below, the paper's numbers for what the recording stands for.",
-        (
-            Column("Recording", "recording", NAME), Column("Metric", "metric", TEXT), Column("Of", "_of", NAME),
-            *(Column(name, name, end=words.name_path(name), method="{_method}") for name in reducers),
-        ),
-        path="transforms.{recording}.{metric}.{_source}", detail=False,
-    )  # fmt: skip
-    rows: list[dict[Any, Any]] = []
-    for (recording, metric), part in found.groupby(["recording", "metric"], sort=False):
-        names = {"recording": recording, "metric": metric, "n": 1}
-        own = part.set_index("reducer").reindex(reducers)
-        here = {
-            "_of": "this study",
-            "_source": "here",
-            "_method": f"{metric} of this study's recording",
-        }
-        rows.append(names | here | own["value"].to_dict())
-        if own["paper"].notna().any():
-            first = own.dropna(subset="paper").iloc[0]
-            told = f"{first['shown']} ({first['table']}, {first['source']})"
-            theirs = {"_of": told, "_source": "paper", "_method": f"the paper's number, {told}"}
-            rows.append(names | theirs | own["paper"].to_dict())
-    yield form.build(rows)
-    if "mounting_mean" in found:
-        turned = found.dropna(subset="mounting_mean").assign(n=1)
-        yield MOUNTINGS.build(turned.to_dict("records"))
+def _list_metrics(found: DataFrame) -> Iterator[Row]:
+    for row in found.to_dict("records"):
+        keys: Row = {key: row[key] for key in ROW_KEYS} | {"n": 1}
+        yield make_row("match", row["value"], **keys)
+        if math.isfinite(row.get("paper", math.nan)):
+            yield make_row(
+                "paper",
+                row["paper"],
+                note=f"{row['shown']} ({row['table']}, {row['source']})",
+                **keys,
+            )
+        for name in ("mounting_mean", "q05", "q50", "q95"):
+            if math.isfinite(row.get(name, math.nan)):
+                yield make_row(name, row[name], **keys)
+
+
+def make_section(paper: Paper, others: dict[str, Found]) -> Section:
+    """Make the section of a paper."""
+
+    def run(table: Table, choices: Choices) -> Found:
+        return compute(table, choices, paper, others=others)
+
+    return Section(KEY, TITLE, KEY, run)

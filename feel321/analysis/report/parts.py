@@ -1,58 +1,61 @@
-"""Ratings split into what one model or one correlation is about, and what several sections compute of them."""
+"""Ratings split into what one model or one correlation is about."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from feel321.analysis.primary.model import CENTRED, FEW, fit_slopes
+from feel321.analysis.report.section import name_ratings, name_subject
 from feel321.analysis.table.items import find_sources, recast_pairs
-from feel321.analysis.table.metrics import TENTH, Step, find_steps
+from feel321.analysis.table.metrics import Step, find_steps
 from feel321.analysis.table.schema import APART
-from feel321.analysis.words import format_name, format_number, format_ratings, join_words
 
 if TYPE_CHECKING:
+    import numpy as np
     from pandas import DataFrame, Series
 
-    from feel321.analysis.primary.plan import Cells
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 
-ITEM, SIGNIFICANCE = "item", 0.05
+ITEM, WHO, SCENE = "item", "participant", "recording"
+SIGNIFICANCE = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RatingsPart:
-    """Ratings of test stimuli on one scale and one level."""
+    """Ratings of test stimuli on one scale and one level; several: whether there are other levels."""
 
     scale: str
     level: str
     rows: DataFrame
-    subject: str
+    several: bool = False
     thinned: str = ""
 
     @property
     def ratings(self) -> str:
         """How to call it within a sentence."""
-        return format_ratings(self.subject)
+        return name_ratings(self.scale, self.level * self.several)
+
+    @property
+    def subject(self) -> str:
+        """How to call it at the head of a line."""
+        return name_subject(self.scale, self.level * self.several)
 
     @property
     def place(self) -> tuple[str, str]:
-        """What leads the path of its numbers."""
+        """Scale and level."""
         return self.scale, self.level
 
     @property
     def lead(self) -> str:
-        """What leads a note, and its name in a table."""
+        """What leads a note."""
         return f"{self.scale}, {self.level}"
 
     @property
     def keys(self) -> dict[str, str]:
-        """What a row of a table says of it."""
-        return {"scale": self.scale, "level": self.level, "_ratings": self.lead}
+        """What a row says of it."""
+        return {"scale": self.scale, "level": self.level}
 
 
 def split_parts(table: Table, *, matched: bool = True) -> Iterator[RatingsPart]:
@@ -60,9 +63,7 @@ def split_parts(table: Table, *, matched: bool = True) -> Iterator[RatingsPart]:
     rated = select_tests(table, matched=matched)
     several = len(rated["level"].unique()) > 1
     for scale, level, part in split_arms(rated):
-        subject = format_name(scale) + (f" (level {format_name(level)})" if several else "")
-        rows = part.assign(**{ITEM: part["stimulus_id"]})
-        yield RatingsPart(scale, level, rows, subject)
+        yield RatingsPart(scale, level, part.assign(**{ITEM: part["stimulus_id"]}), several)
 
 
 def split_arms(rows: DataFrame) -> Iterator[tuple[str, str, DataFrame]]:
@@ -80,9 +81,27 @@ def select_tests(table: Table, *, matched: bool = True) -> DataFrame:
     return rated[rated["matched"]] if matched and "matched" in rated else rated
 
 
+def find_table_steps(table: Table) -> dict[str, Step]:
+    """Find the step of every metric of the primary analysis; one for all scales and levels."""
+    tests = table.rows[table.rows["role"] == "test"].drop_duplicates("stimulus_id")
+    return find_steps(tests, table.metrics, table.info)
+
+
+def join_steps(steps: Mapping[str, Step]) -> str:
+    """Write the steps of several metrics: the one that they share, or a word."""
+    told = {step.per for step in steps.values()}
+    return told.pop() if len(told) == 1 else "step"
+
+
+def count_units(rows: DataFrame) -> dict[str, int]:
+    """Count what is independent of each other: participants, and recordings or their sources."""
+    sources = find_sources(rows)
+    scene = SCENE if sources.is_unique else "source"
+    return {WHO: rows[WHO].nunique(), scene: sources.nunique()}
+
+
 # More ratings than a mixed model can be fitted to in reasonable time and memory.
 
-WHO, SCENE = "participant", "recording"
 MOST_DENSE = 1500
 """Random effects besides those of the largest group, which make a dense matrix."""
 
@@ -146,84 +165,3 @@ def is_large(rows: DataFrame, n_slopes: int) -> bool:
     levels += [len(cells)] if cells.min() < cells.max() else []
     dense = sum(levels) - max(levels)
     return dense > MOST_DENSE or dense * max(levels) > MOST_PRODUCTS
-
-
-# Steps by which slopes are reported: +0.1 of a match, +10 of a level in dB.
-
-
-def find_table_steps(table: Table) -> dict[str, Step]:
-    """Find the step of every metric of the primary analysis; one for all scales and levels."""
-    tests = table.rows[table.rows["role"] == "test"].drop_duplicates("stimulus_id")
-    return find_steps(tests, table.metrics, table.info)
-
-
-def add_step(row: Mapping[Any, Any], step: Step) -> dict[Any, Any]:
-    """Give a row the slope per step, and how the step is written, beside the slope per 0.1."""
-    share = step.size / TENTH
-    ends = {f"_step{end}": row[f"tenth{end}"] * share for end in ("", "_low", "_high")}
-    return {**row, **ends, "_per": step.per, "_size": step.size}
-
-
-def join_steps(steps: Mapping[str, Step]) -> str:
-    """Write the steps of several metrics: the one that they share, or a word."""
-    told = {step.per for step in steps.values()}
-    return told.pop() if len(told) == 1 else "step"
-
-
-# What several sections compute and say of a part.
-
-
-def fit_rest(cells: Cells, out: Iterable[Hashable], *, people: int) -> DataFrame:
-    """Fit the slopes without the raters that a rule flags, of so many people."""
-    rest = cells.leave_out(WHO, *out)
-    if rest.count(WHO) == 1 < people:
-        raise ValueError(
-            f"One rater of {people} is left: an interval would not know how people differ."
-        )
-    slopes = fit_slopes(rest).table
-    return slopes.assign(**dict.fromkeys(CENTRED.values(), np.nan))
-
-
-def count_units(rows: DataFrame) -> dict[str, int]:
-    """Count what is independent of each other: participants, and recordings or their sources."""
-    sources = find_sources(rows)
-    scene = SCENE if sources.is_unique else "source"
-    return {WHO: rows[WHO].nunique(), scene: sources.nunique()}
-
-
-def describe_hint(few: Sequence[str]) -> str:
-    """Say that a finding is a hint, by the units of which there are few.
-
-    Examples
-    --------
-    >>> describe_hint(["4 reducers"]), describe_hint([])
-    (' (with 4 reducers, a hint rather than a result)', '')
-    """
-    return f" (with {join_words(few)}, a hint rather than a result)" if few else ""
-
-
-def describe_reach(sizes: Mapping[str, int], *, claimed: bool = True) -> str:
-    """Say what a claim does not reach, or hardly, by the number of what was drawn.
-
-    Examples
-    --------
-    >>> describe_reach({"participant": 1, "recording": 9}), describe_reach({"participant": 9, "recording": 4})
-    (', about this one participant only', ', a hint rather than a result with so few recordings')
-    """
-    alone = [name for name, count in sizes.items() if count == 1]
-    few = [f"{name}s" for name, count in sizes.items() if 1 < count < FEW]
-    told = f", about this one {' and this one '.join(alone)} only" if alone else ""
-    hint = f", a hint rather than a result with so few {' and '.join(few)}"
-    return told + hint * bool(few and claimed)
-
-
-def format_p(p: float) -> str:
-    """Write a probability that was adjusted by Holm's method.
-
-    Examples
-    --------
-    >>> format_p(0.0123)
-    'p (Holm) = 0.012'
-    """
-    told = format_number(p, kind="p")
-    return f"p (Holm) {told if told.startswith('<') else f'= {told}'}"

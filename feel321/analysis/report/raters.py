@@ -1,291 +1,240 @@
-"""The raters: who was flagged by which screening rule, how far they agree, and the slopes without those flagged."""
+"""Section: who was flagged by which screening rule, how far raters agree, and the slopes without those flagged."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis import words
-from feel321.analysis.figures.raters import draw_raters
-from feel321.analysis.primary.model import adjust_holm
+from feel321.analysis.figures.kinds import draw_raters
+from feel321.analysis.primary.model import adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, list_changes
 from feel321.analysis.report import parts
-from feel321.analysis.report.section import (
-    METRIC,
-    NAME,
-    RATINGS,
-    TEXT,
-    Column,
-    P,
-    Picture,
-    Section,
-    TableForm,
-    estimate,
-    read_methods,
-    stack,
-    word_steps,
-)
+from feel321.analysis.report.section import Found, Picture, Row, Section, count_rows, make_row
 from feel321.analysis.screening.consistency import RaterModel, rater_model
 from feel321.analysis.screening.screen import Screening, screen_raters
 from feel321.analysis.table.items import recast_pairs
 from feel321.analysis.table.schema import APART, PAIR
+from feel321.analysis.words import SATTERTHWAITE, format_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.reading import Table
+    from feel321.analysis.table.items import Table
 
-KEY, TITLE = "raters", "Raters"
+KEY = "raters"
+ALONE = "One rater is left: an interval would not know how people differ."
 NORMAL = 1.959963984540054
 """Standard errors on either side of an estimate that make a 95 % interval."""
 
+EVERYONE, STANDARD, ANY = "everyone", "standard", "any"
 GROUPS = {
-    "everyone": "everyone",
-    "standard": "without those flagged by BS.1534-3",
-    "any": "without anyone flagged",
+    EVERYONE: "everyone",
+    STANDARD: "without those flagged by BS.1534-3",
+    ANY: "without anyone flagged",
 }
 """Groups of raters that the primary slopes are fitted to -> what they are called."""
 
-CAPTION = (
-    "Every rater under every screening rule: share of judgements (or the rule's correlation or standard deviation), "
-    "the rule's limit, and flagged raters as crosses. The values describe what was rated and have no intervals."
-)
-RULES_APPLIED = TableForm(
-    "Screening rules, their source, the protocols they apply to, and the raters they flagged; a dash: "
-    "nobody.",
-    (
-        Column("Rule", "rule", TEXT), Column("Source", "source", NAME), Column("Protocols", "protocols", NAME),
-        Column("Flagged", "flagged", NAME), Column("Raters screened", "n_judged", words.COUNT, "n_judged"),
-    ),
-    path="screening.{rule}",
-)  # fmt: skip
 AGREEMENT = {
     "icc_c_1": "ICC(C,1)", "icc_a_1": "ICC(A,1)", "icc_c_k": "ICC(C,k)", "icc_a_k": "ICC(A,k)",
     "alpha": "Krippendorff's α",
 }  # fmt: skip
-AGREEMENTS = TableForm(
-    "Agreement of all raters, and of those not flagged by any rule. The values describe these raters and "
-    "these stimuli and have no intervals: the usual ones treat stimuli of one recording as independent "
-    "and are too narrow. A dash: fewer than two raters or stimuli.",
-    (
-        Column("Scale", "scale", TEXT), Column("Raters", "whose", NAME),
-        *(Column(head, key, end=key, method=head, n="n_complete") for key, head in AGREEMENT.items()),
-        Column("Participants", "n_participants", words.COUNT, "n_participants"),
-        Column("Stimuli rated by all", "n_complete", words.COUNT, "n_complete"),
-    ),
-    path="reliability.{scale}.{who}", n="n_items",
-)  # fmt: skip
-SLOPES = TableForm(
-    "Slopes of the primary analysis (points per +0.1) with and without flagged raters; 95 % t intervals "
-    "with Satterthwaite's df, p not adjusted. A dash: too few raters are left to fit the model.",
-    (
-        RATINGS, METRIC, Column("Raters", "_whose", NAME),
-        estimate("Points per +0.1", "_step", "mixed model, points per {_per}", ends="_step_"), P,
-        Column("Participants", "n_people", words.COUNT, "n_participants"),
-    ),
-    path="panel.{scale}.{level}.{metric}.{panel}", n="n_people",
-)  # fmt: skip
-OF_MODEL = "rater model of ITU-T P.913"
-NORMAL_INTERVAL = "95 % normal interval"
-MODEL = TableForm(
-    "Rater model (ITU-T P.913), in points: bias, how far a rater's ratings lie above the panel's; inconsistency, the "
-    "standard deviation of the rater's ratings about the quality of the stimulus plus that bias; 95 % intervals. "
-    "Apart: whether the inconsistency is an outlier.",
-    (
-        RATINGS, Column("Rater", "participant", NAME),
-        Column(
-            "Bias", "bias", "rating", "bias", f"{OF_MODEL}, points above the panel", NORMAL_INTERVAL, ends="bias_"
-        ),
-        Column(
-            "Inconsistency", "inconsistency", "rating", "inconsistency", f"{OF_MODEL}, standard deviation",
-            NORMAL_INTERVAL, ends="inconsistency_",
-        ),
-        Column("Weight", "weight", end="weight", method=f"{OF_MODEL}, share in the qualities of stimuli"),
-        Column("Ratings", "n", words.COUNT, "n"), Column("Apart", "_apart", NAME),
-    ),
-    path="rater_model.{scale}.{level}.{participant}",
-)  # fmt: skip
-LIKELIHOOD = TableForm(
-    "Rater model: how likely the ratings are, per rating; of two models of the same ratings the one with the lower BIC "
-    "describes them better.",
-    (
-        RATINGS,
-        *(
-            Column(head, key, "slope", key, f"{OF_MODEL}, per rating")
-            for head, key in (("Log-likelihood", "loglikelihood"), ("AIC", "aic"), ("BIC", "bic"))
-        ),
-        Column("Parameters", "n_parameters", words.COUNT, "n_parameters"),
-    ),
-    path="rater_model_fit.{scale}.{level}", n="n_ratings",
-)  # fmt: skip
-REPEATS = "rating, pooled standard deviation of repeats of a stimulus by a rater"
-REPEATED = TableForm(
-    "Standard deviation, in points, of a rater's repeated ratings of the same stimulus.",
-    (
-        RATINGS, Column("SD of repeats", "sd", "rating", method=REPEATS),
-    ),
-    path="repeat_sd.{scale}.{level}",
-)  # fmt: skip
 
 
-def compute(table: Table, choices: Choices) -> Section:
+def compute(table: Table, choices: Choices) -> Found:
     """Screen raters, measure their agreement, and repeat the primary analysis without those flagged."""
     rows = recast_pairs(table.rows)
     single = rows[~rows["scale"].isin(APART) & (rows["role"] != PAIR)]
     if single.empty:
-        why = "Raters were not screened: no stimulus was rated by itself."
-        return Section(KEY, TITLE, notes=(why,))
+        return Found(notes=("Raters were not screened: no stimulus was rated by itself.",))
     screening = screen_raters(single, own=choices.rules, rng=choices.make_rng(KEY))
     models, more_notes = _fit_models(single)
-    slopes = _conclude_panels(list(_vary(table, screening, choices)))
+    slopes = conclude_panels(list(_vary(table, screening, choices)))
     steps = parts.find_table_steps(table)
-    return Section(
-        key=KEY,
-        title=TITLE,
-        answers=(_describe_flagged(screening), _describe_changes(slopes), *_describe_models(models)),
-        grids=(
-            RULES_APPLIED.build(_list_rules(screening)),
-            AGREEMENTS.build(_list_agreements(screening)),
-            word_steps(SLOPES, steps).build(parts.add_step(row, steps[row["metric"]]) for row in slopes),
-            REPEATED.build(_list_repeats(table)),
-            MODEL.build(_list_raters(models)),
-            LIKELIHOOD.build(
-                place | {key: getattr(model, key) for key in _FIT} for place, model in models
-            ),
-        ),
-        unseen=tuple(_count_flagged(screening)),
-        tables={
-            "screening": screening.table, "screening_items": screening.items,
-            "screening_excerpts": screening.excerpts, "expertise": screening.gauge, "reliability": screening.panel,
-            "slopes_without_hits": slopes, "rater_model": list(_list_raters(models)),
-            "rater_model_stimuli": stack(
-                ({"ratings": place["_ratings"]}, model.stimuli.reset_index()) for place, model in models
-            ),
+    listed = {
+        "screening_rules": list(_list_rules(screening)),
+        "reliability": list(_list_agreements(screening)),
+        "slopes_without_hits": [row for one in slopes for row in _list_slope(one, steps[one["metric"]].size)],
+        "repeats": list(_list_repeats(table)),
+        "rater_model": [row for place, model in models for row in _list_raters(place, model)],
+        "rater_model_fit": [
+            row for place, model in models
+            for row in count_rows({key: getattr(model, key) for key in _FIT}, n=model.n_ratings, **place)
+        ],
+        "screening": list(_list_screened(screening)),
+        "expertise": [row for one in screening.gauge.to_dict("records") for row in _list_expertise(one)],
+        "stimuli_of_raters": list(_list_stimuli(models, screening)),
+        "excerpts": list(_list_excerpts(screening)),
+    }  # fmt: skip
+    several = len({place["level"] for place, _ in models}) > 1
+    changes = dict.fromkeys(
+        (row["metric"], row["scale"], row["level"] * several) for row in list_changes(slopes)
+    )
+    facts = {
+        **describe_flagged(screening), "changes": [list(one) for one in changes],
+        "models": [_describe_model(place, model, several=several) for place, model in models],
+        "rules": {
+            rule: screening.known[rule].says.format(limit=limit) for rule, limit in screening.limits.items()
         },
-        pictures=(Picture("raters", CAPTION, partial(draw_raters, screening)),),
-        notes=(*screening.notes, *more_notes),
-        how=(*read_methods(KEY), _describe_rules(screening)),
-    )  # fmt: skip
+        "unflagged": [row for row in list_changes(slopes) if row["panel"] == ANY],
+    }  # fmt: skip
+    caption = (
+        "Inconsistency of every rater: the standard deviation, in points, about the quality of the stimulus plus the "
+        "rater's bias (rater model of ITU-T P.913), with 95 % normal intervals. Filled: flagged by a screening rule. "
+        "Flagged raters should be followed up, not automatically excluded."
+    )
+    flagged = {str(who) for rule in screening.hits.values() for who in rule}
+    drawn = [(_name(place, several=several), model) for place, model in models]
+    pictures = [Picture(KEY, caption, partial(draw_raters, drawn, flagged))] if drawn else []
+    return Found(listed, facts, pictures, (*screening.notes, *more_notes))
 
 
-_FIT = ("loglikelihood", "aic", "bic", "n_parameters", "n_ratings")
-Models = list[tuple[dict[str, str], RaterModel]]
+_FIT = ("loglikelihood", "aic", "bic", "n_parameters")
+Place = dict[str, str]
+Models = list[tuple[Place, RaterModel]]
+
+
+def _name(place: Place, *, several: bool) -> str:
+    return format_name(place["scale"]) + f", {format_name(place['level'])}" * several
 
 
 def _fit_models(single: DataFrame) -> tuple[Models, list[str]]:
     """Fit the rater model to each scale and level, hidden references and anchors included."""
     models: Models = []
-    notes = []
+    notes: list[str] = []
     for scale, level, rows in parts.split_arms(single):
-        lead = f"{scale}, {level}"
+        lead = f"{scale}, {level}, rater model"
         try:
             model = rater_model(rows)
         except ValueError as error:
-            notes.append(f"{lead}, rater model: none. {error}")
+            notes.append(f"{lead}: none. {error}")
             continue
-        models.append(({"scale": scale, "level": level, "_ratings": lead}, model))
-        notes += [f"{lead}, rater model: {note}" for note in model.notes]
+        models.append(({"scale": scale, "level": level}, model))
+        notes += [f"{lead}: {note}" for note in model.notes]
     return models, notes
 
 
-def _list_raters(models: Models) -> Iterator[dict[Any, Any]]:
-    for place, model in models:
-        for row in model.to_frame().to_dict("records"):
-            ends = {
-                f"{name}_{end}": row[name] + sign * NORMAL * row[f"{name}_se"]
-                for name in ("bias", "inconsistency")
-                for end, sign in (("low", -1), ("high", 1))
-            }
-            yield place | row | ends | {"_apart": "yes" if row["apart"] else "no"}
-
-
-def _describe_models(models: Models) -> Iterator[str]:
-    """Say in words who rates high or low, and whether somebody's ratings are unlike all others in consistency."""
-    several = len({place["level"] for place, _ in models}) > 1
-    for place, model in models:
-        subject = words.format_name(place["scale"])
-        subject += f" (level {words.format_name(place['level'])})" if several else ""
-        told = f"Rater model of {words.format_ratings(subject)}: {_describe_biases(model)}"
-        yield f"{told}; {_describe_consistency(model)}."
-
-
-def _describe_biases(model: RaterModel) -> str:
-    """Name the raters with the highest and the lowest bias, where these are more than chance among so many."""
-    from scipy.stats import norm
-
-    rows = model.to_frame().sort_values("bias").to_dict("records")
-    limit = float(norm.isf(parts.SIGNIFICANCE / 2 / len(rows)))
-    told = [
-        f"{row['participant']} rates {words.format_number(abs(row['bias']), kind='rating')} points {way}"
-        for row, way in ((rows[-1], "higher"), (rows[0], "lower"))
-        if abs(row["bias"]) > limit * row["bias_se"]
-    ]
-    if not told:
-        return "no rater rates clearly higher or lower than the panel"
-    return f"{' and '.join(told)} than the panel"
-
-
-def _describe_consistency(model: RaterModel) -> str:
-    """Name the raters whose inconsistency is unlike the others', and give the range of the rest."""
-    spread = model.raters["inconsistency"]
-    rest = spread[~model.raters["apart"]]
-    reach = words.format_interval(rest.min(), rest.max(), kind="rating")
-    if not model.apart:
-        return f"inconsistency ranges from {reach} points, without outliers"
-    names = words.join_words(model.apart)
-    own = words.format_interval(spread[list(model.apart)].min(), spread.max(), kind="rating")
-    one = len(model.apart) == 1
-    if one:
-        own = words.format_number(spread.max(), kind="rating")
-    who = f"{names} {'is' if one else 'are'} far less consistent than the others"
-    return f"{who} (a standard deviation of {own} points; the others {reach})"
-
-
-def _count_flagged(screening: Screening) -> Iterator[words.Number]:
-    everyone = screening.table["participant"].nunique()
-    for group in GROUPS:
-        size = len(_list_flagged(screening, group))
-        yield words.count_number(
-            words.name_path("screening_panel", group), size, n=everyone, keys="panel"
-        )
-
-
-def _list_flagged(screening: Screening, group: str) -> list[Hashable]:
+def list_flagged(screening: Screening, group: str) -> list[Hashable]:
     """List whom a group leaves out."""
     standard = [
         rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")
     ]
-    rules = {"everyone": [], "standard": standard}.get(group, list(screening.rules))
-    hits = screening.hits
-    return sorted({who for rule in rules for who in hits[rule]}, key=str)
+    rules: Iterable[str] = {EVERYONE: [], STANDARD: standard}.get(group, list(screening.rules))
+    return sorted({who for rule in rules for who in screening.hits[rule]}, key=str)
 
 
-def _list_rules(screening: Screening) -> Iterator[dict[str, Any]]:
+def describe_flagged(screening: Screening) -> Row:
+    """Count the flagged raters, and those flagged by rules of BS.1534-3; applied: whether these apply."""
+    own = [rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")]
+    shares = screening.table.loc[screening.table["rule"].isin(own), "share"]
+    standard, whole = (len(list_flagged(screening, group)) for group in (STANDARD, ANY))
+    n = screening.table["participant"].nunique()
+    return {
+        "flagged": whole,
+        "by_standard": standard,
+        "n_raters": n,
+        "applied": bool(shares.notna().any()),
+    }
+
+
+def _list_rules(screening: Screening) -> Iterator[Row]:
+    everyone = screening.table["participant"].nunique()
     for rule, hits in screening.hits.items():
+        known = screening.known[rule]
         share = screening.table.loc[screening.table["rule"] == rule, "share"]
-        yield {
-            "rule": rule, "source": screening.known[rule].source,
-            "protocols": ", ".join(map(words.format_name, screening.known[rule].protocols)) or "all",
-            "flagged": ", ".join(map(str, hits)) or "–", "n_judged": int(share.notna().sum()), "n": len(share),
+        texts = {
+            "source": known.source, "protocols": ", ".join(map(format_name, known.protocols)) or "all",
+            "flagged": ", ".join(map(str, hits)) or "–",
         }  # fmt: skip
+        yield from (
+            make_row(name, note=text, rule=rule, n=len(share)) for name, text in texts.items()
+        )
+        yield make_row("n_judged", int(share.notna().sum()), rule=rule, n=len(share))
+    for group in GROUPS:
+        yield make_row("n_flagged", len(list_flagged(screening, group)), n=everyone, panel=group)
 
 
-def _list_agreements(screening: Screening) -> Iterator[dict[Any, Any]]:
+def _list_agreements(screening: Screening) -> Iterator[Row]:
     for row in screening.panel.to_dict("records"):
-        whose = GROUPS["any" if row["panel"] == "without hits" else "everyone"]
-        yield row | {"whose": whose, "who": row["panel"].replace(" ", "_")}
+        panel = GROUPS[ANY if row["panel"] == "without hits" else EVERYONE]
+        keys: Row = {"scale": row["scale"], "panel": panel, "n": row["n_items"]}
+        yield from count_rows(
+            {key: row[key] for key in (*AGREEMENT, "n_participants", "n_complete")}, **keys
+        )
 
 
-def _list_repeats(table: Table) -> Iterator[dict[str, Any]]:
+def _list_slope(row: Mapping[str, Any], step: float) -> Iterator[Row]:
+    keys: Row = {key: row[key] for key in ("scale", "level", "metric")} | {
+        "panel": GROUPS[row["panel"]],
+        "n": row["n_people"],
+    }
+    ends = {
+        end or "value": row[f"tenth{end and '_'}{end}"] * step / 0.1 for end in ("", "low", "high")
+    }
+    yield make_row("slope", **ends, p=row["p"], interval=SATTERTHWAITE, note=row["reason"], **keys)
+    yield make_row("verdict", note=row["verdict"].replace("_", " "), **keys)
+    yield make_row("n_participants", row["n_people"], **keys)
+
+
+def _list_raters(place: Place, model: RaterModel) -> Iterator[Row]:
+    for row in model.to_frame().to_dict("records"):
+        keys: Row = {**place, "participant": row["participant"], "n": row["n"]}
+        for name in ("bias", "inconsistency"):
+            half = NORMAL * row[f"{name}_se"]
+            ends = {
+                "low": row[name] - half,
+                "high": row[name] + half,
+                "interval": "95 % normal interval",
+            }
+            yield make_row(name, row[name], **ends, **keys)
+        yield make_row("weight", row["weight"], **keys)
+        yield make_row("n_ratings", row["n"], **keys)
+        yield make_row("apart", note="yes" if row["apart"] else "no", **keys)
+
+
+def _list_screened(screening: Screening) -> Iterator[Row]:
+    for row in screening.table.to_dict("records"):
+        keys: Row = {"rule": row["rule"], "participant": row["participant"], "n": row["n"]}
+        yield from count_rows({name: row[name] for name in ("share", "limit", "count")}, **keys)
+        yield make_row("flagged", note="yes" if row["hit"] else "no", **keys)
+
+
+def _list_expertise(row: Mapping[Any, Any]) -> Iterator[Row]:
+    keys: Row = {"participant": row["participant"], "measure": row["measure"]}
+    yield make_row("expertise", row["value"], p=row["p"], **keys)
+    yield make_row("floor", row["floor"], **keys)
+
+
+def _list_stimuli(models: Models, screening: Screening) -> Iterator[Row]:
+    for place, model in models:
+        for row in model.stimuli.reset_index().to_dict("records"):
+            keys: Row = {**place, "stimulus": row["stimulus_id"], "n": row["n"]}
+            names = {"quality": "quality", "quality_se": "se", "quality_se_raters": "se_raters"}
+            yield from count_rows({name: row[key] for name, key in names.items()}, **keys)
+    for row in screening.items.to_dict("records"):
+        keys = {"scale": "", "level": "", "stimulus": str(row["item"]), "n": row["n"]}
+        yield from count_rows(
+            {name: row[name] for name in ("multimodality", "outliers", "low_fence", "high_fence")},
+            **keys,
+        )
+
+
+def _list_excerpts(screening: Screening) -> Iterator[Row]:
+    for row in screening.excerpts.reset_index(drop=True).to_dict("records"):
+        keys: Row = {name: str(row.get(name, "")) for name in ("scale", "level", "recording")}
+        yield make_row("mid_above_90", row["mid_above_90"], **keys)
+        yield make_row("counts", note="yes" if row["counts"] else "no", **keys)
+
+
+def _list_repeats(table: Table) -> Iterator[Row]:
     for part in parts.split_parts(table):
         sd, n = _find_repeat_sd(part.rows)
         if n:
-            yield part.keys | {"sd": sd, "n": n}
+            yield make_row("sd", sd, n=n, **part.keys)
 
 
 def _find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
@@ -298,44 +247,41 @@ def _find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
     return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), n
 
 
-def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[dict[str, Any]]:
+# The primary slopes without flagged raters.
+
+
+def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[Row]:
     """Fit each part without those whom each group leaves out; the same people are fitted once."""
     for part in parts.thin_parts(table, choices):
-        fitted: dict[tuple[Hashable, ...], list[dict[Any, Any]]] = {}
-        for group, whose in GROUPS.items():
-            out = tuple(_list_flagged(screening, group))
+        fitted: dict[tuple[Hashable, ...], list[Row]] = {}
+        for group in GROUPS:
+            out = tuple(list_flagged(screening, group))
             if out not in fitted:
                 fitted[out] = list(_fit(part, out, table.metrics))
-            place = {"panel": group, **part.keys, "_whose": whose}
-            yield from (row | place for row in fitted[out])
+            yield from ({**row, "panel": group, **part.keys} for row in fitted[out])
 
 
 def _fit(
     part: parts.RatingsPart, out: tuple[Hashable, ...], metrics: tuple[str, ...]
-) -> Iterator[dict[Any, Any]]:
-    left = part.rows[~part.rows["participant"].isin(out)]
-    n_people = len(left["participant"].unique())
+) -> Iterator[Row]:
+    n_people = part.rows.loc[~part.rows["participant"].isin(out), "participant"].nunique()
     try:
-        people = part.rows["participant"].nunique()
-        slopes = parts.fit_rest(make_cells(part.rows, metrics), out, people=people)
+        rest = make_cells(part.rows, metrics).leave_out(parts.WHO, *out)
+        if rest.count(parts.WHO) == 1 < part.rows[parts.WHO].nunique():
+            raise ValueError(ALONE)  # noqa: TRY301 - a reason like those of the model
+        slopes = fit_slopes(rest).table
     except ValueError as error:
         empty = dict.fromkeys(("tenth", "tenth_low", "tenth_high", "p"), float("nan"))
-        for name in metrics:
-            yield {**empty, "metric": name, "n_people": n_people, "reason": str(error)}
+        yield from (
+            {**empty, "metric": name, "n_people": n_people, "reason": str(error)}
+            for name in metrics
+        )
         return
     for row in slopes.reset_index().to_dict("records"):
-        yield row | {"n_people": n_people, "reason": ""}
+        yield {str(key): value for key, value in row.items()} | {"n_people": n_people, "reason": ""}
 
 
-def _describe_rules(screening: Screening) -> str:
-    says = [
-        f"{words.format_name(rule)}: {screening.known[rule].says.format(limit=limit)}"
-        for rule, limit in screening.limits.items()
-    ]
-    return f"Screening rules: {'; '.join(says)}."
-
-
-def _conclude_panels(slopes: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def conclude_panels(slopes: Sequence[Row]) -> list[Row]:
     """Give every slope its verdict, adjusted as in the primary analysis: over all slopes of the same raters."""
     rows = []
     for panel in GROUPS:
@@ -345,32 +291,26 @@ def _conclude_panels(slopes: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return rows
 
 
-def _describe_changes(slopes: Sequence[Mapping[str, Any]]) -> str:
-    """Say which verdicts are others without flagged raters."""
-    changed = dict.fromkeys(
-        f"{words.format_name(row['metric'])} ({words.format_name(row['scale'])}"
-        f"{words.format_level(row['level'])})"
-        for row in list_changes(slopes)
-    )
-    if changed:
-        return (
-            f"Leaving out flagged raters changes the verdict on {words.join_words(list(changed))}."
-        )
-    return "Leaving out flagged raters changes no verdict."
+# Facts for the words.
 
 
-def _describe_flagged(screening: Screening) -> str:
-    standard, whole = (len(_list_flagged(screening, group)) for group in ("standard", "any"))
-    everyone = screening.table["participant"].nunique()
-    own = [rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")]
-    shares = screening.table.loc[screening.table["rule"].isin(own), "share"]
-    of_standard = f"{standard} of them by ITU-R BS.1534-3 rules"
-    if not shares.notna().any():
-        of_standard = "the ITU-R BS.1534-3 rules do not apply to these ratings"
-    elif standard == whole:
-        included = "those of ITU-R BS.1534-3 included"
-        of_standard = "all by ITU-R BS.1534-3 rules" if whole else included
-    raters = f"{whole or 'None'} of {everyone} raters {'was' if whole == 1 else 'were'} flagged"
-    if everyone == 1:
-        raters = f"The only rater was {'' if whole else 'not '}flagged"
-    return f"{raters} by screening rules ({of_standard}). Nobody was removed."
+def _describe_model(place: Place, model: RaterModel, *, several: bool) -> Row:
+    """Find who rates high or low, and whether somebody's ratings are unlike all others in consistency."""
+    from scipy.stats import norm
+
+    rows = model.to_frame().sort_values("bias").to_dict("records")
+    limit = float(norm.isf(parts.SIGNIFICANCE / 2 / len(rows)))
+    biased = [
+        {"participant": row["participant"], "bias": row["bias"]}
+        for row in (rows[-1], rows[0])
+        if abs(row["bias"]) > limit * row["bias_se"]
+    ]
+    spread = model.raters["inconsistency"]
+    rest, apart = spread[~model.raters["apart"]], spread[model.raters["apart"]]
+    return {
+        "scale": place["scale"], "level": place["level"] * several, "biased": biased, "apart": list(model.apart),
+        "range": [rest.min(), rest.max()], "apart_range": [apart.min(), apart.max()] if len(apart) else [],
+    }  # fmt: skip
+
+
+SECTION = Section(KEY, "Raters", "trust", compute)

@@ -1,20 +1,17 @@
-"""Sections about reducers: profile of mean ratings, levels compared, differences and equivalence."""
+"""Sections about reducers: profile of mean ratings, differences and equivalence, levels compared."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from functools import partial
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis import words
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.contrasts.compare import (
-    Equivalence,
-    JointTest,
     compare_terms,
     equivalence,
     find_interval90,
@@ -23,185 +20,290 @@ from feel321.analysis.contrasts.compare import (
     participant_means,
     profile_reducers,
 )
-from feel321.analysis.figures.estimates import draw_equivalence, draw_profiles
+from feel321.analysis.figures.kinds import draw_equivalence, draw_profiles
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.primary.model import adjust_holm
+from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report.parts import (
     ITEM,
     SIGNIFICANCE,
     RatingsPart,
     count_units,
-    describe_reach,
     find_table_steps,
-    format_p,
-    join_steps,
     select_tests,
     split_arms,
     thin_parts,
     thin_rows,
 )
 from feel321.analysis.report.section import (
-    DF,
-    MEAN,
-    NAME,
-    P_HOLM,
-    RATINGS,
-    TEXT,
-    Column,
-    P,
+    Found,
     Picture,
+    Row,
     Section,
-    TableForm,
-    estimate,
+    count_rows,
+    make_row,
     make_slug,
-    read_methods,
+    name_subject,
 )
-from feel321.analysis.table.items import find_sources
+from feel321.analysis.table.items import find_sources, format_recordings
 from feel321.analysis.table.metrics import order_reducers
-from feel321.analysis.table.schema import ANSWERED, PAIR, ROLES
-from feel321.analysis.words import COUNT, Number
+from feel321.analysis.table.schema import ANSWERED, PAIR, PAIRED, ROLES
+from feel321.analysis.words import SATTERTHWAITE, STUDENT, format_count, join_words
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
+    from feel321.analysis.table.items import Table
     from feel321.analysis.table.metrics import Step
-    from feel321.analysis.table.reading import Table
 
-Row = dict[Any, Any]
 
 # Ratings per reducer: means, their intervals over participants, hidden reference and anchors beside them.
 
-PROFILE = TableForm(
-    "Mean rating per reducer in points, with its 95 % t interval over participants: other people, these recordings. "
-    "Roles: what was tested, hidden references and anchors.",
-    (
-        RATINGS, Column("Role", "role", NAME), Column("Reducer", "reducer", NAME), MEAN,
-        Column("Participants", "n_participants", COUNT, "n_participants"),
-        Column("Stimuli", "n_stimuli", COUNT, "n_stimuli"), Column("Judgements", "n_ratings", COUNT, "n_ratings"),
-    ),
-    path="profile.{scale}.{level}.{role}.{reducer}", n="n_ratings",
-)  # fmt: skip
+WAYS = {
+    PAIRED: ("least like the reference", "most like it"),
+    ANSWERED: ("told apart most", "least"),
+}
+NAMED = 2
+PERSONAL = ("scale", "level", "participant", "role", "reducer")
 
 
-def compute_profile(table: Table, choices: Choices) -> Section:  # noqa: ARG001 - every section has this form
+def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Average ratings per reducer."""
     single = table.rows[table.rows["role"] != PAIR]
     profile, people = profile_reducers(single), participant_means(single)
-    key, title = "reducers", "Ratings per reducer"
     if profile.empty:
-        why = "Only pairs of two test stimuli were rated: no ratings per reducer."
-        return Section(key, title, notes=(why,))
+        return Found(notes=("Only pairs of two test stimuli were rated: no ratings per reducer.",))
     order, scales = order_reducers(profile["reducer"]), list(single["scale"].unique())
-    rows = sorted(
-        ({**row, "_ratings": f"{row['scale']}, {row['level']}"} for row in profile.to_dict("records")),
-        key=lambda row: (
-            scales.index(row["scale"]), row["level"], ROLES.index(row["role"]), order.index(row["reducer"]),
-        ),
-    )  # fmt: skip
-    return Section(
-        key=key,
-        title=title,
-        grids=(PROFILE.build(rows),),
-        tables={"profiles": profile, "participants": people},
-        pictures=tuple(_picture_profiles(table.rows, profile, people)),
-        how=read_methods(key),
-    )
-
-
-def _picture_profiles(
-    ratings: DataFrame, profile: DataFrame, people: DataFrame
-) -> Iterator[Picture]:
-    """Show every scale and level in one figure."""
-    looks = assign_looks(order_reducers(ratings["reducer"]))
-    arms = [(scale, level) for scale, level, _ in split_arms(ratings[ratings["role"] == ROLES[0]])]
-    parts = [
-        (_choose(profile, scale, level), _choose(people, scale, level)) for scale, level in arms
+    listed = sorted(profile.to_dict("records"), key=lambda row: (
+        scales.index(row["scale"]), row["level"], ROLES.index(row["role"]), order.index(row["reducer"]),
+    ))  # fmt: skip
+    rows = {"profiles": [row for one in listed for row in _list_profile(one)]}
+    rows["participants"] = [
+        make_row("mean", one["rating"], n=1, **{key: one[key] for key in PERSONAL})
+        for one in people.to_dict("records")
     ]
-    if parts:
-        draw = partial(draw_profiles, parts, looks=looks)
-        yield Picture("profile", _caption_profiles(arms, [rows for rows, _ in parts]), draw)
+    parts = [
+        (scale, level) for scale, level, _ in split_arms(table.rows[table.rows["role"] == ROLES[0]])
+    ]
+    several = len({level for _, level in parts}) > 1
+    told, drawn = [], []
+    for scale, level in parts:
+        own, whose = (_choose(frame, scale, level) for frame in (profile, people))
+        subject = name_subject(scale, level * several)
+        drawn.append((subject, own, whose))
+        told.append({"subject": subject, **describe_extremes(own)})
+    looks = assign_looks(order_reducers(table.rows["reducer"]))
+    pictures = (
+        [Picture("profile", _caption_profiles(drawn), partial(draw_profiles, drawn, looks))]
+        if drawn
+        else []
+    )
+    return Found(rows, {"parts": told}, pictures)
+
+
+def _list_profile(one: Mapping[Any, Any]) -> Iterator[Row]:
+    keys: Row = {key: one[key] for key in ("scale", "level", "role", "reducer")} | {
+        "n": one["n_ratings"]
+    }
+    yield make_row("mean", one["mean"], low=one["low"], high=one["high"], interval=STUDENT, **keys)
+    yield from count_rows(
+        {name: one[name] for name in ("n_participants", "n_stimuli", "n_ratings")}, **keys
+    )
 
 
 def _choose(frame: DataFrame, scale: str, level: str) -> DataFrame:
     return frame[(frame["scale"] == scale) & (frame["level"] == level)]
 
 
-def _caption_profiles(arms: Sequence[tuple[str, str]], profiles: Sequence[DataFrame]) -> str:
-    several = len({level for _, level in arms}) > 1
-    names = [
-        words.format_name(scale) + f" ({words.format_name(level)})" * several
-        for scale, level in arms
-    ]
-    measures = dict.fromkeys(words.MEASURES.get(scale, "rating") for scale, _ in arms)
-    caption = f"Mean {' or '.join(measures)} per reducer: {words.join_words(names)}"
-    if max(rows["n_participants"].max() for rows in profiles) < SMALLEST:
+def describe_extremes(profile: DataFrame) -> Row:
+    """Find which reducers are at either end; clear: whether their intervals are apart."""
+    tests, means = (own := profile[profile["role"] == ROLES[0]]), own["mean"]
+    if means.nunique() < NAMED:
+        return {"high": [], "low": [], "clear": False}
+    high, low = (tests[means == end] for end in (means.max(), means.min()))
+    known = not tests[["low", "high"]].isna().any(axis=None)
+    ways = WAYS.get(profile["scale"].iloc[0], ("highest", "lowest"))
+    return {
+        "high": list(high["reducer"]), "low": list(low["reducer"]), "top": means.max(), "bottom": means.min(),
+        "ways": ways, "clear": bool(known and high["low"].min() > low["high"].max()),
+    }  # fmt: skip
+
+
+def _caption_profiles(drawn: list[tuple[str, DataFrame, DataFrame]]) -> str:
+    caption = f"Mean rating per reducer: {join_words([subject for subject, _, _ in drawn])}"
+    if max(rows["n_participants"].max() for _, rows, _ in drawn) < SMALLEST:
         caption += "; one participant each, so no intervals."
     else:
         caption += ", with 95 % t intervals over participants: other people, these recordings."
-    caption += " Grey: each participant's mean."
-    if ANSWERED in dict(arms):
-        caption += f" Guessing gives 50{' in ABX' * (len(dict(arms)) > 1)}."
-    # A manifest may have any of these roles, or none.
-    roles = {"reference": "the hidden reference", "anchor": "anchors"}
-    apart = [
+    caption += " Grey: each participant's mean; clouds: their distribution."
+    if any((rows["scale"] == ANSWERED).any() for _, rows, _ in drawn):
+        caption += " Guessing gives 50 in ABX."
+    apart = {"reference": "the hidden reference", "anchor": "anchors"}
+    roles = [
         name
-        for role, name in roles.items()
-        if any((rows["role"] == role).any() for rows in profiles)
+        for role, name in apart.items()
+        if any((rows["role"] == role).any() for _, rows, _ in drawn)
     ]
-    return caption + (f" Below the dotted line: {' and '.join(apart)}." if apart else "")
+    return caption + (f" Below the dotted line: {' and '.join(roles)}." if roles else "")
 
 
-# Level arms compared, for the question whether something felt good because it was strong.
+PROFILES = Section("reducers", "Ratings per reducer", "differ", compute_profile)
 
-KEY_LEVELS, TITLE_LEVELS = "levels", "Level arms compared"
-LEVELS = TableForm(
-    "First level minus second: in rating (points), and in the slope on each metric (points per +0.1). 95 % intervals; "
-    "p adjusted over this table.",
-    (
-        Column("Ratings", "scale", TEXT), Column("First", "first", TEXT), Column("Second", "second", TEXT),
-        Column("Of", "of", TEXT),
-        estimate("Difference", "estimate", "mixed model, {_unit}, first level minus second"), DF, P, P_HOLM,
-    ),
-    path="level.{scale}.{first}.{second}.{of}", detail=False,
-)  # fmt: skip
+# Reducers against each other: differences, equivalence, non-inferiority of the simpler one.
+
+REDUCER = "reducer"
 
 
-def compute_levels(table: Table, choices: Choices) -> Section:
-    """Compare the levels at which stimuli were rated."""
-    tests = select_tests(table)
+def compute_contrasts(table: Table, choices: Choices) -> Found:
+    """Compare every two reducers on every scale and level."""
+    told: list[Row] = []
     notes: list[str] = []
-    found, steps = [], find_table_steps(table)
-    if len(tests["level"].unique()) > 1:
-        found = list(_compare_scales(tests, steps, choices=choices, notes=notes))
-    adjusted = adjust_holm([row["p"] for row in found]) if found else []
-    rows = [{**row, "p_holm": holm} for row, holm in zip(found, adjusted, strict=True)]
-    return Section(
-        key=KEY_LEVELS,
-        title=TITLE_LEVELS,
-        answers=tuple(map(_describe_levels, rows)),
-        grids=(LEVELS.build(rows, caption=LEVELS.caption.replace("+0.1", join_steps(steps))),),
-        tables={"levels": rows},
-        notes=notes,
-        how=read_methods(KEY_LEVELS),
+    pictures: list[Picture] = []
+    rows: dict[str, list[Row]] = {"contrasts": [], "reducers_together": []}
+    # A person's reducers are so many effects.
+    for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
+        notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
+        try:
+            pairs, joint = compare_all(part.rows, choices.margin)
+        except ValueError as error:
+            notes.append(f"{part.lead}: reducers are not compared. {error}")
+            continue
+        rows["contrasts"] += [row for pair in pairs for row in _list_pair(part, pair)]
+        differ = sum(pair["p_holm"] < SIGNIFICANCE for pair in pairs)
+        people, n = part.rows["participant"].nunique(), len(pairs)
+        rows["reducers_together"] += [
+            make_row("f", joint["statistic"], p=joint["p"], n=people, **part.keys),
+            *count_rows(
+                {"df_1": joint["df_1"], "df_2": joint["df_2"], "n_differ": differ, "n_pairs": n},
+                n=people,
+                **part.keys,
+            ),
+        ]
+        same = [[pair["first"], pair["second"]] for pair in pairs if pair["equivalent"]]
+        told.append({
+            "subject": part.subject, "differ": differ, "n_pairs": n, "same": same,
+            "tested": choices.margin is not None, "margin": choices.margin,
+            "hint": describe_hint(part.rows) if differ or same else [],
+        })  # fmt: skip
+        pictures += _picture_equivalence(part, pairs, choices.margin)
+    return Found(rows, {"parts": told} if told else {}, pictures, notes)
+
+
+def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
+    """Compare every two reducers of one scale and level, and all at once."""
+    names = order_reducers(rows[REDUCER])
+    if len(names) == 1:
+        raise ValueError(f"Only one was rated, '{names[0]}'.")
+    fit, terms, n = fit_reducers(rows, names)
+    pairs: list[Row] = [
+        {"first": one, "second": two, "n": n}
+        | asdict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
+        for one, two in combinations(names, 2)
+    ]
+    for pair, holm in zip(pairs, adjust_holm([pair["p"] for pair in pairs]), strict=True):
+        numbers = pair["estimate"], pair["se"], pair["df"]
+        pair |= {
+            "p_holm": holm,
+            "p_equivalence": np.nan,
+            "p_not_worse": np.nan,
+            "equivalent": False,
+        }
+        pair["low90"], pair["high90"] = find_interval90(*numbers)
+        if margin is not None and 0 < pair["se"] < np.inf:
+            test = equivalence(*numbers, low=-margin, high=margin)
+            pair |= {"p_equivalence": test.p, "equivalent": test.equivalent, "test": test}
+            pair["p_not_worse"] = non_inferiority(*numbers, margin=-margin).p
+    return pairs, compare_terms(fit, list(terms.values()))._asdict()
+
+
+def _list_pair(part: RatingsPart, pair: Row) -> Iterator[Row]:
+    keys: Row = {
+        **part.keys,
+        "reducer": pair["first"],
+        "second_reducer": pair["second"],
+        "n": pair["n"],
+    }
+    ends = {"low": pair["low"], "high": pair["high"], "interval": SATTERTHWAITE}
+    yield make_row("difference", pair["estimate"], **ends, p=pair["p_holm"], **keys)
+    yield make_row("t", pair["t"], p=pair["p"], **keys)
+    yield make_row("df", pair["df"], **keys)
+    ends = {"low": pair["low90"], "high": pair["high90"], "interval": "90 % t interval"}
+    yield make_row("difference_90", pair["estimate"], **ends, p=pair["p_equivalence"], **keys)
+    if np.isfinite(pair["p_equivalence"]):
+        yield make_row("equivalent", note="yes" if pair["equivalent"] else "not shown", **keys)
+        yield make_row("non_inferiority", pair["low90"], p=pair["p_not_worse"], **keys)
+        yield make_row(
+            "not_worse", note="yes" if pair["p_not_worse"] < SIGNIFICANCE else "not shown", **keys
+        )
+
+
+def _picture_equivalence(
+    part: RatingsPart, pairs: list[Row], margin: float | None
+) -> Iterator[Picture]:
+    tests = {
+        f"{pair['first']} − {pair['second']}": pair["test"] for pair in pairs if "test" in pair
+    }
+    if not tests:
+        return
+    scenes = find_sources(part.rows)
+    size = format_count(part.rows["participant"].nunique(), "participant")
+    size += f", {format_recordings(len(scenes), scenes.nunique())}"
+    caption = (
+        f"Differences between reducers in {part.ratings} with 90 % intervals, of two one-sided tests at 5 %; shaded: "
+        f"the margin of equivalence, {margin:g} points. Filled: equivalence is shown. {size}."
+    )
+    yield Picture(
+        make_slug("equivalence", *part.place),
+        caption,
+        partial(draw_equivalence, tests),
+        detail=True,
     )
 
 
-def _compare_scales(
-    tests: DataFrame, steps: Mapping[str, Step], *, choices: Choices, notes: list[str]
-) -> Iterator[Row]:
+def describe_hint(rows: DataFrame) -> list[str]:
+    """List the units of which there are so few that a finding is a hint."""
+    return [format_count(count, name) for name, count in count_units(rows).items() if count < FEW]
+
+
+CONTRASTS = Section("contrasts", "Reducers against each other", "differ", compute_contrasts)
+
+# Level arms compared, for the question whether something felt good because it was strong.
+
+
+def compute_levels(table: Table, choices: Choices) -> Found:
+    """Compare the levels at which stimuli were rated."""
+    tests, steps = select_tests(table), find_table_steps(table)
+    if tests["level"].nunique() < NAMED:
+        return Found()
     tests = tests.assign(**{ITEM: tests["stimulus_id"]})
-    for name, rows in tests.groupby("scale", observed=True, sort=False):
-        rng = choices.make_rng(KEY_LEVELS, scale := str(name))
+    found: list[Row] = []
+    notes: list[str] = []
+    for scale, rows in tests.groupby("scale", observed=True, sort=False):
+        rng = choices.make_rng("levels", str(scale))
         part, thinned = thin_rows(rows, n_slopes=len(steps), rng=rng)
         notes += [f"{scale}, levels compared: {thinned}"] if thinned else []
-        more = {"scale": scale, "_reach": count_units(part)}
         try:
-            yield from [more | row for row in _compare_levels(part, steps)]
+            own = list(_compare_levels(part, steps))
         except ValueError as error:
             notes.append(f"{scale}: levels are not compared. {error}")
+            continue
+        found += [{"scale": scale, "hint": describe_hint(part)} | row for row in own]
+    for row, holm in zip(found, adjust_holm([row["p"] for row in found]), strict=True):
+        row |= {"p_holm": holm, "decided": holm < SIGNIFICANCE}
+    listed: list[Row] = []
+    for row in found:
+        keys: Row = {key: row[key] for key in ("scale", "first_level", "second_level", "of", "n")}
+        ends = {"low": row["low"], "high": row["high"], "interval": SATTERTHWAITE}
+        listed.append(
+            make_row(
+                "difference", row["estimate"], **ends, p=row["p_holm"], note=row["unit"], **keys
+            )
+        )
+        listed.append(make_row("t", row["t"], p=row["p"], **keys))
+        listed.append(make_row("df", row["df"], **keys))
+    return Found({"levels": listed}, {"found": found} if found else {}, notes=notes)
 
 
 def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> Iterator[Row]:
@@ -211,27 +313,32 @@ def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> Iterator[Row]
     codes = {level: f"c{number}" for number, level in enumerate(levels)}
     cells = _gather_arms(part, tuple(steps))
     used = [name for name in steps if cells[f"{name}_w"].std() > 0]
-    sizes = {name: len(cells[name].unique()) for name in ("participant", "recording", "source")}
+    sizes = {name: cells[name].nunique() for name in ("participant", "recording", "source")}
     groups = ["participant", "participant:arm"] * (sizes["participant"] > 1)
     groups += ["recording"] * (sizes["recording"] > 1) + ["base"]
-    groups += [ITEM] * (len(cells[ITEM].unique()) < len(cells))
+    groups += [ITEM] * (cells[ITEM].nunique() < len(cells))
     if sizes["source"] < sizes["recording"]:
         # What recordings of one source share: as a whole, of what was reduced alike, and of that at one level.
         groups += ["source"] * (sizes["source"] > 1) + ["source:reducer", "source:reducer:level"]
     terms = [*(f"arm:`{name}_w`" for name in used), *(f"(1 | {group})" for group in groups)]
-    formula = " + ".join(["rating ~ 0 + arm", *terms])
-    fit = fit_mixed(formula, cells.assign(arm=cells["level"].map(codes)))
+    fit = fit_mixed(
+        " + ".join(["rating ~ 0 + arm", *terms]), cells.assign(arm=cells["level"].map(codes))
+    )
     for first, second in combinations(levels, 2):
         one, two = f"arm{codes[first]}", f"arm{codes[second]}"
-        wanted = {"rating": {one: 1.0, two: -1.0}}
-        wanted |= {
-            name: {f"{one}:{name}_w": steps[name].size, f"{two}:{name}_w": -steps[name].size}
-            for name in used
-        }
-        for what, weights in wanted.items():
-            unit = "points of rating"
-            unit = unit if what == "rating" else f"points per {steps[what].per} of the metric"
-            pair = {"first": first, "second": second, "n": len(cells), "of": what, "_unit": unit}
+        wanted = {"rating": ({one: 1.0, two: -1.0}, "points of rating")}
+        for name in used:
+            size = steps[name].size
+            weights = {f"{one}:{name}_w": size, f"{two}:{name}_w": -size}
+            wanted[name] = weights, f"points per {steps[name].per} of the metric"
+        for what, (weights, unit) in wanted.items():
+            pair = {
+                "first_level": first,
+                "second_level": second,
+                "n": len(cells),
+                "of": what,
+                "unit": unit,
+            }
             yield pair | asdict(contrast(fit, weights))
 
 
@@ -251,200 +358,4 @@ def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _describe_levels(row: Row) -> str:
-    what, metric = f"{words.format_name(row['scale'])} ratings", words.format_name(row["of"])
-    first, second = words.format_name(row["first"]), words.format_name(row["second"])
-    value, interval = words.format_estimate(row["estimate"], row["low"], row["high"], kind="slope")
-    found = f"{value} points, 95 % CI {interval}; {format_p(row['p_holm'])}"
-    decided, more = row["p_holm"] < SIGNIFICANCE, row["estimate"] > 0
-    if not decided and row["of"] == "rating":
-        return f"It is unclear whether {what} differ between {first} and {second} ({found})."
-    if not decided:
-        differs = f"the effect of {metric} on {what} differs between {first} and {second}"
-        return f"It is unclear whether {differs} (difference of slopes {found})."
-    reach = describe_reach(row["_reach"])
-    if row["of"] == "rating":
-        way = "higher" if more else "lower"
-        return f"{words.capitalise(what)} are {way} at {first} than at {second} ({found}){reach}."
-    size = "larger" if more else "smaller"
-    slope = f"the slope on {metric} is {size} at {first} than at {second}"
-    return f"For {what} {slope} ({found}){reach}."
-
-
-# Reducers against each other: differences, equivalence, non-inferiority of the simpler one.
-
-REDUCER = "reducer"
-CONTRASTS = TableForm(
-    "{}: difference of the first reducer from the second in points, from the mixed model, with 95 % intervals for "
-    "{}; p adjusted over {} pairs.",
-    (
-        Column("First", "first", NAME), Column("Second", "second", NAME),
-        estimate("Difference", "estimate", "mixed model, points of rating, first minus second", kind="rating"),
-        DF, P, P_HOLM,
-    ),
-    path="contrast.{scale}.{level}.{first}.{second}",
-)  # fmt: skip
-TESTED = replace(
-    CONTRASTS,
-    columns=(
-        *CONTRASTS.columns,
-        Column("Equivalence p", "p_equivalence", "p", "p_equivalence", "equivalence"),
-        Column("Equivalent", "_equivalent", NAME),
-        Column("Non-inferiority p", "p_non_inferiority", "p", "p_non_inferiority", "non-inferiority"),
-        Column("First not worse", "_not_worse", NAME),
-    ),
-)  # fmt: skip
-"""The same where a margin was chosen: a difference within it does not matter."""
-
-
-class _Pair(NamedTuple):
-    """Two reducers, their difference, and the test of their equivalence."""
-
-    row: Row
-    test: Equivalence | None
-
-
-TOGETHER = TableForm(
-    "Do reducers differ at all? F test of all reducers at once in the mixed model, with Satterthwaite's degrees of "
-    "freedom.",
-    (
-        RATINGS, Column("F", "statistic", end="statistic", method="mixed model, F of all reducers"),
-        Column("df", "df_1", "df", "df_1", "degrees of freedom of the effect"),
-        Column("df of error", "df_2", "df", "df_2", "degrees of freedom of the error"),
-        Column("p", "p", "p", "p", "F test"), Column("Participants", "n_participants", COUNT, "n_participants"),
-    ),
-    path="contrasts.{scale}.{level}", n="n_participants",
-)  # fmt: skip
-
-
-def compute_contrasts(table: Table, choices: Choices) -> Section:
-    """Compare every two reducers on every scale and level."""
-    answers, notes, grids, rows = [], [], [], []
-    together: list[Row] = []
-    numbers: list[Number] = []
-    pictures: list[Picture] = []
-    # A person's reducers are so many effects.
-    for part in thin_parts(table, choices, n_slopes=table.rows[REDUCER].nunique(), matched=False):
-        notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
-        try:
-            pairs, joint = _compare_reducers(part.rows, choices.margin)
-        except ValueError as error:
-            notes.append(f"{part.lead}: reducers are not compared. {error}")
-            continue
-        own = [_word_tests(part.keys | pair.row) for pair in pairs]
-        form = CONTRASTS if choices.margin is None else TESTED
-        grids.append(form.build(own, caption=_caption_contrasts(part, choices.margin, len(pairs))))
-        numbers += _list_numbers(part, pairs)
-        answers.append(_describe_contrasts(pairs, part))
-        rows += own
-        pictures += _picture_equivalence(pairs, part)
-        people = part.rows["participant"].nunique()
-        together.append(part.keys | joint._asdict() | {"n_participants": people})
-    return Section(
-        "contrasts",
-        "Reducers against each other",
-        answers=answers,
-        grids=[*grids, TOGETHER.build(together)],
-        unseen=numbers,
-        tables={"contrasts": rows, "reducers_together": together},
-        pictures=pictures,
-        notes=notes,
-        how=read_methods("contrasts"),
-    )
-
-
-def _list_numbers(part: RatingsPart, pairs: list[_Pair]) -> Iterator[Number]:
-    for what, count in {"n_differ": _count_different(pairs), "n_pairs": len(pairs)}.items():
-        name = words.name_path("contrasts", *part.place, what)
-        yield words.count_number(name, count, n=len(pairs), keys="scale level")
-
-
-def _compare_reducers(rows: DataFrame, margin: float | None) -> tuple[list[_Pair], JointTest]:
-    names = order_reducers(rows[REDUCER])
-    if len(names) == 1:
-        raise ValueError(f"Only one was rated, '{names[0]}'.")
-    fit, terms, n = fit_reducers(rows, names)
-    found: list[Row] = [
-        {"first": one, "second": two} | asdict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
-        for one, two in combinations(names, 2)
-    ]
-    adjusted = adjust_holm([row["p"] for row in found])
-    pairs = [
-        _test(row | {"p_holm": holm, "n": n}, margin)
-        for row, holm in zip(found, adjusted, strict=True)
-    ]
-    return pairs, compare_terms(fit, list(terms.values()))
-
-
-def _test(row: Row, margin: float | None) -> _Pair:
-    numbers = row["estimate"], row["se"], row["df"]
-    row |= dict(zip(("low90", "high90"), find_interval90(*numbers), strict=True))
-    row |= {"p_equivalence": np.nan, "p_non_inferiority": np.nan, "margin": margin}
-    if margin is None or not 0 < row["se"] < np.inf:
-        return _Pair(row, None)
-    test = equivalence(*numbers, low=-margin, high=margin)
-    worse = non_inferiority(*numbers, margin=-margin)
-    return _Pair(row | {"p_equivalence": test.p, "p_non_inferiority": worse.p}, test)
-
-
-def _word_tests(row: Row) -> Row:
-    def say(p: float) -> str:
-        return "–" if np.isnan(p) else "yes" if p < SIGNIFICANCE else "not shown"
-
-    equivalent, not_worse = say(row["p_equivalence"]), say(row["p_non_inferiority"])
-    return row | {"_equivalent": equivalent, "_not_worse": not_worse}
-
-
-def _caption_contrasts(part: RatingsPart, margin: float | None, n_pairs: int) -> str:
-    several = [f"other {name}s" for name, count in count_units(part.rows).items() if count > 1]
-    others = " and ".join(several).replace("participants", "people")
-    differ = CONTRASTS.caption.format(words.capitalise(part.subject), others, n_pairs)
-    if margin is None:
-        return f"{differ} Equivalence is not tested: no margin was chosen."
-    return (
-        f"{differ} Margin of equivalence and non-inferiority, fixed beforehand: {margin:g} points."
-    )
-
-
-def _count_different(pairs: list[_Pair]) -> int:
-    return sum(pair.row["p_holm"] < SIGNIFICANCE for pair in pairs)
-
-
-def _describe_contrasts(pairs: list[_Pair], part: RatingsPart, most: int = 5) -> str:
-    alike = [
-        f"{pair.row['first']} and {pair.row['second']}"
-        for pair in pairs
-        if pair.test and pair.test.equivalent
-    ]
-    left = len(alike) - most
-    more = f" and {left} more pair{'s' * (left > 1)}" if left > 0 else ""
-    same = f"shown to be equivalent: {'; '.join(alike[:most])}{more}"
-    if not alike:
-        tested = any(pair.test for pair in pairs)
-        same = "none is shown to be equivalent" if tested else "equivalence is not tested"
-    differ = _count_different(pairs)
-    reach = describe_reach(count_units(part.rows), claimed=bool(alike) or differ > 0)
-    told = f"{differ} of {len(pairs)} pairs of reducers differ after Holm's adjustment"
-    return f"{words.capitalise(part.subject)}: {told}; {same}{reach}."
-
-
-def _picture_equivalence(pairs: list[_Pair], part: RatingsPart) -> Iterator[Picture]:
-    tests = {
-        f"{pair.row['first']} − {pair.row['second']}": pair.test for pair in pairs if pair.test
-    }
-    if not tests:
-        return
-    scenes = find_sources(part.rows)
-    caption = (
-        f"Differences between reducers in {part.ratings} with 90 % intervals; shaded: the margin of "
-        "equivalence. Filled: equivalence is shown."
-    )
-    slug = make_slug("equivalence", *part.place)
-    draw = partial(
-        draw_equivalence,
-        tests,
-        n_participants=part.rows["participant"].nunique(),
-        n_recordings=len(scenes),
-        n_sources=scenes.nunique(),
-    )
-    yield Picture(slug, caption, draw, detail=True)
+LEVELLED = Section("levels", "Level arms compared", "differ", compute_levels)

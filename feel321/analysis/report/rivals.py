@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis import words
 from feel321.analysis.association.rivals import (
     BASELINES,
     FEWEST_REDUCERS,
@@ -15,116 +14,66 @@ from feel321.analysis.association.rivals import (
     Ranking,
     rank_metrics,
 )
-from feel321.analysis.figures.estimates import draw_ranking
+from feel321.analysis.figures.kinds import draw_ranking
 from feel321.analysis.report.parts import RatingsPart, split_parts
 from feel321.analysis.report.section import (
-    METRIC,
-    NAME,
-    RATINGS,
-    Column,
+    Found,
     Picture,
+    Row,
     Section,
-    TableForm,
+    count_rows,
+    make_row,
     make_slug,
-    read_methods,
 )
 from feel321.analysis.table.items import format_recordings
-from feel321.analysis.words import COUNT, Line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from matplotlib.figure import Figure
-
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 
-KEY, TITLE = "rivals", "Which metric predicts best?"
+KEY = "rivals"
 AMPLITUDE, STRENGTH = "rms_m_s2", "level_as_played"
-NAMED = 3
-"""How many metrics a sentence names before it only counts."""
-
 JOINT = "simultaneous 95 % interval, for other participants, recordings and reducers"
 PICKING = "95 % bootstrap interval, over participants, recordings and reducers"
-OUT_OF_FOLD = "correlation within recordings of mean ratings with {metric}, out of fold"
-RANKED = TableForm(
-    "All metrics, the best first: correlation with differences between stimuli of the same recording, each recording "
-    "predicted from the others; 0: no prediction in the direction that it declares. Intervals and p hold for all "
-    "metrics together. May be best: in the 95 % confidence set of the best metric. Chosen: share of recordings for "
-    "which the others would have chosen it. In fold: correlation without holding anything out.",
-    (
-        RATINGS, METRIC, Column("r out of fold", "value", method=OUT_OF_FOLD, interval=JOINT),
-        Column("p", "p", "p", "p", "maximum of t statistics, adjusted for all metrics"),
-        Column("r / ceiling", "share", end="share", method="correlation / noise ceiling within recordings"),
-        Column(
-            "Over level alone", "over_baseline", end="over_baseline", interval=JOINT, ends="over_",
-            method="correlation out of fold minus that of the baseline",
-        ),
-        Column("p", "over_p", "p", "over_p", "maximum of t statistics, adjusted for all metrics"),
-        Column("May be best", "_best", NAME),
-        Column("Chosen", "chosen", end="chosen", method="share of recordings for which the others choose it"),
-        Column("In fold", "fitted", end="fitted", method="correlation within recordings of all stimuli"),
-    ),
-    path="rivals.{scale}.{level}.{metric}",
-)  # fmt: skip
-PICKED = TableForm(
-    "What to expect of the metric picked: the out-of-fold correlation when the metric is chosen on the others, with "
-    "its 95 % interval.",
-    (
-        RATINGS,
-        Column(
-            "r", "value", method="correlation of the metric that the other recordings choose, out of fold",
-            interval=PICKING,
-        ),
-        Column("Noise ceiling", "ceiling", end="ceiling", method="noise ceiling within recordings"),
-        Column("Metrics", "n_metrics", COUNT, "n_metrics"), Column("Stimuli", "n", COUNT, "n_items"),
-        Column("Participants", "n_participants", COUNT, "n_participants"),
-        Column("Sources of recordings", "n_sources", COUNT, "n_sources"),
-    ),
-    path="rivals_picked.{scale}.{level}",
-)  # fmt: skip
 
 
-def compute(table: Table, choices: Choices) -> Section:
+def compute(table: Table, choices: Choices) -> Found:
     """Rank all metrics on every scale and level, where a comparison was asked for."""
     if not table.rivals:
-        return Section(KEY, TITLE)
-    found: list[tuple[RatingsPart, Ranking]] = []
+        return Found()
+    ranked: list[tuple[RatingsPart, Ranking]] = []
+    told: list[Row] = []
     notes: list[str] = []
-    lines: list[Line] = []
     for part in split_parts(table):
         try:
-            found.append((part, _rank(part, table, choices)))
+            ranking = _rank(part, table, choices)
         except ValueError as error:  # it was asked for, so the answer says why there is none
-            lines.append(Line(f"not ranked: {error}.", words.capitalise(part.subject), LEAD))
+            told.append({"subject": part.subject, "why": str(error)})
             continue
-        lines += describe_ranking(*found[-1])
-        notes += [f"{part.lead}, metrics ranked: {note}" for note in found[-1][1].notes]
-    rows = [row for part, ranking in found for row in _list_rows(part, ranking)]
-    return Section(
-        key=KEY, title=TITLE, verdict=lines[:1] + [line for line in lines[1:] if line.lead == LEAD],
-        answers=tuple(map(str, lines)) if found else (),  # no heading over nothing
-        grids=(RANKED.build(rows), PICKED.build(_list_picked(found))),
-        tables={"rivals": rows}, notes=notes, how=read_methods(KEY, draws=choices.draws),
-        pictures=[
-            Picture(
-                make_slug("rivals", *part.place),
-                f"How well each metric predicts {part.ratings} within recordings, out of fold: correlation with "
-                "simultaneous 95 % intervals; hollow: not in the confidence set of the best metric. Dashed: "
-                "noise ceiling; dotted: level alone.",
-                _draw(ranking),
-            )
-            for part, ranking in found
-        ],
-    )  # fmt: skip
+        ranked.append((part, ranking))
+        told.append({"subject": part.subject, "why": "", **describe_ranking(part, ranking)})
+        notes += [f"{part.lead}, metrics ranked: {note}" for note in ranking.notes]
+    rows = {
+        "rivals": [row for part, one in ranked for row in _list_metrics(part, one)],
+        "rivals_picked": [row for part, one in ranked for row in _list_picked(part, one)],
+    }
+    pictures = [_draw(part, one, detail=place > 0) for place, (part, one) in enumerate(ranked)]
+    return Found(rows, {"parts": told}, pictures, notes)
 
 
-def _draw(ranking: Ranking) -> partial[Figure]:
-    """Prepare the figure."""
-    scenes = format_recordings(ranking.n_recordings, ranking.n_sources)
-    size = f"{ranking.n_participants} participants, {scenes}, {ranking.n_items} stimuli"
-    level = ranking.table["value"].to_dict().get(ranking.baseline, float("nan"))
-    return partial(draw_ranking, ranking.table, ceiling=ranking.ceiling, level=level, size=size)
+def _draw(part: RatingsPart, one: Ranking, *, detail: bool) -> Picture:
+    caption = (
+        f"How well each metric predicts {part.ratings} within recordings, out of fold: correlation with simultaneous "
+        "95 % intervals; hollow: not in the confidence set of the best metric. Dashed: noise ceiling; dotted: level "
+        "alone."
+    )
+    level = one.table["value"].to_dict().get(one.baseline, np.nan)
+    scenes = format_recordings(one.n_recordings, one.n_sources)
+    size = f"{one.n_participants} participants, {scenes}, {one.n_items} stimuli"
+    draw = partial(draw_ranking, one.table, ceiling=one.ceiling, level=level, size=size)
+    return Picture(make_slug(KEY, *part.place), caption, draw, detail)
 
 
 def _rank(part: RatingsPart, table: Table, choices: Choices) -> Ranking:
@@ -137,76 +86,47 @@ def _rank(part: RatingsPart, table: Table, choices: Choices) -> Ranking:
     return rank_metrics(rows, names, draws=choices.draws, rng=rng, info=table.info)
 
 
-def _list_rows(part: RatingsPart, ranking: Ranking) -> Iterator[dict[Any, Any]]:
+def _list_metrics(part: RatingsPart, ranking: Ranking) -> Iterator[Row]:
     for row in ranking.to_frame().to_dict("records"):
-        best = {"_best": "yes" if row["may_be_best"] else "no", "n": ranking.n_items}
-        yield part.keys | row | best
+        keys: Row = {**part.keys, "metric": row["metric"], "n": ranking.n_items}
+        ends = {"low": row["low"], "high": row["high"], "interval": JOINT}
+        yield make_row("r_out_of_fold", row["value"], **ends, p=row["p"], **keys)
+        yield make_row("r_over_ceiling", row["share"], **keys)
+        if ranking.baseline:
+            ends = {"low": row["over_low"], "high": row["over_high"], "interval": JOINT}
+            yield make_row("over_baseline", row["over_baseline"], **ends, p=row["over_p"], **keys)
+        yield make_row("may_be_best", note="yes" if row["may_be_best"] else "no", **keys)
+        yield make_row("chosen", row["chosen"], **keys)
+        yield make_row("r_in_fold", row["fitted"], **keys)
 
 
-def _list_picked(found: list[tuple[RatingsPart, Ranking]]) -> Iterator[dict[Any, Any]]:
-    for part, one in found:
-        ends = {"value": one.honest_value, "low": one.honest_low, "high": one.honest_high}
-        sizes = {"n_metrics": len(one.table), "n": one.n_items, "ceiling": one.ceiling}
-        sizes |= {"n_participants": one.n_participants, "n_sources": one.n_sources}
-        yield part.keys | ends | sizes
+def _list_picked(part: RatingsPart, one: Ranking) -> Iterator[Row]:
+    ends = {"low": one.honest_low, "high": one.honest_high, "interval": PICKING, "n": one.n_items}
+    yield make_row("r_picked", one.honest_value, **ends, **part.keys)
+    sizes = {"ceiling": one.ceiling, "n_metrics": len(one.table), "n_items": one.n_items}
+    sizes |= {"n_participants": one.n_participants, "n_sources": one.n_sources}
+    yield from count_rows(sizes, n=one.n_items, **part.keys)
 
 
-LEAD = "best metric"
-
-
-def describe_ranking(part: RatingsPart, ranking: Ranking) -> Iterator[Line]:
-    """Say which metric predicts best, as far as that is shown, and what picking it is worth."""
-    subject = words.capitalise(part.subject)
-    yield Line(_describe_best(part, ranking), subject, LEAD)
-    low, high = ranking.honest_low, ranking.honest_high
-    told, interval = words.format_estimate(ranking.honest_value, low, high)
-    text = (
-        f"the metric chosen on the other recordings predicts the one left out with r = {told} (95 % "
-        f"interval {interval}): what picking the best is worth."
-    )
-    yield Line(text, subject, "picking")
-
-
-def _describe_best(part: RatingsPart, ranking: Ranking) -> str:
-    table, ratings = ranking.table, part.ratings
-    shown = tuple(map(str, table.index[(table["p"] < LEVEL) & (table["value"] > 0)]))
-    level = f"level alone ({words.format_name(ranking.baseline)})" if ranking.baseline else ""
-    found, best = _describe(ranking), words.format_name(ranking.best)
-    highest = f"The highest correlation out of fold is that of {best}, {found}."
+def describe_ranking(part: RatingsPart, ranking: Ranking) -> Row:
+    """Decide which metric may be said to predict best: verdict, and the numbers that its sentence needs."""
+    table, row = ranking.table, ranking.to_frame().to_dict("records")[0]
+    shown = list(map(str, table.index[(table["p"] < LEVEL) & (table["value"] > 0)]))
     if 0 < ranking.n_reducers < FEWEST_REDUCERS:
-        few = f"with {ranking.n_reducers} reducers, where {FEWEST_REDUCERS} are needed"
-        return f"Which of {len(table)} metrics predicts {ratings} for other reducers cannot be told {few}. {highest}"
-    if level and not ranking.better:
-        others = f"None of the {len(table) - 1} other metrics is shown to predict {ratings} better"
-        return f"{others} than {level}, each by itself; what metrics add to level is in the slopes. {highest}"
-    if not level and not shown:
-        return f"None of the {len(table)} metrics is shown to predict {ratings}. {highest}"
-    lead = f"Of {len(table)} metrics, "
-    if ranking.alone:
-        than = f", {level} included" if level else ""
-        return (
-            f"{lead}{best} predicts {ratings} better than every other{than}: out of fold {found}."
-        )
-    named = ranking.better if level else shown
-    predict = f"{_name(named)} predict{'s' * (len(named) == 1)} {ratings}"
-    return (
-        f"{lead}{predict}{f' better than {level}' if level else ''}; which of them is best is unresolved "
-        f"({len(ranking.candidates)} may be). {highest}"
-    )
+        verdict = "few_reducers"
+    elif ranking.baseline and not ranking.better:
+        verdict = "not_above_level"
+    elif not ranking.baseline and not shown:
+        verdict = "none"
+    else:
+        verdict = "alone" if ranking.alone else "unresolved"
+    return {
+        "verdict": verdict, "ratings": part.ratings, "best": ranking.best, "baseline": ranking.baseline,
+        "better": list(ranking.better) if ranking.baseline else shown, "n_metrics": len(table),
+        "n_candidates": len(ranking.candidates), "n_reducers": ranking.n_reducers, "needed": FEWEST_REDUCERS,
+        "r": {"value": row["value"], "low": row["low"], "high": row["high"]}, "ceiling": ranking.ceiling,
+        "picked": {"value": ranking.honest_value, "low": ranking.honest_low, "high": ranking.honest_high},
+    }  # fmt: skip
 
 
-def _name(names: tuple[str, ...]) -> str:
-    """Name a few metrics, and count the rest."""
-    told = [words.format_name(name) for name in names[:NAMED]]
-    more = len(names) - NAMED
-    return f"{', '.join(told)} and {more} more" if more > 0 else words.join_words(told)
-
-
-def _describe(ranking: Ranking) -> str:
-    """Give the correlation of the best metric with its interval, and the noise ceiling."""
-    row = ranking.to_frame().to_dict("records")[0]
-    told, interval = words.format_estimate(row["value"], row["low"], row["high"])
-    ceiling = ""
-    if np.isfinite(ranking.ceiling):
-        ceiling = f"; noise ceiling {words.format_number(ranking.ceiling)}"
-    return f"r = {told} (95 % interval for all metrics together {interval}{ceiling})"
+SECTION = Section(KEY, "Which metric predicts best?", "predict", compute)

@@ -1,213 +1,109 @@
-"""What a report is made of: sections, each a record of declared tables, figures, sentences and claims; and its page.
+"""What a report is made of: rows of one tidy frame, and sections that declare how a page shows them.
 
-A table is declared once, as columns: `build_table` makes of them and of the rows what the page shows and the numbers
-of ``results.json``; the rows themselves are the CSV file. A section is one function `compute_NAME(table, choices)`
-that returns a `Section`; one that the ratings do not allow has nothing but notes, which say why. A page is one
-HTML file from a template, with its drawings inside.
+A row is one number: what it is (quantity), of what (scale, level, metric, ...), value, interval, p, n, and a note where
+it is a word. ``results.json``, ``tables/*.csv`` and both pages are those rows, filtered. A section is one function
+that computes rows and facts, and one template that holds its English: tables, sentences, methods.
 """
 
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 import tomllib
-from collections import Counter
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from feel321.analysis.words import (
-    COUNT,
-    SATTERTHWAITE,
-    STUDENT,
-    Claim,
-    Line,
-    Number,
-    count_number,
-    format_estimate,
-    format_name,
-    make_interval,
-    make_number,
-    name_path,
-)
+from feel321.analysis.words import capitalise, format_estimate, format_name, format_number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from matplotlib.figure import Figure
-    from pandas import DataFrame
 
-    from feel321.analysis.association.correlate import Panel
-    from feel321.analysis.table.metrics import Step
+    from feel321.analysis.resampling import Choices
+    from feel321.analysis.table.items import Table
 
-    Record = Mapping[Any, Any]
+Row = dict[Any, Any]
 
-
-TEXT, NAME = "text", "name"
-"""Kinds of columns that hold no number: words made of a name, and names as they are."""
-
-KEY = r"\{(\w+)\}"
-"""A key of a row in the path of its numbers."""
-
-BOTH, VALUE, INTERVAL = "both", "value", "interval"
-"""What of a number the page shows: with an interval, two columns, the second headed "Interval"."""
+NONE = math.nan
+FIXED = ("quantity", "value", "low", "high", "p", "n", "interval", "note")
+"""Columns of every row; all others say what the number is of."""
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A column of a table: where its value comes from, how the page shows it, what ``results.json`` calls it.
+def make_row(quantity: str, value: Any = NONE, **more: Any) -> Row:  # noqa: ANN401 - keys are names and numbers
+    """Make a row of the frame; more: low, high, p, n, interval, note, and its keys.
 
-    head: header on the page; a number without one is in ``results.json`` only. key: of the value in a row. kind:
-    `TEXT`, `NAME`, or how a number is rounded, a key of `words.PLACES`; a count without a method is a whole number.
-    end: what the number's dotted name has after the row's own. method: how it was computed; may hold the row's keys in
-    braces. interval: what its interval is; ends: what comes before "low" and "high" in the keys of its ends. show: of
-    a number with an interval, both in two columns (the second headed head_interval), or one of them. n: key of how
-    many stimuli, participants or judgements it is based on, if not the table's.
+    Examples
+    --------
+    >>> row = make_row("slope", 3.0, low=1.0, high=5.0, n=90, scale="realism")
+    >>> row["scale"], row["quantity"], row["p"]
+    ('realism', 'slope', nan)
+    """
+    row: Row = {"quantity": quantity, "value": float(value), "low": NONE, "high": NONE, "p": NONE}
+    row |= {"n": 0, "interval": "", "note": "", **more}
+    for name in ("value", "low", "high", "p"):
+        row[name] = float(row[name]) if math.isfinite(row[name]) else NONE
+    if math.isnan(row["low"] + row["high"]):
+        row |= {"low": NONE, "high": NONE, "interval": ""}
+    return row | {"n": int(row["n"])}
+
+
+def count_rows(sizes: Mapping[str, float], **keys: Any) -> list[Row]:  # noqa: ANN401 - as above
+    """Make a row for each count."""
+    return [make_row(name, size, **keys) for name, size in sizes.items()]
+
+
+NAMES = ("reducer", "second_reducer", "participant", "stimulus", "recording")
+"""Keys that are names, shown as they are."""
+
+
+class Column(NamedTuple):
+    """A column of a page's table: a quantity, its heading, how it is rounded, and how it was computed.
+
+    p: heading of a further column for its probability; kind "note": the row's words are shown.
     """
 
+    quantity: str
     head: str
-    key: str
     kind: str = "correlation"
-    end: str = ""
-    method: str = ""
-    interval: str = ""
-    ends: str = ""
-    show: str = BOTH
-    head_interval: str = "Interval"
-    n: str = ""
-
-    @property
-    def heads(self) -> tuple[str, ...]:
-        """Headers on the page."""
-        if not self.head or self.show == INTERVAL or not self.interval or self.show == VALUE:
-            return (self.head,) if self.head else ()
-        return self.head, self.head_interval
-
-    def make_number(self, row: Record, *, path: str, n: str) -> Number:
-        """Make the number that a row holds; path: of the table, the row's keys in braces."""
-        own, count = _fill(path, row), int(row[self.n or n])
-        name = f"{own}.{self.end}" if self.end else own
-        # A number has a method of its own: how it was computed.
-        named = {
-            key: "coefficient" if key == "method" else key.lstrip("_")
-            for key in re.findall(KEY, path)
-        }
-        keys = tuple((name, str(row[key])) for key, name in named.items())
-        if self.kind == COUNT and not self.method:
-            number = count_number(name, row[self.key], n=count)
-        else:
-            number = make_number(name, row[self.key], self.method.format_map(row), n=count)
-        number = replace(number, statistic=self.end or "value", keys=keys)
-        if not self.interval:
-            return number
-        low, high = row[f"{self.ends}low"], row[f"{self.ends}high"]
-        return make_interval(number, low, high, uncertainty=self.interval)
-
-    def show_number(self, number: Number) -> tuple[str, ...]:
-        """Write a number for the page."""
-        value, interval = format_estimate(number.value, number.low, number.high, kind=self.kind)
-        if not self.head:
-            return ()
-        if self.show == INTERVAL:
-            return (interval,)
-        return (value, interval) if len(self.heads) > 1 else (value,)
-
-
-def estimate(head: str, key: str, method: str, **more: str) -> Column:
-    """Declare an estimate of a mixed model with its t interval; its kind is "slope" if no other is given."""
-    return Column(head, key, method=method, interval=SATTERTHWAITE, **{"kind": "slope", **more})
-
-
-DF = Column("df", "df", "df", "df", "Satterthwaite's degrees of freedom")
-P = Column("p", "p", "p", "p", "two-sided t test")
-P_HOLM = Column(
-    "p (Holm)", "p_holm", "p", "p_holm", "two-sided t test, Holm's adjustment over its table"
-)
-RATINGS = Column("Ratings", "_ratings", TEXT)
-MEAN = Column(
-    "Mean", "mean", "rating", method="rating, mean over participants of each participant's mean", interval=STUDENT,
-    n="n_participants",
-)  # fmt: skip
-METRIC = Column("Metric", "metric", TEXT)
-
-
-@dataclass(frozen=True, slots=True)
-class PageTable:
-    """A table of the page, in words, and its numbers."""
-
-    caption: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    numbers: tuple[Number, ...] = ()
-    text_columns: frozenset[int] = frozenset()
-    detail: bool = True
+    meaning: str = ""
+    p: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class TableForm:
-    """A declared table: its caption, its columns, and the dotted name of a row's numbers, the row's keys in braces.
+    """A table: the name of its file, its caption, what identifies a row, and its columns.
 
-    n: key of how many stimuli, participants or judgements a row is based on. detail: folded away on the page.
-
-    Examples
-    --------
-    >>> columns = (Column("Scale", "scale", TEXT), Column("r", "r", method="Pearson's r"))
-    >>> table = TableForm("How well.", columns, path="r.{scale}").build([{"scale": "v1.0", "r": 0.5, "n": 9}])
-    >>> table.rows, table.numbers[0].name
-    ((('v1.0', '0.50'),), 'r.v1%2E0')
+    keys: key of the rows -> heading; one that is the same throughout is left out where it is optional ("?" before the
+    heading). Keys and columns in `raw` are names that are shown as they are.
     """
 
+    name: str
     caption: str
+    keys: Mapping[str, str]
     columns: Sequence[Column]
-    path: str
-    n: str = "n"
-    detail: bool = True
-
-    def build(self, rows: Iterable[Record], *, caption: str = "") -> PageTable:
-        """Build the table of rows, with a caption of its own if that is given."""
-        shown: list[tuple[str, ...]] = []
-        numbers: list[Number] = []
-        for row in rows:
-            cells: list[str] = []
-            for column in self.columns:
-                if column.kind in {TEXT, NAME}:
-                    value = str(row[column.key])
-                    cells.append(format_name(value) if column.kind == TEXT else value)
-                    continue
-                numbers.append(column.make_number(row, path=self.path, n=self.n))
-                cells += column.show_number(numbers[-1])
-            shown.append(tuple(cells))
-        kinds = [column.kind for column in self.columns for _ in column.heads]
-        head = tuple(name for column in self.columns for name in column.heads)
-        words = frozenset(i for i, kind in enumerate(kinds) if kind in {TEXT, NAME})
-        caption = caption or self.caption
-        return PageTable(caption, head, tuple(shown), tuple(numbers), words, self.detail)
+    raw: frozenset[str]
 
 
-def word_steps(form: TableForm, steps: Mapping[str, Step]) -> TableForm:
-    """Word a table of slopes for metrics whose steps differ from +0.1: the step then has a column."""
-    if {step.per for step in steps.values()} <= {"+0.1"}:
-        return form
-    columns: list[Column] = []
-    for column in form.columns:
-        if "+0.1" in column.head:
-            columns.append(Column("Step", "_per", NAME))
-        columns.append(replace(column, head=column.head.replace("+0.1", "step")))
-    return replace(form, columns=columns, caption=form.caption.replace("+0.1", "step"))
+@dataclass(frozen=True, slots=True)
+class PageTable:
+    """A table as a page shows it."""
 
-
-def _fill(path: str, row: Record) -> str:
-    """Fill a path's keys in; a point in a value is escaped, because points separate."""
-    return re.sub(KEY, lambda match: name_path(str(row[match[1]])), path)
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    text_columns: frozenset[int] = frozenset()
+    name: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
     """A figure of a report: its file's name, its caption, and the figure or what draws it.
 
-    drawing: a `Figure`, or a function without arguments (a `functools.partial` that can be pickled), which is called
-    only when the figure is needed and may then run beside other work.
+    detail: not on the first page.
     """
 
     name: str
@@ -221,6 +117,125 @@ class Picture:
         return self.drawing() if callable(self.drawing) else self.drawing
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What a section found: rows by table, facts for its words, figures, notes; verdicts and clauses for the front.
+
+    facts: decisions and rows that the section's template puts into words. verdicts: one record per slope, for programs.
+    clauses: what the headline says of it, where no verdict does. notes: what was left out or assumed.
+    """
+
+    rows: Mapping[str, Sequence[Row]] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    pictures: Sequence[Picture] = ()
+    notes: Sequence[str] = ()
+    verdicts: Sequence[Row] = ()
+    clauses: Sequence[str] = ()
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to be shown."""
+        return not (any(self.rows.values()) or self.facts or self.pictures)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """A section of the report, declared.
+
+    key: its name in paths, anchors and of its template in ``templates/words``. question: key of the question that it
+    answers. compute: takes all ratings and the choices. front: whether its first sentence stands on the first page.
+    """
+
+    key: str
+    title: str
+    question: str
+    compute: Callable[[Table, Choices], Found]
+    front: bool = True
+
+    @property
+    def tables(self) -> tuple[TableForm, ...]:
+        """The tables that its template declares."""
+        return read_tables(self.key)
+
+
+TEMPLATES = Path(__file__).parents[1] / "templates" / "words"
+
+
+@cache
+def read_tables(key: str) -> tuple[TableForm, ...]:
+    """Read the tables of a section from the TOML that opens its template."""
+    head = (TEMPLATES / f"{key}.j2").read_text(encoding="utf-8").partition("#}")[0]
+    declared = tomllib.loads(head.partition("\n")[2])
+    return tuple(
+        TableForm(
+            name, one["caption"], one["keys"], tuple(Column(*column) for column in one["columns"]),
+            frozenset(one.get("raw", NAMES)),
+        )
+        for name, one in declared.items()
+    )  # fmt: skip
+
+
+def show_tables(section: Section, found: Found) -> Iterator[PageTable]:
+    """Show a section's rows as the tables that it declares."""
+    for form in section.tables:
+        if rows := found.rows.get(form.name):
+            yield show_table(form, rows)
+
+
+def show_table(form: TableForm, rows: Sequence[Row]) -> PageTable:
+    """Pivot rows: one line for each combination of keys, one column for each quantity, with interval and p beside.
+
+    Examples
+    --------
+    >>> form = TableForm("r", "How well.", {"scale": "Ratings"}, [Column("r", "r", p="p")], frozenset())
+    >>> show_table(form, [make_row("r", 0.5, low=0.1, high=0.8, p=0.02, scale="mushra")]).rows
+    (('MUSHRA', '0.50', '0.10 to 0.80', '0.020'),)
+    """
+    keys = {key: head for key, head in form.keys.items() if _is_shown(key, head, rows)}
+    lines: dict[tuple[str, ...], dict[str, Row]] = {}
+    for row in rows:
+        place = tuple(str(row.get(key, "")) for key in keys)
+        lines.setdefault(place, {})[row["quantity"]] = row
+    columns = [one for one in form.columns if any(one.quantity in line for line in lines.values())]
+    heads, texts = [head.lstrip("?") for head in keys.values()], set(range(len(keys)))
+    shows: list[tuple[Column, str]] = []
+    for column in columns:
+        own = [line[column.quantity] for line in lines.values() if column.quantity in line]
+        if column.kind == "note":
+            texts.add(len(heads))
+        heads.append(column.head)
+        shows.append((column, "value"))
+        if any(math.isfinite(row["low"]) for row in own):
+            heads.append("95 % interval" if "90" not in own[0]["interval"][:3] else "90 % interval")
+            shows.append((column, "interval"))
+        if column.p:
+            heads.append(column.p)
+            shows.append((column, "p"))
+    body = [
+        (
+            *(name if key in form.raw else format_name(name) for key, name in zip(keys, place, strict=True)),
+            *(_show_cell(line.get(column.quantity), column.kind, part) for column, part in shows),
+        )
+        for place, line in lines.items()
+    ]  # fmt: skip
+    return PageTable(form.caption, tuple(heads), tuple(body), frozenset(texts), form.name)
+
+
+def _is_shown(key: str, head: str, rows: Sequence[Row]) -> bool:
+    return not head.startswith("?") or len({row.get(key, "") for row in rows}) > 1
+
+
+def _show_cell(row: Row | None, kind: str, part: str) -> str:
+    if row is None:
+        return ""
+    if kind == "note":
+        return str(row["note"])
+    if part == "p":
+        return format_number(row["p"], kind="p")
+    value, interval = format_estimate(row["value"], row["low"], row["high"], kind=kind)
+    return value if part == "value" else interval
+
+
 SLUG_PART = 40
 """Characters of a name that a file's name keeps."""
 
@@ -232,110 +247,30 @@ def make_slug(*parts: str) -> str:
 
 def _make_part(part: str) -> str:
     short = re.sub(r"[^A-Za-z0-9_-]+", "-", part)[:SLUG_PART]
-    return short if short == part else f"{short}-{_digest(part)}"
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:6]
+    return short if short == part else f"{short}-{hashlib.sha256(part.encode()).hexdigest()[:6]}"
 
 
 def name_pictures(pictures: Iterable[Picture]) -> Iterator[Picture]:
-    """Make figures' names unique on any file system: those that differ by case only end with a digest.
-
-    A figure keeps its name when others come or go.
-    """
+    """Make figures' names unique on any file system, where two differ by case only."""
     pictures = tuple(pictures)
-    times = Counter(picture.name.casefold() for picture in pictures)
+    folded = [picture.name.casefold() for picture in pictures]
     for picture in pictures:
-        alike = times[picture.name.casefold()] > 1
-        digest = _digest(picture.name + picture.caption)
+        digest = hashlib.sha256((picture.name + picture.caption).encode()).hexdigest()[:6]
+        alike = folded.count(picture.name.casefold()) > 1
         yield replace(picture, name=f"{picture.name}-{digest}") if alike else picture
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Section:
-    """A part of a report, as data; what is empty in it is left out.
+def name_ratings(scale: str, level: str) -> str:
+    """Name the ratings of a scale, and of a level where there are several (else it is "").
 
-    key: its name in paths and anchors. answers: what it shows, in words; numbers in them are among its numbers.
-    verdict: what it has to say where the report opens. grids: tables of the page. unseen: numbers that are in words or
-    figures only. tables: CSV files by name, each a frame or a list of rows (keys that begin with an underscore are for
-    the page only, and tuples are joined). notes: what was left out or assumed, and why. how: how it was computed.
-    claims: what it concludes, for a program. panels: correlations, to be compared with the claims of other sections.
-    points: of the scatters, as JSON for the page's script.
+    Examples
+    --------
+    >>> name_ratings("realism", "as_is"), name_ratings("mushra", "")
+    ('realism ratings (level as is)', 'MUSHRA ratings')
     """
-
-    key: str
-    title: str
-    answers: Sequence[str] = ()
-    verdict: Sequence[Line] = ()
-    grids: Sequence[Any] = ()
-    unseen: Sequence[Number] = ()
-    tables: Mapping[str, Any] = field(default_factory=dict)
-    pictures: Sequence[Picture] = ()
-    notes: Sequence[str] = ()
-    how: Sequence[str] = ()
-    claims: Sequence[Claim] = ()
-    panels: Sequence[Panel] = ()
-    points: str = ""
-
-    def __post_init__(self) -> None:
-        """Leave out what is empty, make frames of rows, and tuples of lists."""
-        frames = {name: rows for name, rows in self.tables.items() if len(rows)}
-        if any(isinstance(rows, list) for rows in frames.values()):
-            import pandas as pd
-
-            frames = {
-                name: pd.DataFrame(list(map(_clean, rows)) if isinstance(rows, list) else rows)
-                for name, rows in frames.items()
-            }
-        lists = {name: tuple(getattr(self, name)) for name in ("answers", "verdict", "pictures")}
-        lists |= {
-            "grids": tuple(grid for grid in self.grids if grid.rows), "unseen": tuple(self.unseen),
-            "notes": tuple(dict.fromkeys(self.notes)), "claims": tuple(self.claims),
-        }  # fmt: skip
-        for name, value in {**lists, "tables": frames}.items():
-            object.__setattr__(self, name, value)
-        object.__setattr__(self, "how", () if self.is_empty else tuple(self.how))
-
-    @property
-    def numbers(self) -> tuple[Number, ...]:
-        """Every number of the section, each once."""
-        shown = chain.from_iterable(grid.numbers for grid in self.grids)
-        return tuple(dict.fromkeys(chain(shown, self.unseen)))
-
-    @property
-    def summary(self) -> str:
-        """What the fold is called; empty without one. What opens the report is given there at length."""
-        kinds = {
-            "in words": bool(self.verdict) and self.answers != tuple(map(str, self.verdict)),
-            "tables": any(grid.detail for grid in self.grids),
-            "further figures": any(picture.detail for picture in self.pictures),
-        }
-        return ", ".join(name for name, folded in kinds.items() if folded).capitalize()
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether there is nothing to be shown."""
-        return not (self.grids or self.pictures or self.answers)
+    return f"{format_name(scale)} ratings" + (f" (level {format_name(level)})" if level else "")
 
 
-def read_methods(key: str, **numbers: float) -> tuple[str, ...]:
-    """Read how a section is computed, paragraph by paragraph, from ``methods.toml``."""
-    texts = tomllib.loads((Path(__file__).parent / "methods.toml").read_text(encoding="utf-8"))
-    return tuple(text.format(**numbers) for text in texts[key])
-
-
-def _clean(row: Record) -> dict[Any, Any]:
-    return {
-        key: " ".join(map(str, value)) if isinstance(value, tuple) else value
-        for key, value in row.items()
-        if not key.startswith("_")
-    }
-
-
-def stack(frames: Iterable[tuple[Mapping[str, Any], DataFrame]]) -> Any:  # noqa: ANN401 - a frame, or nothing
-    """Stack frames, each with further columns; empty ones are left out."""
-    import pandas as pd
-
-    own = [frame.assign(**more) for more, frame in frames if len(frame)]
-    return pd.concat(own, ignore_index=True) if own else []
+def name_subject(scale: str, level: str) -> str:
+    """Name a scale and level at the head of a line."""
+    return capitalise(format_name(scale)) + (f" (level {format_name(level)})" if level else "")

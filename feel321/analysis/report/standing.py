@@ -8,21 +8,13 @@ which is no flaw: it means that the data may have suggested the question.
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from feel321.analysis import words
-from feel321.analysis.words import CONFIRMATORY, EXPLORATORY
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
-    from feel321.analysis.report.section import Section
-
-STATUS, SLOPES, PAPER = "status", "slopes", "paper_claims"
-"""Column that marks a row of a table, the table of the declared tests, and one that has verdicts of its own."""
+from feel321.analysis.report.section import name_ratings
+from feel321.analysis.words import CONFIRMATORY, EXPLORATORY, format_name
 
 MODEL: Mapping[str, Any] = {
     "model": (
@@ -43,8 +35,12 @@ MODEL: Mapping[str, Any] = {
 }  # fmt: skip
 """What feel321 decides about the primary analysis, and no setting: it is frozen with the settings."""
 
-TESTED = frozenset({"value", "quartile_effect", "df", "p_holm"})
-"""Statistics of a slope that are the declared test; the others of its family are sensitivity analyses."""
+TESTED = frozenset({"slope", "slope_quartile", "df"})
+"""Quantities of a slope that are the declared test; the others are sensitivity analyses."""
+
+UNDECLARED = (
+    "No hypotheses were frozen before the data, so all results are exploratory (feel321 freeze)."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,20 +59,11 @@ class Hypothesis:
 
     def __str__(self) -> str:
         """Write it in plain words."""
-        ratings = words.format_ratings(
-            words.format_name(self.scale) + words.format_level(self.level)
-        )
         way = "higher" if self.higher == "better" else "lower"
-        metric = words.format_name(self.metric)
         return (
-            f"Among the stimuli of one recording, those with a higher {metric} get {way} {ratings}, at equal values of "
-            "the other metrics."
+            f"Among the stimuli of one recording, those with a higher {format_name(self.metric)} get {way} "
+            f"{name_ratings(self.scale, self.level)}, at equal values of the other metrics."
         )
-
-
-UNDECLARED = (
-    "No hypotheses were frozen before the data, so all results are exploratory (feel321 freeze)."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,23 +120,24 @@ class Standing:
             return EXPLORATORY, "not among the frozen hypotheses"
         return CONFIRMATORY, ""
 
-    def describe_section(self, claims: Iterable[words.Claim]) -> str:
-        """Say of a section how many of its verdicts are confirmatory.
+    def mark(self, table: str, row: Mapping[str, Any]) -> str:
+        """Mark a row of the frame.
 
         Parameters
         ----------
-        claims : iterable of Claim
-            Its verdicts on hypotheses; none where it tests no hypothesis.
+        table : str
+            The table that it is in.
+        row : Mapping
+            The row.
 
         Returns
         -------
         str
-            In a few words.
+            ``confirmatory`` or ``exploratory``.
         """
-        kinds = [one.status for one in claims]
-        if (count := kinds.count(CONFIRMATORY)) == len(kinds) and kinds:
-            return "Confirmatory: every slope here was declared before the data."
-        return f"{count} of {len(kinds)} slopes are confirmatory." if count else "Exploratory."
+        if table != "slopes" or row["quantity"] not in TESTED:
+            return EXPLORATORY
+        return self.judge(row["scale"], row["level"], row["metric"])[0]
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``results.json`` holds.
@@ -166,40 +154,32 @@ class Standing:
         }  # fmt: skip
 
 
-def mark_section(section: Section, standing: Standing) -> Section:
-    """Mark the verdicts and the tables of a section."""
-    claims = []
-    for one in section.claims:
-        status, reason = standing.judge(one.scale, one.level, one.metric)
-        claims.append(replace(one, status=status, reason=reason))
-    tables = {name: _mark_rows(name, rows, standing) for name, rows in section.tables.items()}
-    return replace(section, claims=claims, tables=tables)
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a report's first screen says of the study.
 
+    Parameters
+    ----------
+    name : str
+        Its name.
+    date : str
+        Day of the last rating, as 2026-03-01; empty if unknown.
+    protocols : tuple of str
+        Its protocols, in the order in which the report shows their scales.
+    standing : Standing
+        What was declared before the ratings.
 
-def _mark_rows(name: str, rows: DataFrame, standing: Standing) -> DataFrame:
-    """Add a column that says of each row whether it was declared; only slopes can have been."""
-    if rows.empty or STATUS in rows or name == PAPER:
-        return rows
-    declared = (
-        set()
-        if standing.reason
-        else {(f"{one.scale}, {one.level}", one.metric) for one in standing.hypotheses}
-    )
-    if name != SLOPES or not declared:
-        return rows.assign(**{STATUS: EXPLORATORY})
-    places = zip(rows["attribute"], rows["metric"], strict=True)
-    return rows.assign(**{
-        STATUS: [CONFIRMATORY if one in declared else EXPLORATORY for one in places]
-    })
+    Examples
+    --------
+    >>> from feel321.results import About
+    >>> About("pilot", "2026-03-01").date
+    '2026-03-01'
+    """
 
-
-def mark_number(number: words.Number, standing: Standing) -> words.Number:
-    """Mark a number as confirmatory if it is one of a declared test."""
-    keys = dict(number.keys)
-    place = tuple(keys.get(name) for name in words.TIDY)
-    is_test = number.name.startswith("slope.") and number.statistic in TESTED
-    status = standing.judge(*place)[0] if is_test and None not in place else EXPLORATORY
-    return replace(number, status=status) if status == CONFIRMATORY else number
+    name: str = ""
+    date: str = ""
+    protocols: tuple[str, ...] = ()
+    standing: Standing = Standing()
 
 
 COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")

@@ -1,43 +1,45 @@
-"""Write a report: page, ``results.json``, tables and figures, all derived from two CSV files."""
+"""Write a report: two pages, ``results.json``, tables and figures, all of them rows of one frame."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import math
 import os
-from collections import Counter
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from functools import partial
-from itertools import chain, groupby
-from operator import attrgetter
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
 from feel321.analysis.association.correlate import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
-from feel321.analysis.page import render_template
+from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import (
-    association,
+    answer,
+    choices,
+    correlations,
     delivered,
-    front,
-    maps,
     pairs,
     primary,
     raters,
     reducers,
     rivals,
     robustness,
-    standard,
 )
-from feel321.analysis.report import choices as chosen
-from feel321.analysis.report import paper as paper_section
-from feel321.analysis.report.folder import ResultsFolder, list_files
-from feel321.analysis.report.front import About
-from feel321.analysis.report.section import Picture, Section, name_pictures
-from feel321.analysis.report.standing import Standing, list_versions, mark_number, mark_section
+from feel321.analysis.report import paper as papers
+from feel321.analysis.report.folder import DETAILS, PAGE, ResultsFolder, list_files
+from feel321.analysis.report.section import (
+    FIXED,
+    Found,
+    Picture,
+    Row,
+    Section,
+    count_rows,
+    name_pictures,
+    show_tables,
+)
+from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES, find_rules
 from feel321.analysis.table.items import find_sources, format_recordings
@@ -45,17 +47,35 @@ from feel321.analysis.table.reading import Further, Table, find_tables, read_tab
 from feel321.analysis.table.roster import ROSTER_FILE
 from feel321.analysis.table.schema import RECAST
 from feel321.doors import announce, as_seed, follow
-from feel321.records import Result
+from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
 
 if TYPE_CHECKING:
-    from markupsafe import Markup
     from pandas import DataFrame
 
     from feel321.analysis.replication.claims import Paper
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
+
+TITLE = "Do the metrics predict the ratings?"
+QUESTIONS: Mapping[str, str] = {
+    "paper": papers.TITLE,
+    "predict": TITLE,
+    "differ": "How do the reducers differ?",
+    "apart": "Can people tell them apart?",
+    "trust": "Can the raters be trusted?",
+    "hinge": "How much does it hinge on choices?",
+    "computed": "How was it computed?",
+}
+"""Anchor of each question -> how it is put; sections name the one that they answer."""
+
+SECTIONS: tuple[Section, ...] = (
+    primary.SECTION, rivals.SECTION, correlations.SECTION, reducers.LEVELLED, reducers.PROFILES, reducers.CONTRASTS,
+    choices.SECTION, pairs.DISCRIMINATION, pairs.TOLD_APART, pairs.SPACE, pairs.MAPS, correlations.FURTHER,
+    delivered.SECTION, raters.SECTION, robustness.SECTION, correlations.STANDARD,
+)  # fmt: skip
+"""The one list of a report's sections."""
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -64,18 +84,22 @@ class Results(Result):
 
     Parameters
     ----------
-    verdict : tuple of str
-        The answer in words.
-    verdicts : tuple of Claim
-        The answer for programs: one per scale, level and metric.
-    numbers : tuple of Number
-        Every number shown.
+    headline : str
+        The finding in one sentence.
+    verdicts : tuple of Mapping
+        The answer for programs: one per scale, level and metric, with verdict (``predicts``, ``open`` or
+        ``not_estimable``), direction, the units that it hinges on, and status.
+    cards : tuple of Mapping
+        What the page opens with: of every verdict the effect, the correlation and the noise ceiling.
+    numbers : DataFrame
+        Every number: table, quantity, its keys (scale, level, metric, ...), value, low, high, p, n, interval, note and
+        status.
     answers : Mapping of str to tuple of str
         What each section shows, in words, by its key.
     figures : Mapping of str to str
         Caption of each figure, by file name without suffix.
-    captions : tuple of str
-        What each table of the page shows.
+    captions : Mapping of str to str
+        What each table shows, by file name without suffix.
     notes : tuple of str
         What was left out or assumed.
     how : tuple of str
@@ -88,38 +112,30 @@ class Results(Result):
         File names and digests, seed and draws.
     versions : Mapping of str to str
         Software that computed it.
-    path : Path
-        The report's folder.
-    paper_claims : tuple of Mapping
-        Where a paper is replicated, each of its claims with the verdict: a row of ``tables/paper_claims.csv``.
     about : Mapping of str to str
         Name of the study, and the day of the last rating, if known.
-    headline : str
-        The finding in one sentence.
-    cards : tuple of MetricCard
-        What the page opens with: effect, correlation and verdict of every metric on every scale.
     standing : Standing
         What was declared before the ratings, and whether that makes results confirmatory.
+    path : Path
+        The report's folder.
     """
 
-    verdict: tuple[str, ...]
-    verdicts: tuple[words.Claim, ...]
-    numbers: tuple[words.Number, ...]
+    headline: str
+    verdicts: tuple[Mapping[str, Any], ...]
+    cards: tuple[Mapping[str, Any], ...]
+    numbers: DataFrame
     answers: Mapping[str, tuple[str, ...]]
     figures: Mapping[str, str]
-    captions: tuple[str, ...]
+    captions: Mapping[str, str]
     notes: tuple[str, ...]
     how: tuple[str, ...]
     files: tuple[str, ...]
     simulated: bool
     inputs: Mapping[str, str]
     versions: Mapping[str, str]
-    path: Path = Path()
-    paper_claims: tuple[Mapping[str, Any], ...] = ()
     about: Mapping[str, str] = field(default_factory=dict)
-    headline: str = ""
-    cards: tuple[front.MetricCard, ...] = ()
     standing: Standing = field(default_factory=Standing)
+    path: Path = Path()
 
     def to_frame(self) -> DataFrame:
         """Return every number of the report.
@@ -127,17 +143,9 @@ class Results(Result):
         Returns
         -------
         DataFrame
-            One row per number: its name and family, what it is of (scale, level, metric, and a column for each further
-            key, such as reducer), statistic, value, interval, kind of interval, method and n.
+            A copy of the numbers, one row each.
         """
-        import pandas as pd
-
-        rows = [number.to_dict() for number in self.numbers]
-        frame = pd.DataFrame([{**row["keys"], **row} for row in rows]).drop(columns="keys")
-        first = list(rows[0]) if rows else []
-        own = [name for name in first if name != "keys"]
-        frame = frame[[*own, *(name for name in frame if name not in own)]]
-        return frame.astype(dict.fromkeys(("value", "low", "high"), float))
+        return self.numbers.copy()
 
     def summary(self) -> str:
         """Write the answer, a line per finding.
@@ -145,9 +153,9 @@ class Results(Result):
         Returns
         -------
         str
-            What opens the report.
+            The headline, and the first sentence of every section.
         """
-        return "\n".join(self.verdict)
+        return "\n".join([self.headline, *(lines[0] for lines in self.answers.values() if lines)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``results.json`` holds.
@@ -155,59 +163,33 @@ class Results(Result):
         Returns
         -------
         dict
-            A number that is not defined is None.
+            A number that is not defined is None; a row has only the keys that its table has.
         """
-        fields = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "path"}
-        claims = [_without_nan(dict(one)) for one in self.paper_claims]
-        return {
-            "schema_version": SCHEMA_VERSION, "about": dict(self.about), "standing": self.standing.to_dict(),
-            "headline": self.headline,
-            "cards": [_without_nan(asdict(card)) for card in self.cards], "verdict": self.verdict,
-            "verdicts": [asdict(claim) for claim in self.verdicts], "simulated": self.simulated,
-            "numbers": [number.to_dict() for number in self.numbers],
-            "answers": dict(self.answers), "figures": dict(self.figures),
-            **{name: fields[name] for name in ("captions", "notes", "how", "files")},
-            "inputs": dict(self.inputs), "versions": dict(self.versions),
-        } | ({"paper_claims": claims} if claims else {})  # fmt: skip
-
-    def to_json(self) -> str:
-        """Write as JSON text, the same text for the same results.
-
-        Returns
-        -------
-        str
-            UTF-8 JSON; a number that is not defined is null.
-        """
-        return json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _without_nan(fields: dict[str, object]) -> dict[str, object]:
-    return {
-        key: None if isinstance(value, float) and math.isnan(value) else value
-        for key, value in fields.items()
-    }
-
-
-def collect_numbers(table: Table, numbers: Iterable[words.Number]) -> tuple[words.Number, ...]:
-    """Put the sizes of a table before the numbers of its sections."""
-    gathered = {repr(number): number for number in chain(_count_table(table), numbers)}.values()
-    times = Counter(number.name for number in gathered)
-    if doubled := [name for name, count in times.items() if count > 1]:
-        raise ValueError(
-            f"results: got {len(doubled)} names twice, first {doubled[0]}; every number needs its own"
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        for name in ("path", "numbers", "standing"):
+            del fields[name]
+        tables = (
+            part.dropna(axis=1, how="all") for _, part in self.numbers.groupby("table", sort=False)
         )
-    return tuple(gathered)
+        frames = (part.reindex(columns=["table", *_order_columns(part)]) for part in tables)
+        rows = [row for frame in frames for row in frame.to_dict("records")]
+        known = {
+            "schema_version": SCHEMA_VERSION,
+            "standing": self.standing.to_dict(),
+            **fields,
+            "numbers": rows,
+        }
+        content: dict[str, Any] = to_json_value(known)
+        return content
 
 
-def _count_table(table: Table) -> Iterator[words.Number]:
-    rows = table.rows
-    columns = ("participant", "recording", "stimulus_id", "reducer", "scale")
-    sizes = {name: rows[name].nunique() for name in columns}
-    sizes |= {"source": find_sources(rows).nunique(), "judgements": len(rows)}
-    sizes["simulated_judgements"] = int(rows["simulated"].sum())
-    for name, size in sizes.items():
-        yield words.count_number(f"size.{name}", size, n=len(rows))
+def _order_columns(frame: DataFrame) -> list[str]:
+    """Put quantity first, then the keys, then the number."""
+    keys = [str(name) for name in frame if name not in {"table", "status", *FIXED}]
+    return ["quantity", *keys, *FIXED[1:], "status"]
 
+
+# What decides a report.
 
 IN_MEMORY = "a table in memory"
 
@@ -247,28 +229,6 @@ def _digest_rows(rows: DataFrame, *, index: bool = False) -> str:
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
-
-
-SECTIONS: tuple[Callable[[Table, Choices], Section], ...] = (
-    primary.compute,
-    rivals.compute,
-    association.compute_association,
-    reducers.compute_levels,
-    reducers.compute_profile,
-    reducers.compute_contrasts,
-    chosen.compute_choices,
-    pairs.compute_discrimination,
-    pairs.compute_told_apart,
-    pairs.compute_space,
-    maps.compute_maps,
-    association.compute_further,
-    delivered.compute,
-    raters.compute,
-    robustness.compute_robustness,
-    standard.compute,
-)
-"""The one list of a report's sections, in its order; each takes all ratings and gives a section, or the reason why
-there is none."""
 
 
 def write_report(  # noqa: PLR0913 - every choice that changes a report has a name of its own
@@ -341,62 +301,38 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     --------
     >>> from feel321 import analysis
     >>> results = analysis.write_report("ratings.csv", "manifest.csv", "report")  # doctest: +SKIP
-    >>> print(results.summary())  # doctest: +SKIP
+    >>> print(results.headline)  # doctest: +SKIP
     """
-    choices = Choices(draws=draws, margin=margin, seed=as_seed(rng), rules=find_rules(rules))
-    with (
-        ResultsFolder(folder, background=True) as target,
-        follow(progress or False, "report") as move,
-    ):
+    chosen = Choices(draws=draws, margin=margin, seed=as_seed(rng), rules=find_rules(rules))
+    with ResultsFolder(folder) as target, follow(progress or False, "report") as move:
         choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
         table, given = _open(ratings_path, manifest_path, **choice)
         about = about or About()
-        table = front.order_scales(table, about.protocols)
-        inputs = describe_inputs(given, table=table, further=further, choices=choices)
-        if paper is not None:
-            inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
+        table = order_scales(table, about.protocols)
+        inputs = describe_inputs(given, table=table, further=further, choices=chosen)
         with words.declaring(table.info):
-            results = _write(table, choices, target, move=move, given=(inputs, paper, about))
+            found = _compute(table, chosen, move)
+            sections = list(SECTIONS)
+            if paper is not None:
+                inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
+                sections.insert(0, section := papers.make_section(paper, found))
+                found = {section.key: section.compute(table, chosen), **found}
+            announce("figures and pages")
+            results = gather_results(
+                table, sections, found, inputs=inputs, about=about, choices=chosen
+            )
+            _write(table, results, sections=sections, found=found, target=target)
     return replace(results, path=target.path)
-
-
-def _write(
-    table: Table,
-    choices: Choices,
-    target: ResultsFolder,
-    *,
-    move: Callable[[int, int], None],
-    given: tuple[Mapping[str, str], Paper | None, About],
-) -> Results:
-    """Compute all sections, and draw the figures of each meanwhile; given: inputs, paper and what the study is."""
-    inputs, paper, about = given
-    sections = []
-    for section in _compute(table, choices, move):
-        sections.append(section)
-        target.draw(section.pictures)
-    announce("figures and page")
-    sections = _reconcile(sections)
-    if paper is not None:
-        sections = [paper_section.compute(table, choices, paper, sections=sections), *sections]
-    sections = [mark_section(section, about.standing) for section in sections]
-    results = gather_results(table, sections, inputs=inputs, about=about)
-    target.write(
-        results.to_dict(),
-        page=lambda drawings: render_page(results, sections, drawings=drawings),
-        tables={name: rows for section in sections for name, rows in section.tables.items()},
-        info=table.info,
-    )
-    return results
 
 
 def _open(
     ratings: PathLike | DataFrame | Table,
     manifest: PathLike | DataFrame | None,
-    **choices: Any,  # noqa: ANN401 - those of read_table
+    **choice: Any,  # noqa: ANN401 - those of read_table
 ) -> tuple[Table, dict[str, Path | DataFrame]]:
     """Read the ratings; return them with what they were read from."""
     if isinstance(ratings, Table):
-        if manifest is not None or any(choice is not None for choice in choices.values()):
+        if manifest is not None or any(one is not None for one in choice.values()):
             raise ValueError(
                 "manifest, metrics, sources, further and info must be left out with a Table, which has them; give them "
                 "to read_table"
@@ -408,126 +344,266 @@ def _open(
     paths = {role: Path(one) for role, one in given.items() if isinstance(one, str | os.PathLike)}
     if "ratings" in paths:
         paths["participants"] = paths["ratings"].with_name(ROSTER_FILE)
-    return read_table(ratings, manifest, **choices), given | paths
+    return read_table(ratings, manifest, **choice), given | paths
 
 
-def _compute(
-    table: Table, choices: Choices, progress: Callable[[int, int], None]
-) -> Iterator[Section]:
+def order_scales(table: Table, protocols: Sequence[str]) -> Table:
+    """Put the ratings of protocols in the study's order, where the first participant had another."""
+    rows = table.rows
+    if "protocol" not in rows or not protocols:
+        return table
+    place = {name: number for number, name in enumerate(protocols)}
+    ranks = rows["protocol"].map(place).fillna(len(place))
+    if ranks.drop_duplicates().is_monotonic_increasing:
+        return table
+    order = ranks.sort_values(kind="stable").index
+    return replace(table, rows=rows.loc[order].reset_index(drop=True))
+
+
+def _compute(table: Table, chosen: Choices, move: Callable[[int, int], None]) -> dict[str, Found]:
     """Compute section after section."""
     import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
     from threadpoolctl import threadpool_limits
 
     refuse_untested(table)
+    found: dict[str, Found] = {}
     # Matrices here are small: threads of the linear algebra wait for each other most of the time, and take nine
     # times as long on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
-        for number, compute in enumerate(SECTIONS, start=1):
-            module, name = compute.__module__.rpartition(".")[2], compute.__name__
-            announce(words.format_name(name.removeprefix("compute_") if "_" in name else module))
-            section = compute(table, choices)
-            own = name_pictures(section.pictures)
-            pictures = tuple(_declare(picture, table) for picture in own)
-            yield replace(section, pictures=pictures)
-            progress(number, len(SECTIONS))
+        for number, section in enumerate(SECTIONS, start=1):
+            announce(section.title.lower())
+            own = section.compute(table, chosen)
+            found[section.key] = replace(own, pictures=tuple(name_pictures(own.pictures)))
+            move(number, len(SECTIONS))
+    if "panels" in found["metrics"].facts:
+        answer.reconcile(found["metrics"].facts["panels"], found["primary"].verdicts)
+    return found
 
 
-def _declare(picture: Picture, table: Table) -> Picture:
-    """Let a figure that is drawn later call metrics by their labels."""
-    if not callable(picture.drawing):
-        return picture
-    return replace(picture, drawing=partial(words.make_declaring, table.info, picture.drawing))
-
-
-def _reconcile(sections: Sequence[Section]) -> list[Section]:
-    """Say in front where correlations over all stimuli pooled point elsewhere than the primary model."""
-    claims = [claim for section in sections for claim in section.claims]
-    several = len({claim.level for claim in claims}) > 1
-
-    def add(section: Section) -> Section:
-        told = {panel: association.reconcile(panel, claims) for panel in section.panels}
-        lines = [
-            words.Line(text, association.name_subject(panel, several=several), "pooled")
-            for panel, text in told.items()
-            if text
-        ]
-        return replace(section, verdict=(*section.verdict, *lines))
-
-    return [add(section) if section.panels else section for section in sections]
+# What was found, as rows and words.
 
 
 def gather_results(
-    table: Table, sections: Sequence[Section], *, inputs: Mapping[str, str], about: About
+    table: Table,
+    sections: Sequence[Section],
+    found: Mapping[str, Found],
+    *,
+    inputs: Mapping[str, str],
+    about: About,
+    choices: Choices,
 ) -> Results:
     """Gather what ``results.json`` holds."""
-    rows = table.rows
-    standing = about.standing
-    numbers = collect_numbers(table, _gather(sections, "numbers"))
-    numbers = tuple(mark_number(number, standing) for number in numbers)
-    cards = front.make_cards(table, sections, numbers)
-    names = [*rows["scale"].unique(), RECAST, *rows["level"].unique()]
-    names += [*table.metrics, *table.further, *table.rivals]
-    own = [words.format_note(note, [*names, *RULES]) for note in _gather(sections, "notes")]
-    pictures = _gather(sections, "pictures")
+    standing, shown = about.standing, [one for one in sections if not found[one.key].is_empty]
+    verdicts = [_mark(one, standing) for own in found.values() for one in own.verdicts]
+    cards = [_mark(card, standing) for card in answer.make_cards(found)]
+    clauses = answer.list_clauses(cards, found)
+    answers = {one.key: render_words(one.key, **found[one.key].facts) for one in shown}
+    first = next(
+        (lines[0] for lines in answers.values() if lines),
+        "These ratings do not answer the question.",
+    )
+    headline = render_words("headline", clauses=clauses)[0] if clauses else first
+    pictures = _list_pictures(found.values())
+    frame = make_frame(table, found, standing)
+    forms = {
+        form.name: form.caption
+        for one in shown
+        for form in one.tables
+        if found[one.key].rows.get(form.name)
+    }
+    pages = (PAGE, DETAILS)
     return Results(
-        verdict=tuple(dict.fromkeys(map(str, _gather(sections, "verdict")))),
-        verdicts=tuple(_gather(sections, "claims")),
-        numbers=numbers,
-        answers={section.key: tuple(section.answers) for section in sections if section.answers},
+        headline=headline,
+        verdicts=tuple(verdicts),
+        cards=tuple(cards),
+        numbers=frame,
+        answers=answers,
         figures={picture.name: picture.caption for picture in pictures},
-        captions=tuple(grid.caption for grid in _gather(sections, "grids")),
-        notes=tuple(dict.fromkeys((*table.notes, *own, *_note_undrawable(table)))),
-        how=tuple(dict.fromkeys(_gather(sections, "how"))),
-        files=list_files([picture.name for picture in pictures], _gather(sections, "tables")),
-        paper_claims=paper_section.list_claims(sections),
-        simulated=bool(rows["simulated"].any()),
+        captions=forms,
+        notes=tuple(_gather_notes(table, found)),
+        how=tuple(
+            line for one in shown for line in render_words(one.key, "how", draws=choices.draws)
+        ),
+        files=list_files([one.name for one in pictures], frame["table"].unique(), pages),
+        simulated=bool(table.rows["simulated"].any()),
         inputs=inputs,
         versions=list_versions(),
         about={"name": about.name, "date": about.date},
-        headline=front.write_headline(cards, sections, numbers),
-        cards=cards,
-        standing=about.standing,
+        standing=standing,
     )
 
 
-def _gather(sections: Iterable[Section], name: str) -> list:  # type: ignore[type-arg]  # of whatever sections hold
-    return [one for section in sections for one in getattr(section, name)]
+def _mark(one: Row, standing: Standing) -> Row:
+    status, reason = standing.judge(one["scale"], one["level"], one["metric"])
+    return {**one, "status": status, "reason": reason}
 
 
-def _note_undrawable(table: Table) -> Iterator[str]:
-    """Say which characters of names the figures cannot show."""
-    names = [name for key in ("scale", "level", "reducer") for name in table.rows[key].unique()]
-    if letters := list_undrawable(names):
-        boxes = "boxes stand for them; captions and tables show them"
-        yield f"The figures' font has no {' '.join(letters)}: {boxes}."
+def _list_pictures(found: Iterable[Found]) -> list[Picture]:
+    return [picture for one in found for picture in one.pictures]
 
 
-def render_page(
-    results: Results, sections: Sequence[Section], *, drawings: Mapping[str, Markup]
-) -> str:
-    """Render the page."""
-    from markupsafe import Markup
+def make_frame(table: Table, found: Mapping[str, Found], standing: Standing) -> DataFrame:
+    """Make the frame: every number of the report, one row each."""
+    import pandas as pd
 
-    sizes = {
-        number.name.removeprefix("size."): number.value
-        for number in results.numbers
-        if number.name.startswith("size.")
+    tables = {"sizes": _count_table(table)}
+    for one in found.values():
+        tables |= {name: list(rows) for name, rows in one.rows.items() if rows}
+    rows = [
+        {"table": name, **row, "status": standing.mark(name, row)}
+        for name, own in tables.items()
+        for row in own
+    ]
+    frame = pd.DataFrame(rows)
+    keys = [name for name in _order_columns(frame) if name not in {*FIXED[1:], "status"}]
+    if len(twice := frame[frame.duplicated(["table", *keys])]):
+        raise ValueError(
+            f"results: {len(twice)} rows have the same keys, first {twice.iloc[0].dropna().to_dict()}"
+        )
+    return frame[["table", *_order_columns(frame)]]
+
+
+def _count_table(table: Table) -> list[Row]:
+    rows = table.rows
+    columns = {
+        "participants": "participant",
+        "recordings": "recording",
+        "stimuli": "stimulus_id",
+        "reducers": "reducer",
+        "scales": "scale",
     }
-    return render_template(
-        "report.html",
-        results=results,
-        subjects={
-            subject: list(own) for subject, own in groupby(results.cards, attrgetter("subject"))
-        },
-        lead=front.choose_picture(results.cards, sections),
-        blocks=front.group_sections(sections),
-        others=front.list_others(sections),
-        lines={
-            section.key: front.split_lines(section, {card.subject for card in results.cards})
-            for section in sections
-        },
-        drawings=drawings,
-        sizes=sizes,
-        points=Markup().join(section.points for section in sections),
-        front=front,
+    sizes = {f"n_{name}": rows[column].nunique() for name, column in columns.items()}
+    sizes |= {"n_sources": find_sources(rows).nunique(), "n_judgements": len(rows)}
+    return count_rows(sizes | {"n_simulated": int(rows["simulated"].sum())}, n=len(rows))
+
+
+def _gather_notes(table: Table, found: Mapping[str, Found]) -> Iterator[str]:
+    """List what was left out or assumed: names in words, and what several ratings share said once."""
+    rows = table.rows
+    names = [
+        *rows["scale"].unique(),
+        RECAST,
+        *rows["level"].unique(),
+        *table.metrics,
+        *table.further,
+        *table.rivals,
+    ]
+    arms = {
+        f"{scale}, {level}"
+        for scale, level in rows[["scale", "level"]].drop_duplicates().itertuples(index=False)
+    }
+    told: dict[str, list[str]] = {}
+    for note in dict.fromkeys((
+        *table.notes,
+        *(note for one in found.values() for note in one.notes),
+    )):
+        lead = next((arm for arm in sorted(arms) if re.match(rf"{re.escape(arm)}[,:; ]", note)), "")
+        told.setdefault(note[len(lead) :], []).append(lead)
+    for rest, leads in told.items():
+        if len(leads) == 1:
+            yield words.format_note(leads[0] + rest, [*names, *RULES])
+        else:
+            yield words.format_note(f"{'; '.join(leads)}{rest}", [*names, *RULES])
+    shown = [name for key in ("scale", "level", "reducer") for name in rows[key].unique()]
+    if letters := list_undrawable(shown):
+        yield f"The figures' font has no {' '.join(letters)}: boxes stand for them; captions and tables show them."
+
+
+# Pages and files.
+
+
+def _write(
+    table: Table,
+    results: Results,
+    *,
+    sections: Sequence[Section],
+    found: Mapping[str, Found],
+    target: ResultsFolder,
+) -> None:
+    """Draw the figures, and write pages, tables and ``results.json``."""
+    target.draw(_list_pictures(found.values()))
+    blocks = []
+    for key, title in QUESTIONS.items():
+        own = [one for one in sections if one.question == key and one.key in results.answers]
+        shown = [_show(one, results, found[one.key]) for one in own]
+        blocks.append({"key": key, "title": title, "sections": shown})
+    sizes = {row["quantity"]: row["value"] for row in _count_table(table)}
+    lead = next((one for one in found["metrics"].pictures if not one.detail), None)
+    told = [text for one in found.values() for text in one.clauses]
+    common: dict[str, Any] = {"results": results, "sizes": sizes, "title": TITLE}
+    frames = {str(name): _tidy(part) for name, part in results.numbers.groupby("table", sort=False)}
+
+    def render_page(drawings: Mapping[str, Any]) -> str:
+        blocks_here = [
+            block for block in blocks if block["sections"] and block["key"] != "computed"
+        ]
+        return render_template(
+            "report.html", blocks=blocks_here, drawings=drawings, lead=lead, others=told, **common
+        )
+
+    target.write(
+        results.to_dict(),
+        page=render_page,
+        details=lambda: render_template("details.html", blocks=blocks, **common),
+        tables=frames,
+        dictionary=describe_tables(sections, frames),
     )
+
+
+def _tidy(part: DataFrame) -> DataFrame:
+    """Keep the columns that a table has."""
+    keys = [
+        name
+        for name in part
+        if name not in {"table", "status", *FIXED} and part[name].notna().any()
+    ]
+    return part[["quantity", *keys, *FIXED[1:], "status"]]
+
+
+def _show(section: Section, results: Results, found: Found) -> dict[str, Any]:
+    """Gather what the pages show of a section."""
+    verdicts = results.verdicts if found.verdicts else ()
+    return {
+        "key": section.key, "title": section.title, "lines": results.answers[section.key], "pictures": found.pictures,
+        "tables": list(show_tables(section, found)), "front": section.front,
+        "confirmatory": sum(one["status"] == words.CONFIRMATORY for one in verdicts),
+    }  # fmt: skip
+
+
+FIELDS = {
+    "quantity": "what the number is",
+    "value": "the number",
+    "low": "lower end of the interval",
+    "high": "upper end of the interval",
+    "p": "probability, adjusted where the quantity says so",
+    "n": "how many judgements, stimuli or participants it rests on",
+    "interval": "kind of interval",
+    "note": "a word in the place of a number, or what is unusual",
+    "status": "confirmatory or exploratory",
+}
+
+
+def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
+    """Describe every quantity of every table, and the columns that all have."""
+    import pandas as pd
+
+    known = {
+        (form.name, one.quantity): one.meaning
+        for section in sections
+        for form in section.tables
+        for one in form.columns
+    }
+    rows = [
+        {"file": "*", "column": name, "quantity": "", "meaning": meaning}
+        for name, meaning in FIELDS.items()
+    ]
+    for name, frame in frames.items():
+        for quantity in frame["quantity"].unique():
+            meaning = known.get((name, quantity), quantity.replace("_", " "))
+            rows.append({
+                "file": f"{name}.csv",
+                "column": "value",
+                "quantity": quantity,
+                "meaning": meaning,
+            })
+    return pd.DataFrame(rows)

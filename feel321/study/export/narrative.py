@@ -265,7 +265,11 @@ def _tell_analysis(
         f"{inputs.get('seed', '[seed]')}; margin of equivalence: {inputs.get('margin', '[margin]')}."
     )
     yield _tell_frozen(study, is_dated=is_dated)
-    flagged = [one for one in results["numbers"] if one["name"] == "screening_panel.any"]
+    flagged = [
+        one
+        for one in results["numbers"]
+        if one["quantity"] == "n_flagged" and one["panel"] == "any"
+    ]
     for one in flagged:
         yield f"Screening flagged {one['value']:g} of {one['n']} participants by any rule; all results include these."
     yield from ["", *(f"- {sentence}" for sentence in results["how"])]

@@ -1,0 +1,585 @@
+"""The kinds of figures: forest, scatter, profile and map; every section and every `plot_...` uses these.
+
+`plot_` functions draw on axes that are given; `draw_` functions make a figure of a report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from feel321.analysis.figures import style
+from feel321.analysis.figures.style import Look
+from feel321.analysis.table.metrics import TENTH, Step, order_reducers
+from feel321.analysis.table.schema import HIGHEST, LOWEST, ROLES
+from feel321.analysis.words import (
+    capitalise,
+    format_axis,
+    format_interval,
+    format_name,
+    format_number,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+    from pandas import DataFrame
+
+    from feel321.analysis.association.correlate import Panel
+    from feel321.analysis.choices.predict import VotePrediction
+    from feel321.analysis.contrasts.compare import Equivalence
+    from feel321.analysis.contrasts.discrimination import Discrimination
+    from feel321.analysis.primary.model import Primary
+    from feel321.analysis.screening.consistency import RaterModel
+    from feel321.analysis.space import Ellipses
+
+    Values = NDArray[np.float64]
+
+PLAIN = Look(style.BLACK, "o")
+AXIS_CM, LABEL_CM = 1.5, 4.4
+"""Room for an axis's numbers and its label, and for a row's name."""
+
+# Forest: estimates with intervals, one row each.
+
+ROW_CM, MARK_CM = 0.46, 0.24
+"""Height of a row, and of each further mark in it."""
+
+FARTHEST = 6.0
+"""An interval is cut, with an arrow, where it is this many times as wide as the range of the estimates and of half
+of all intervals: one that is uninformative must not squeeze all others."""
+
+
+class Mark(NamedTuple):
+    """An estimate to be drawn; NaN where there is none."""
+
+    value: float
+    low: float = np.nan
+    high: float = np.nan
+    look: Look = PLAIN
+    filled: bool = True
+
+
+class ForestRow(NamedTuple):
+    """A row of a forest plot, with its marks below each other; without marks a heading."""
+
+    label: str
+    marks: tuple[Mark, ...] = ()
+
+
+def _mark(
+    row: Mapping[Any, Any], name: str = "", *, look: Look = PLAIN, filled: bool = True
+) -> Mark:
+    """Make the mark of a row's estimate: value, low and high, or those of a name."""
+    value, lead = (row[name], f"{name}_") if name else (row["value"], "")
+    return Mark(float(value), float(row[f"{lead}low"]), float(row[f"{lead}high"]), look, filled)
+
+
+def plot_forest(
+    axes: Axes, rows: Sequence[ForestRow], *, include: Iterable[float] = (), zero: bool = True
+) -> None:
+    """Plot rows of estimates, the first on top; include: values that the axis must hold; zero: with a line at zero."""
+    limits = _find_limits(rows, [*include, *([0.0] if zero else [])])
+    if zero:
+        axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=1)
+    for place, row in enumerate(rows):
+        for number, mark in enumerate(row.marks):
+            offset = (number - (len(row.marks) - 1) / 2) * MARK_CM / ROW_CM
+            _plot_mark(axes, mark, height=place + offset, limits=limits)
+    axes.set(xlim=limits, ylim=(len(rows) - 0.4, -0.6))
+    axes.set_yticks(range(len(rows)), [style.fit_text(row.label, LABEL_CM) for row in rows])
+    axes.tick_params(axis="y", length=0)
+    for label, row in zip(axes.get_yticklabels(), rows, strict=True):
+        label.set_fontweight("normal" if row.marks else "bold")
+    axes.locator_params(axis="x", nbins=5)
+
+
+def _find_limits(rows: Sequence[ForestRow], include: Sequence[float]) -> tuple[float, float]:
+    """Find the part of the axis that holds all estimates, and all intervals that are not endless."""
+    marks = [mark for row in rows for mark in row.marks]
+    values = np.array([*(mark.value for mark in marks), *include], dtype=np.float64)
+    ends = np.array([(mark.low, mark.high) for mark in marks], dtype=np.float64).reshape(-1, 2)
+    values, ends = values[np.isfinite(values)], ends[np.isfinite(ends).all(axis=1)]
+    if not len(values):
+        return -1.0, 1.0
+    least, most = values.min(), values.max()
+    usual = float(np.median(ends[:, 1] - ends[:, 0])) if len(ends) else 0.0
+    room = FARTHEST * max(most - least, usual, np.finfo(float).tiny)
+    low = max(min(least, ends[:, 0].min(initial=least)), least - room)
+    high = min(max(most, ends[:, 1].max(initial=most)), most + room)
+    pad = 0.06 * (high - low) or 1.0
+    return float(low - pad), float(high + pad)
+
+
+def _plot_mark(axes: Axes, mark: Mark, *, height: float, limits: tuple[float, float]) -> None:
+    if np.isnan(mark.value):
+        axes.text(
+            sum(limits) / 2, height, "no estimate", ha="center", va="center", color=style.GREY
+        )
+        return
+    strokes: dict[str, Any] = {"color": mark.look.colour, "zorder": 3, "clip_on": False}
+    axes.plot(np.clip((mark.low, mark.high), *limits), [height, height], linewidth=1.0, **strokes)
+    for beyond, edge, arrow in (
+        (mark.low < limits[0], limits[0], "<"),
+        (mark.high > limits[1], limits[1], ">"),
+    ):
+        if beyond:
+            axes.plot(edge, height, marker=arrow, markersize=3, markeredgewidth=0, **strokes)
+    style.plot_marks(axes, mark.value, height, look=mark.look, filled=mark.filled, clip_on=False)
+
+
+def draw_forest(
+    rows: Sequence[ForestRow],
+    label: str,
+    *,
+    title: str = "",
+    include: Iterable[float] = (),
+    zero: bool = True,
+) -> tuple[Figure, Axes]:
+    """Draw a forest as a figure of its own."""
+    marks = max((len(row.marks) for row in rows), default=1)
+    height = (ROW_CM + MARK_CM * max(0, marks - 1)) * len(rows) + AXIS_CM
+    with style.print_style():
+        figure, axes = style.new_figure(height)
+        plot_forest(axes, rows, include=include, zero=zero)
+        figure.supxlabel(label)
+        if title:
+            style.add_title(figure, title)
+    return figure, axes
+
+
+def _look_up(metrics: Iterable[str]) -> dict[str, Look]:
+    """Give every metric a grey and a marker."""
+    names = enumerate(dict.fromkeys(map(str, metrics)))
+    return {
+        name: Look((style.BLACK, style.GREY)[i % 2], style.MARKERS[i % len(style.MARKERS)])
+        for i, name in names
+    }
+
+
+def _add_metrics(figure: Figure, looks: Mapping[str, Look]) -> None:
+    if len(looks) > 1:
+        with style.print_style():
+            style.add_legend(
+                figure,
+                style.make_handles({format_name(name): look for name, look in looks.items()}),
+            )
+
+
+def list_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Iterator[ForestRow]:
+    """List the slopes of primary models as rows: a heading per model, a row per metric."""
+    looks = _look_up(name for model in models.values() for name in model.slopes.index)
+    several = len({step.per for step in steps.values()}) > 1
+    for attribute, model in models.items():
+        yield ForestRow(format_name(attribute))
+        for metric, row in zip(
+            map(str, model.slopes.index), model.slopes.to_dict("records"), strict=True
+        ):
+            step = steps.get(metric, Step())
+            value, low, high = (
+                row[f"tenth{end}"] * step.size / TENTH for end in ("", "_low", "_high")
+            )
+            name = format_name(metric) + f", per {step.per}" * several
+            mark = Mark(value, low, high, looks[metric], not model.fit.singular)
+            yield ForestRow(name, (mark,))
+
+
+def draw_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Figure:
+    """Draw the slopes of the primary model per attribute and metric, points per step with Satterthwaite intervals."""
+    per = {step.per for step in steps.values()}
+    label = f"Points of rating per {per.pop() if len(per) == 1 else 'step'} of metric"
+    return draw_forest(list(list_slopes(models, steps)), label)[0]
+
+
+def draw_variants(table: DataFrame) -> Figure:
+    """Draw standardised slopes under other choices: a row per choice, a mark per metric."""
+    looks, rows = _look_up(table["metric"]), []
+    for variant, part in table.groupby("variant", sort=False):
+        marks = (
+            _mark(row, "standardised", look=looks[str(row["metric"])], filled=not row["singular"])
+            for row in part.to_dict("records")
+        )
+        rows.append(ForestRow(str(variant), tuple(marks)))
+    figure, _ = draw_forest(rows, "SD of ratings per SD of metric")
+    _add_metrics(figure, looks)
+    return figure
+
+
+def draw_equivalence(tests: Mapping[str, Equivalence]) -> Figure:
+    """Draw 90 % intervals of differences, such as ``dft321 − mag321``, against the margin of equivalence."""
+    margins = {(test.low, test.high) for test in tests.values()}
+    if len(margins) != 1:
+        raise ValueError(
+            f"contrasts must have one margin for all, got {len(margins)}; draw a figure for each"
+        )
+    ((low, high),) = margins
+    rows = [
+        ForestRow(name, (Mark(test.estimate, test.low90, test.high90, PLAIN, test.equivalent),))
+        for name, test in tests.items()
+    ]
+    figure, axes = draw_forest(rows, "Difference (points of rating)", include=(low, high))
+    axes.axvspan(low, high, color=style.PALE, linewidth=0, zorder=0)
+    return figure
+
+
+def draw_ranking(table: DataFrame, *, ceiling: float, level: float, size: str) -> Figure:
+    """Draw the out-of-fold correlation of every metric, the best first, with the noise ceiling and level alone."""
+    rows = [
+        ForestRow(format_name(str(metric)), (_mark(row, filled=bool(row["may_be_best"])),))
+        for metric, row in table.to_dict("index").items()
+    ]
+    known = [value for value in (ceiling, level) if np.isfinite(value)]
+    title = f"{len(rows)} metrics, {size}."
+    figure, axes = draw_forest(
+        rows, "Correlation within recordings, out of fold", title=title, include=known
+    )
+    for value, line in ((ceiling, "--"), (level, ":")):
+        if np.isfinite(value):
+            axes.axvline(value, color=style.BLACK, linestyle=line, linewidth=1.0, zorder=1)
+    return figure
+
+
+def draw_shares(found: VotePrediction) -> Figure:
+    """Draw the percentage of choices that each metric predicts, the highest first, against chance."""
+    table = found.shares.sort_values("share", ascending=False, kind="stable")
+    rows = [
+        ForestRow(
+            format_name(str(name)), (Mark(*(100 * row[key] for key in ("share", "low", "high"))),)
+        )
+        for name, row in table.to_dict("index").items()
+    ]
+    known = [100 * share for share in (found.others, found.majority) if np.isfinite(share)]
+    figure, axes = draw_forest(rows, "Choices predicted (%)", include=[50.0, *known], zero=False)
+    axes.axvline(50.0, color=style.GREY, linewidth=0.6, zorder=1)
+    if known:
+        axes.axvspan(min(known), max(known), color=style.PALE, linewidth=0, zorder=0)
+    return figure
+
+
+def draw_discrimination(results: Mapping[str, Discrimination]) -> Figure:
+    """Draw the d' of each pair of stimuli that was compared in ABX trials, by the pair's name."""
+    if not results:
+        raise ValueError("results must hold one pair or more, got none")
+    rows = [
+        ForestRow(
+            f"{name} ({one.n_correct}/{one.n_trials})",
+            (Mark(one.d_independent, one.d_independent_low, one.d_independent_high),),
+        )
+        for name, one in results.items()
+    ]
+    rows = [
+        row._replace(
+            marks=tuple(mark if np.isfinite(mark.value) else Mark(np.nan) for mark in row.marks)
+        )
+        for row in rows
+    ]
+    return draw_forest(rows, "d′")[0]
+
+
+def draw_raters(models: Sequence[tuple[str, RaterModel]], flagged: set[str]) -> Figure:
+    """Draw the inconsistency of every rater: a row per rater, a mark per scale and level; filled: flagged."""
+    looks = _look_up(name for name, _ in models)
+    people = sorted({str(who) for _, model in models for who in model.raters.index})
+    rows = []
+    for who in people:
+        marks = []
+        for name, model in models:
+            if who in map(str, model.raters.index):
+                row = model.raters.loc[[who]].to_dict("records")[0]
+                value, half = row["inconsistency"], 1.96 * row["inconsistency_se"]
+                marks.append(Mark(value, value - half, value + half, looks[name], who in flagged))
+        rows.append(ForestRow(who, tuple(marks)))
+    figure, _ = draw_forest(rows, "Inconsistency (points)")
+    _add_metrics(figure, looks)
+    return figure
+
+
+# Scatter: stimuli as points, their ratings against a metric, delivered against intended, residuals.
+
+CUT = -1.0
+"""Values of eq. 1 below this are drawn at the edge: one spectral match of -30 would squeeze all others together."""
+
+CELL_CM = 4.2
+
+
+def find_cut(metric: str) -> float:
+    """Find below what values of a metric are drawn at the edge: those of eq. 1, which has no lower bound, only."""
+    is_raw = metric.startswith("spectral_match") and "bounded" not in metric
+    return CUT if is_raw else -np.inf
+
+
+def count_clipped(stimuli: DataFrame, metric: str) -> int:
+    """Count the stimuli that a scatter cannot show in their place."""
+    return int((stimuli[metric] < find_cut(metric)).sum())
+
+
+def plot_stimuli(
+    axes: Axes, stimuli: DataFrame, metric: str, *, looks: Mapping[str, Look], size: float = 4.0
+) -> dict[str, Any]:
+    """Plot the mean rating of each stimulus against a metric, bars over participants; return the marks by reducer."""
+    at = stimuli[metric].clip(lower=find_cut(metric))
+    axes.vlines(
+        at, stimuli["low"], stimuli["high"], colors=style.GREY, linewidths=0.35, alpha=0.6, zorder=1
+    )
+    shown: dict[str, Any] = {}
+    for reducer in order_reducers(stimuli["reducer"]):
+        own = stimuli["reducer"] == reducer
+        inside = stimuli[metric] >= find_cut(metric)
+        for filled, chosen in ((False, own & ~inside), (True, own & inside)):
+            if chosen.any():
+                line = style.plot_marks(
+                    axes,
+                    at[chosen],
+                    stimuli.loc[chosen, "mean"],
+                    look=looks[reducer],
+                    size=size,
+                    filled=filled,
+                )
+                shown[reducer] = line
+    axes.set_xlabel(format_axis(metric))
+    return shown
+
+
+def draw_scatters(
+    panels: Sequence[Panel], metrics: Sequence[str], *, method: str, looks: Mapping[str, Look]
+) -> Figure:
+    """Draw mean ratings against metrics: a row per scale and level, a column per metric."""
+    several = len({panel.level for panel in panels}) > 1
+    shown: dict[str, Any] = {}
+    with style.print_style():
+        figure = style.new_canvas(CELL_CM * len(panels) + AXIS_CM)
+        grid = figure.subplots(len(panels), len(metrics), sharex="col", sharey=True, squeeze=False)
+        for line, panel in zip(grid, panels, strict=True):
+            line[0].set_ylabel(
+                style.label_scale(panel.scale, CELL_CM - 0.4, level=panel.level * several)
+            )
+            for axes, metric in zip(line, metrics, strict=True):
+                shown |= plot_stimuli(axes, panel.stimuli, metric, looks=looks, size=3.5)
+                (one,) = (
+                    one
+                    for one in panel.associations
+                    if (one.metric, one.method) == (metric, method)
+                )
+                axes.set(ylim=(LOWEST - 3, HIGHEST + 3), yticks=np.linspace(LOWEST, HIGHEST, 5))
+                axes.set_title(
+                    f"r = {format_number(one.value)} ({format_interval(one.low, one.high)})"
+                )
+                axes.locator_params(axis="x", nbins=5)
+                axes.label_outer()
+        for axes in grid[-1]:
+            axes.set_xlabel(style.fit_text(axes.get_xlabel(), style.WIDTH_CM / len(metrics) - 1))
+        style.add_legend(figure, {name: shown[name] for name in looks if name in shown})
+    return figure
+
+
+def draw_delivered(items: DataFrame, metrics: Sequence[str], errors_db: Values) -> Figure:
+    """Draw each metric delivered against intended, and the level errors.
+
+    items: a row per stimulus with `reducer`, the metrics, and those with the suffix `_delivered`.
+    """
+    n_panels = len(metrics) + bool(len(errors_db))
+    looks, shown = style.assign_looks(order_reducers(items["reducer"].unique())), dict[str, Any]()
+    with style.print_style():
+        figure = style.new_canvas(1.0 + CELL_CM * -(-n_panels // 2))
+        panels = figure.subplots(-(-n_panels // 2), 2, squeeze=False).ravel()
+        for axes, metric in zip(panels, metrics, strict=False):
+            values = items[[metric, f"{metric}_delivered"]].clip(lower=CUT)
+            for name, look in looks.items():
+                own = values[items["reducer"] == name].to_numpy(np.float64)
+                shown[name] = style.plot_marks(axes, own[:, 0], own[:, 1], look=look)
+            low = min(0.0, float(values.to_numpy().min())) - 0.05
+            axes.plot([low, 1.05], [low, 1.05], color=style.GREY, linewidth=0.8, zorder=1)
+            axes.set(xlim=(low, 1.05), ylim=(low, 1.05), xlabel="Intended", ylabel="Delivered")
+            axes.set_title(capitalise(format_name(metric)))
+        if len(errors_db):
+            axes, reach = panels[len(metrics)], max(float(np.abs(errors_db).max()), 0.5)
+            axes.hist(errors_db, bins=np.linspace(-reach, reach, 25).tolist(), color=style.GREY)
+            axes.set(xlabel="Level error (dB)", ylabel="Judgements", title="Level")
+        for axes in panels[n_panels:]:
+            axes.remove()
+        style.add_legend(figure, shown)
+    return figure
+
+
+MOST = 2000
+"""Points that an eye can use; of more rows this many are drawn, evenly through their order."""
+
+
+def draw_residuals(models: Mapping[str, Primary]) -> Figure:
+    """Draw a normal quantile plot of each model's residuals, and the residuals against the fitted values."""
+    from scipy.special import ndtri
+
+    points: dict[str, Any] = {
+        "marker": "o",
+        "linestyle": "none",
+        "markersize": 2,
+        "markeredgewidth": 0,
+    }
+    with style.print_style():
+        figure = style.new_canvas(CELL_CM * len(models))
+        grid = figure.subplots(len(models), 2, squeeze=False)
+        for (left, right), (name, model) in zip(grid, models.items(), strict=True):
+            residuals, fitted = model.fit.residuals, model.fit.fitted
+            n = len(residuals)
+            chosen = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.intp))
+            ordered = np.sort(residuals) / (residuals.std(ddof=1) or 1.0)
+            left.axline((0, 0), slope=1, color=style.GREY, linewidth=0.6, zorder=1)
+            left.plot(ndtri((chosen + 0.5) / n), ordered[chosen], color=style.BLACK, **points)
+            right.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
+            right.plot(fitted[chosen], residuals[chosen], color=style.BLACK, alpha=0.4, **points)
+            left.set(
+                xlabel="Normal quantile (SD)",
+                ylabel="Residual (SD)",
+                title=style.fit_text(name, 6.0),
+            )
+            right.set(xlabel="Fitted (points)", ylabel="Residual (points)")
+    return figure
+
+
+# Profile: ratings per reducer, every participant, their distribution, the mean and its interval.
+
+CLOUD, CLOUD_POINTS = 3, 81
+"""Participants that a distribution needs, and points of its outline."""
+
+
+def draw_profiles(
+    parts: Sequence[tuple[str, DataFrame, DataFrame]], looks: Mapping[str, Look]
+) -> Figure:
+    """Draw rainclouds of scales and levels, by name: rows per reducer, and means per participant."""
+    columns = min(2, len(parts))
+    rows = max(len(profile) for _, profile, _ in parts)
+    with style.print_style():
+        lines = -(-len(parts) // columns)
+        figure = style.new_canvas((0.72 * rows + 1.6) * lines)
+        grid = figure.subplots(lines, columns, squeeze=False)
+        for axes, (name, profile, people) in zip(grid.flat, parts, strict=False):
+            plot_profile(axes, profile, people, looks=looks, label_cm=LABEL_CM / columns**0.5)
+            axes.set_title(style.fit_text(name, 6.0))
+            axes.set_xlabel(
+                style.label_scale(str(profile["scale"].iloc[0]), style.WIDTH_CM / columns - 3)
+            )
+        for axes in grid.flat[len(parts) :]:
+            axes.remove()
+    return figure
+
+
+def plot_profile(
+    axes: Axes,
+    profile: DataFrame,
+    people: DataFrame,
+    *,
+    looks: Mapping[str, Look],
+    label_cm: float = LABEL_CM,
+) -> None:
+    """Plot the ratings of one scale and level: tests from the highest mean down, then reference and anchors."""
+    means = {(row["role"], row["reducer"]): row for row in profile.to_dict("records")}
+    keys = sorted(
+        means,
+        key=lambda key: (ROLES.index(key[0]), -means[key]["mean"] if key[0] == ROLES[0] else 0),
+    )
+    n_tests = sum(role == ROLES[0] for role, _ in keys)
+    places = {key: place + 0.5 * (place >= n_tests) for place, key in enumerate(keys)}
+    if 0 < n_tests < len(keys):
+        axes.axhline(n_tests - 0.25, color=style.GREY, linewidth=style.THIN, linestyle=":")
+    for (joined, _), part in people.groupby([people["role"] == ROLES[0], "participant"]):
+        height = np.array([places[key] for key in zip(part["role"], part["reducer"], strict=True)])
+        down, line = np.argsort(height), "-" if joined else "none"
+        axes.plot(
+            part["rating"].to_numpy()[down],
+            height[down],
+            linestyle=line,
+            color=style.GREY,
+            linewidth=0.4,
+            alpha=0.6,
+            marker=".",
+            markersize=2,
+        )
+    for (role, reducer), height in places.items():
+        row, look = means[role, reducer], looks.get(reducer, PLAIN)
+        own = people[(people["role"] == role) & (people["reducer"] == reducer)]
+        _plot_cloud(axes, own["rating"].to_numpy(np.float64), height=height, look=look)
+        if np.isfinite(row["low"]):
+            axes.plot(
+                [row["low"], row["high"]],
+                [height, height],
+                color=look.colour,
+                linewidth=1.2,
+                zorder=3,
+            )
+        style.plot_marks(axes, row["mean"], height, look=look, size=4.5)
+    labels = [
+        style.fit_text(name if role == ROLES[0] else f"{name} ({role})", label_cm)
+        for role, name in places
+    ]
+    axes.set_yticks(list(places.values()), labels)
+    axes.set(xlim=(LOWEST - 2, HIGHEST + 2), ylim=(max(places.values()) + 0.6, -0.8))
+
+
+def _plot_cloud(axes: Axes, ratings: Values, *, height: float, look: Look) -> None:
+    """Plot how the participants' means are distributed, above their row."""
+    if len(np.unique(ratings)) < CLOUD:
+        return
+    place = np.linspace(LOWEST, HIGHEST, CLOUD_POINTS)
+    width = ratings.std(ddof=1) * len(ratings) ** -0.2  # Scott's rule
+    density = np.exp(-0.5 * np.square((place[:, None] - ratings) / width)).sum(axis=1)
+    seen = density > 0.01 * density.max()
+    top = height - 0.14 - 0.5 * density / density.max()
+    axes.fill_between(
+        place[seen],
+        np.full(seen.sum(), height - 0.14),
+        top[seen],
+        color=look.colour,
+        alpha=0.3,
+        linewidth=0,
+        zorder=2,
+    )
+
+
+# Map of stimuli: what people tell apart, and how sure each place is.
+
+MAP_CM = 8.0
+ORIGINAL, STAR = "original", Look(style.BLACK, "*")
+"""The hidden reference, and how it is drawn."""
+
+
+def draw_space(ellipses: Ellipses, names: Sequence[str]) -> Figure:
+    """Draw the group's map with an ellipse per stimulus; a star is the original."""
+    from matplotlib.patches import Ellipse
+
+    n = len(ellipses.space.positions)
+    if len(names) != n or len(set(names)) != n:
+        raise ValueError(
+            f"names must be one for each of {n} stimuli, got {len(set(names))} different ones"
+        )
+    looks = style.assign_looks([name for name in names if name != ORIGINAL]) | {ORIGINAL: STAR}
+    with style.print_style():
+        figure, axes = style.new_figure(MAP_CM)
+        places = zip(
+            names, ellipses.space.positions, ellipses.half_axes, ellipses.angle, strict=True
+        )
+        for name, place, half, angle in places:
+            look = looks[name]
+            axes.add_patch(
+                Ellipse(
+                    tuple(place),
+                    *(2 * half),
+                    angle=float(angle),
+                    facecolor=look.colour,
+                    alpha=0.15,
+                    linewidth=0,
+                )
+            )
+            style.plot_marks(axes, place[0], place[1], look=look, size=9.0 if look == STAR else 4.5)
+        unit = "rank order only" if ellipses.space.ordinal else "unit of dissimilarity"
+        axes.set(xlabel=f"Dimension 1 ({unit})", ylabel=f"Dimension 2 ({unit})")
+        axes.autoscale_view()
+        axes.set_aspect("equal", adjustable="datalim")
+        stress, people = ellipses.space.stress, ellipses.n_participants
+        style.add_title(
+            figure,
+            f"Stress-1 = {stress:.2f}; ellipses: n = {people} participants, {ellipses.draws} draws.",
+        )
+        style.add_legend(figure, style.make_handles({name: looks[name] for name in names}))
+    return figure
