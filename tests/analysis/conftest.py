@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.report import association, reducers
+from feel321.analysis.report import correlations, reducers
 from feel321.analysis.report.write import write_report
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
@@ -128,12 +128,6 @@ def files(tmp_path: Path) -> Callable[..., Files]:
     return partial(write_files, tmp_path)
 
 
-@pytest.fixture(autouse=True)
-def foreground(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw in this process: tests run side by side as it is."""
-    monkeypatch.setattr("feel321.analysis.report.folder.BACKGROUND", False)
-
-
 @pytest.fixture
 def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw the figures of reports, but save empty files, which takes no time."""
@@ -153,8 +147,7 @@ def short(monkeypatch: pytest.MonkeyPatch, sketched: None) -> None:  # noqa: ARG
     """Shorten reports to two sections, not drawn: enough for what files, names and captions are about."""
     monkeypatch.setattr("feel321.analysis.report.section.Picture.figure", None)
     monkeypatch.setattr(
-        "feel321.analysis.report.write.SECTIONS",
-        (association.compute_association, reducers.compute_profile),
+        "feel321.analysis.report.write.SECTIONS", (correlations.SECTION, reducers.PROFILES)
     )
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.report import association, primary
+from feel321.analysis.page import render_words
+from feel321.analysis.report import correlations, primary
+from feel321.analysis.report.answer import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.standard import p1401
 from feel321.analysis.table.metrics import find_steps, order_reducers
@@ -150,47 +152,42 @@ def mirrored(files: Callable[..., object]) -> object:
 LOWER = {"distance": MetricInfo("spectral distance", higher="worse", unit="dB")}
 
 
-def tell(study: object, metrics: list[str], **more: object) -> tuple[object, object]:
+def tell(study: object, metrics: list[str], **more: object) -> tuple[Any, Any, str]:
     table = read_table(study.ratings, study.manifest, metrics=metrics, **more)
     choices = Choices(draws=50)
     with declaring(table.info):
-        return primary.compute(table, choices), association.compute_association(table, choices)
+        found = primary.compute(table, choices)
+        lines = render_words("primary", **found.facts)
+        return found, correlations.compute(table, choices), lines[1]
 
 
 def test_lower_ratings_with_a_larger_distance_are_a_success(mirrored: object) -> None:
-    section, _ = tell(mirrored, ["distance", "temporal_match"], info=LOWER)
-    told = section.answers[0]
+    section, _, told = tell(mirrored, ["distance", "temporal_match"], info=LOWER)
     start = "Realism: Spectral distance predicts realism ratings (higher spectral distance, lower ratings)"
     assert told.startswith(start)
     assert "each +10 dB with a change of −" in told
-    (claim, _) = section.claims
-    assert (claim.verdict, claim.direction, claim.higher) == ("predicts", "lower", "worse")
-    assert claim.better_than == ("temporal_match",)
-    undeclared, _ = tell(mirrored, ["distance", "temporal_match"])
-    assert "in the opposite direction (higher distance, lower ratings)" in undeclared.answers[0]
-    assert undeclared.claims[0].better_than == ()
+    claim = section.verdicts[0]
+    told = [claim[key] for key in ("verdict", "direction", "higher", "better_than")]
+    assert told == ["predicts", "lower", "worse", ["temporal_match"]]
+    undeclared, _, told = tell(mirrored, ["distance", "temporal_match"])
+    assert "in the opposite direction (higher distance, lower ratings)" in told
+    assert undeclared.verdicts[0]["better_than"] == []
 
 
 def test_a_distance_and_its_match_are_told_alike(mirrored: object) -> None:
-    down, down_pooled = tell(mirrored, ["distance", "temporal_match"], info=LOWER)
-    up, up_pooled = tell(mirrored, ["spectral_match", "temporal_match"])
-    numbers = {number.name: number for number in (*down.numbers, *down_pooled.numbers)}
-    plain = {number.name: number for number in (*up.numbers, *up_pooled.numbers)}
-    for name in (
-        "slope_difference.realism.as_is.{}.temporal_match",
-        "difference.realism.as_is.{}.temporal_match.pearson",
+    down, down_pooled, _ = tell(mirrored, ["distance", "temporal_match"], info=LOWER)
+    up, up_pooled, _ = tell(mirrored, ["spectral_match", "temporal_match"])
+    for table, quantity, both in (
+        ("slope_differences", "difference_standardised", (down, up)),
+        ("differences", "difference", (down_pooled, up_pooled)),
     ):
-        one, other = numbers[name.format("distance")], plain[name.format("spectral_match")]
-        assert (one.value, one.low, one.high) == pytest.approx(
-            (other.value, other.low, other.high), rel=1e-4
-        )
-    slope, match = (
-        found[f"slope.realism.as_is.{name}"]
-        for found, name in ((numbers, "distance"), (plain, "spectral_match"))
-    )
+        one, other = (find_row(found.rows[table], quantity) for found in both)
+        ends = [[row[end] for end in ("value", "low", "high")] for row in (one, other)]
+        assert ends[0] == pytest.approx(ends[1], rel=1e-4)
+    slope, match = (find_row(found.rows["slopes"], "slope") for found in (down, up))
     # Per +10 dB, which is a third of the match downwards.
-    assert slope.value == pytest.approx(-match.value / 0.1 / 3, rel=1e-4)
-    assert "per +10 dB" in slope.method
+    assert slope["value"] == pytest.approx(-match["value"] / 0.1 / 3, rel=1e-4)
+    assert find_row(down.rows["slopes"], "step")["note"] == "+10 dB"
 
 
 def test_mapping_knows_the_direction(mirrored: object) -> None:

@@ -8,8 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.report import delivered, robustness
+from feel321.analysis.report.answer import find_row
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import read_table
@@ -44,15 +46,16 @@ def test_the_difference_is_what_was_lost_on_the_way(small: object) -> None:
     errors = np.linspace(-2, 1, n)
     table = deliver(small, level_error_db=errors, delivered_by="sensor")
     section = delivered.compute(table, Choices())
-    found = {number.name: number.value for number in section.numbers}
     for name in ("spectral_match", "temporal_match"):
-        assert found[f"delivered.{name}.difference"] == pytest.approx(-LOSS)
-        assert found[f"delivered.{name}.largest"] == pytest.approx(-LOSS)
+        for quantity in ("difference", "largest"):
+            row = find_row(section.rows["delivered"], quantity, metric=name)
+            assert row["value"] == pytest.approx(-LOSS)
     tests = errors[[role == "test" for role in table.rows["role"]]]
-    assert found["level_error.sensor.median"] == pytest.approx(np.median(tests))
-    assert found["level_error.sensor.low"] == pytest.approx(np.quantile(tests, 0.05))
-    assert found["level_error.sensor.judgements"] == len(tests)
-    assert "(measured by the sensor)" in section.answers[0]
+    levels = {row["quantity"]: row["value"] for row in section.rows["level_errors"]}
+    assert levels["median"] == pytest.approx(np.median(tests))
+    assert levels["q05"] == pytest.approx(np.quantile(tests, 0.05))
+    assert levels["n_judgements"] == len(tests)
+    assert "(measured by the sensor)" in render_words("delivered", **section.facts)[0]
     assert section.pictures[0].figure.axes
 
 
@@ -61,7 +64,7 @@ def test_what_is_measured_in_part_is_counted_by_its_source(small: object) -> Non
     by = np.where(np.arange(n) < 5, "certificate", np.where(np.arange(n) < 12, "sensor", ""))
     errors = np.where(by == "", np.nan, 0.5)
     section = delivered.compute(deliver(small, level_error_db=errors, delivered_by=by), Choices())
-    levels = section.tables["level_errors"].set_index("source")["n"].to_dict()
+    levels = {row["source"]: row["n"] for row in section.rows["level_errors"]}
     assert sum(levels.values()) < n
     assert levels.keys() == {"certificate", "sensor"}
 
@@ -105,11 +108,11 @@ def test_a_rig_on_which_people_feel_otherwise_is_named_first(small: object, colu
     write_roster(small, ("p01", "p04"), column=column)
     table = read_table(small.ratings, small.manifest)
     assert any(f"{USUAL} 4, {ODD} 2" in note for note in table.notes)
-    section = robustness.compute_robustness(table, Choices(draws=2))
-    (line,) = section.verdict
-    assert (line.subject, line.lead) == ("Realism", "rigs")
-    assert f"(without {column} {ODD})" in line.text
-    variants = set(section.tables["variants"]["variant"])
+    section = robustness.compute(table, Choices(draws=2))
+    (line,) = (one for one in render_words("robustness", **section.facts) if "rigs:" in one)
+    assert line.startswith("Realism, rigs: slopes depend on the rig.")
+    assert f"(without {column} {ODD})" in line
+    variants = {row["variant"] for row in section.rows["variants"]}
     assert {f"{column} as a factor", f"without {column} {ODD}"} <= variants
     assert f"without {column} {USUAL}" not in variants
 
@@ -117,7 +120,7 @@ def test_a_rig_on_which_people_feel_otherwise_is_named_first(small: object, colu
 def test_rigs_on_which_people_feel_alike_are_not_named_first(small: object) -> None:
     write_roster(small, ("p01", "p04"))
     table = read_table(small.ratings, small.manifest)
-    assert not robustness.compute_robustness(table, Choices(draws=2)).verdict
+    assert not robustness.compute(table, Choices(draws=2)).facts["rigs"]
     write_roster(small, ())
     table = read_table(small.ratings, small.manifest)
     assert "rig" not in table.rows

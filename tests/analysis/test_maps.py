@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis import maps
-from feel321.analysis.report import maps as report
+from feel321.analysis.report import pairs as report
 from feel321.analysis.resampling import Choices
 from feel321.analysis.space import Ellipses, Space, align_spaces, bootstrap_space
 from feel321.analysis.table.reading import Further, read_table
@@ -192,7 +192,7 @@ def test_a_stimulus_without_a_number_is_left_out_of_that_attribute_only(
 
 def test_a_section_says_what_its_points_allow() -> None:
     section = report.compute_maps(plant(labelled=False), Choices(draws=5))
-    assert {"maps", "maps_people", "maps_groups", "maps_attributes"} <= set(section.tables)
+    assert all(section.rows[f"maps{part}"] for part in ("", "_people", "_groups", "_attributes"))
     assert any("name `interaction` and `sample`" in note for note in section.notes)
     assert any("cannot show an association of the axes with directions" in note for note in section.notes)  # fmt: skip
     assert not any("attributes are compared with" in note for note in section.notes)

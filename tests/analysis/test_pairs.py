@@ -14,6 +14,7 @@ import pytest
 from feel321.analysis.association.correlate import tabulate_correlations
 from feel321.analysis.contrasts.compare import profile_reducers
 from feel321.analysis.report import pairs
+from feel321.analysis.report.answer import find_row
 from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.write import write_report
 from feel321.analysis.table.reading import Table, read_table
@@ -295,23 +296,17 @@ def test_comparisons_alone_are_a_page_without_a_claim(
         study.ratings, index=False
     )
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
-    assert results.verdict[0].startswith(
+    assert results.answers["metrics"][0].startswith(
         "These ratings do not show whether the metrics predict what people feel"
     )
     lead = "Scale 'abx': none of its 576 judgements enters an association, because they are right (100) or wrong (0)"
-    assert results.notes[0].startswith(lead)
-    assert not [
-        number
-        for number in results.numbers
-        if number.name.startswith(("association", "difference"))
-    ]
-    assert (
-        len([number for number in results.numbers if number.name.startswith("profile")]) == 12 * 4
-    )
+    assert any(note.startswith(lead) for note in results.notes)
+    tables = results.numbers["table"]
+    assert not tables.isin(["associations", "differences"]).any()
+    assert (tables == "profiles").sum() == 12 * 4
     page = read_page(tmp_path / "report")
-    assert "Mean percentage correct per reducer" in page
     assert "bootstrap" not in page
-    assert "Guessing gives 50." in page
+    assert "Guessing gives 50 in ABX." in page
     assert {"tables/participants.csv", "tables/profiles.csv"} <= set(results.files)
     assert not [name for name in results.files if "association" in name or "slope" in name]
     json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
@@ -328,22 +323,21 @@ def test_dissimilarities_from_the_original_answer_the_question(
     )
     ratings.to_csv(study.ratings, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
-    assert results.verdict[0].startswith(
+    assert results.answers["primary"][1].startswith(
         "Similarity to original: Spectral match predicts similarity to original ratings"
     )
-    found = {number.name: number for number in results.numbers}
-    slope = found["slope.similarity_to_original.as_is.spectral_match"]
-    assert slope.low < 4.0 < slope.high
+    rows = results.numbers.to_dict("records")
+    keys = {"scale": "similarity_to_original", "metric": "spectral_match"}
+    slope = find_row(rows, "slope", table="slopes", **keys)
+    assert slope["low"] < 4.0 < slope["high"]
     one, other = (
-        found[f"recast.as_is.spectral_match.pearson{end}"] for end in ("", ".dissimilarity")
+        find_row(rows, name, table="associations", method="Pearson", **keys)
+        for name in ("r", "r_dissimilarity")
     )
-    assert (other.value, other.low, other.high) == (-one.value, -one.high, -one.low)
-    assert (
-        one.value == found["association.similarity_to_original.as_is.spectral_match.pearson"].value
-    )
+    wanted = (-one["value"], -one["high"], -one["low"])
+    assert (other["value"], other["low"], other["high"]) == wanted
     n_tests = 6 * 2 * 4 * len(DEFAULT_REDUCERS)
     assert any(f"{n_tests} of its 576 judgements compare" in note for note in results.notes)
-    assert "Mean dissimilarity from the refer" in read_page(tmp_path / "report")
 
 
 def test_pairs_of_reducers_alone_are_a_page_too(
@@ -373,17 +367,10 @@ def test_groups_that_felt_different_levels_are_counted_apart(
     own = (ratings["level"] == "equal_intensity") == is_odd
     ratings[own & ((ratings["scale"] == "mushra") == is_odd)].to_csv(study.ratings, index=False)
     results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
-    found = {number.name: number.value for number in results.numbers}
-    people = {
-        name: value
-        for name, value in found.items()
-        if name.endswith("spectral_match.pearson.n_participants")
-    }
-    assert people == {
-        "association.mushra.equal_intensity.spectral_match.pearson.n_participants": 2,
-        "association.realism.as_is.spectral_match.pearson.n_participants": 4,
-    }
-    assert found["association.realism.as_is.spectral_match.pearson.n_missing"] == 0
+    rows = results.numbers.query("metric == 'spectral_match' and method == 'Pearson'")
+    people = rows[rows["quantity"] == "n_participants"].set_index(["scale", "level"])["value"]
+    assert people.to_dict() == {("mushra", "equal_intensity"): 2, ("realism", "as_is"): 4}
+    assert rows.loc[rows["quantity"] == "n_missing", "value"].max() == 0
 
 
 def test_both_orders_of_a_pair_count_alike(write: Callable[..., tuple[Path, Path]]) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.page import render_words
 from feel321.analysis.primary.model import fit_slopes
 from feel321.analysis.primary.plan import REDUCER, make_cells
 from feel321.analysis.primary.sensitivity import measure_excess
@@ -21,6 +22,7 @@ from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.reading import Further, read_table
 
 if TYPE_CHECKING:
+    from feel321.analysis.report.section import Found
     from feel321.analysis.table.items import Table
 
 MEAN, SD = "temporal_match_rotation_mean", "temporal_match_rotation_sd"
@@ -113,6 +115,10 @@ def test_a_gain_beside_the_real_surface_is_noted() -> None:
     assert not [note for note in make_table(gain=1.0).notes if "beside the real surface" in note]
 
 
+def say(found: Found) -> tuple[str, ...]:
+    return render_words("paper", **found.facts)
+
+
 # The measures of the paper's claims.
 
 CLAIMS = (
@@ -159,16 +165,14 @@ def test_no_excess_is_found_where_none_was_planted() -> None:
         alone = others.solved.estimate({f"{name}_w": gap[name] for name in (MEAN, SD)})
         assert excess.se > alone.se
     section = primary.compute(table, Choices(draws=2))
-    assert not section.tables["exceptions"]["exceptional"].any()
+    assert not any(row["note"] == "yes" for row in section.rows["exceptions"])
 
 
 def test_the_first_sentence_names_a_planted_surprise() -> None:
     table, choices = make_table(bonus=45), Choices(draws=50)
     paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", CLAIMS)
-    section = paper_section.compute(
-        table, choices, paper, sections=[primary.compute(table, choices)]
-    )
-    first = section.verdict[0].text
+    found = {"primary": primary.compute(table, choices)}
+    first = say(paper_section.compute(table, choices, paper, others=found))[1]
     assert "mag321 was rated 4" in first.lower()
     assert "points higher than the metrics predict from the other reducers" in first
     assert "the paper names it as an exception too" in first
@@ -178,17 +182,20 @@ def test_a_claimed_excess_is_named_first_by_metrics_of_its_own() -> None:
     options = {"reducer": "mag321", "metrics": (MEAN, SD)}
     claim = PaperClaim("excess", "it feels good", "abstract", "rating_excess", options=options)
     paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", (claim,))
-    first, *_ = paper_section.compute(make_table(bonus=45), Choices(draws=2), paper).verdict
-    assert first.text.startswith("the reducer mag321 was rated 4")
-    assert first.text.endswith("predict from the other reducers; the paper says so too.")
-    plain = paper_section.compute(make_table(), Choices(draws=2), paper).verdict[0]
-    assert "was rated" not in plain.text
+    choices = Choices(draws=2)
+    first = say(paper_section.compute(make_table(bonus=45), choices, paper, others={}))[1]
+    assert first.startswith("The reducer mag321 was rated 4")
+    assert first.endswith(
+        "predict from the other reducers; the paper names it as an exception too."
+    )
+    plain = say(paper_section.compute(make_table(), choices, paper, others={}))
+    assert not any("was rated" in line for line in plain)
 
 
 def first_line(table: Table, claim: PaperClaim) -> str:
     paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", (claim,))
-    sections = [primary.compute(table, Choices(draws=2))]
-    return paper_section.compute(table, Choices(draws=2), paper, sections=sections).verdict[0].text
+    found = {"primary": primary.compute(table, Choices(draws=2))}
+    return say(paper_section.compute(table, Choices(draws=2), paper, others=found))[1]
 
 
 def test_the_first_sentence_says_which_way_the_papers_exception_was_rated() -> None:
@@ -205,8 +212,9 @@ def test_an_excess_within_a_range_of_the_paper_is_no_surprise() -> None:
     claim = PaperClaim("excess", "none", "abstract", "rating_excess", "near", (float("nan"), -90.0, 90.0),
                        options=options)  # fmt: skip
     paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", (claim,))
-    (first, *_) = paper_section.compute(make_table(), Choices(draws=2), paper).verdict
-    assert first.text.startswith("of 1 claim of the paper (")
+    found = paper_section.compute(make_table(), Choices(draws=2), paper, others={})
+    assert not found.facts["surprises"]
+    assert say(found)[0].startswith("Of 1 claim of the paper (")
 
 
 def test_one_recording_settles_no_correlation() -> None:

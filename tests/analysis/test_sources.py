@@ -169,8 +169,10 @@ def test_copies_add_no_certainty_to_what_is_said_of_reducers_and_levels(
 ) -> None:
     def measure(study: object, sources: dict[str, str] | None) -> np.ndarray:
         table = read_table(study.ratings, study.manifest, sources=sources)
-        found, *_ = compute(table, Choices()).tables.values()
-        return found["se"].to_numpy()
+        found, *_ = compute(table, Choices()).rows.values()
+        rows = [row for row in found if row["quantity"] == "difference"]
+        t = [row["value"] for row in found if row["quantity"] == "t"]
+        return np.array([row["value"] for row in rows]) / np.array(t)
 
     one = measure(
         files(participants=6, recordings=4, scales=("realism",), anchors=False, **design), None

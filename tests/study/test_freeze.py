@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from feel321.analysis.report.section import Section
-from feel321.analysis.report.standing import Hypothesis, Standing, mark_number, mark_section
-from feel321.analysis.words import CONFIRMATORY, EXPLORATORY, Claim, make_number
+from feel321.analysis.report.section import make_row
+from feel321.analysis.report.standing import Hypothesis, Standing
+from feel321.analysis.words import CONFIRMATORY, EXPLORATORY
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import analyze_study
 from feel321.study.cli import main
@@ -391,27 +391,22 @@ def test_another_version_is_named_with_what_differs(smallest: StudyFolder) -> No
     assert found.judge(*PLACE)[0] == CONFIRMATORY
 
 
-def test_claims_numbers_and_rows_are_marked_alike() -> None:
+@pytest.mark.parametrize(
+    ("table", "quantity", "metric", "declared"),
+    [
+        ("slopes", "slope", PLACE[2], True),
+        ("slopes", "df", PLACE[2], True),
+        ("slopes", "slope_centred", PLACE[2], False),
+        ("slopes", "slope", "spectral_match", False),
+        ("influence", "slope", PLACE[2], False),
+    ],
+)
+def test_rows_of_the_declared_test_are_marked(
+    table: str, quantity: str, metric: str, *, declared: bool
+) -> None:
     standing = Standing("", "before", (Hypothesis(*PLACE),), reason="")
-    other = (*PLACE[:2], "spectral_match")
-    claims = [Claim(*place, "open", "", "") for place in (PLACE, other)]
-    rows = pd.DataFrame({
-        "attribute": ["realism, as_is"] * 2,
-        "metric": [PLACE[2], other[2]],
-        "p": [0.1, 0.2],
-    })
-    section = Section("primary", "", claims=claims, tables={"slopes": rows, "spreads": rows})
-    marked = mark_section(section, standing)
-    assert [one.status for one in marked.claims] == [CONFIRMATORY, EXPLORATORY]
-    assert marked.tables["slopes"]["status"].tolist() == [CONFIRMATORY, EXPLORATORY]
-    assert marked.tables["spreads"]["status"].tolist() == [EXPLORATORY] * 2
-    names = {
-        f"slope.realism.as_is.{PLACE[2]}.{end}": end in {"p_holm", "df"}
-        for end in ("p_holm", "df", "centred", "p")
-    }
-    for name, declared in names.items():
-        number = mark_number(make_number(name, 1.0, "", n=1, keys="scale level metric"), standing)
-        assert (number.status == CONFIRMATORY) is declared, name
+    row = make_row(quantity, 1.0, scale=PLACE[0], level=PLACE[1], metric=metric)
+    assert (standing.mark(table, row) == CONFIRMATORY) is declared
 
 
 def test_the_report_of_a_frozen_study(
@@ -420,7 +415,7 @@ def test_the_report_of_a_frozen_study(
     from feel321.analysis.report import primary, reducers
 
     monkeypatch.setattr(
-        "feel321.analysis.report.write.SECTIONS", (primary.compute, reducers.compute_profile)
+        "feel321.analysis.report.write.SECTIONS", (primary.SECTION, reducers.PROFILES)
     )
     monkeypatch.setattr("feel321.analysis.report.folder.save_figure", _save_nothing)
     freeze(smallest)
@@ -428,12 +423,14 @@ def test_the_report_of_a_frozen_study(
     found = analyze_study(smallest, draws=100)
     page = (smallest.report / "index.html").read_text(encoding="utf-8")
     assert f'<p class="standing">{found.standing.sentence}</p>' in page
-    assert '<p class="status">Exploratory.</p>' in page
     content = json.loads((smallest.report / "results.json").read_text(encoding="utf-8"))
     assert content["standing"]["state"] == "before"
     assert {one["status"] for one in content["verdicts"]} == {CONFIRMATORY}
     tables = {one.stem: pd.read_csv(one) for one in (smallest.report / "tables").glob("*.csv")}
-    assert set(tables.pop("slopes")["status"]) == {CONFIRMATORY}
+    slopes = tables.pop("slopes")
+    tested = slopes["quantity"].isin(["slope", "slope_quartile", "df"])
+    assert set(slopes[tested]["status"]) == {CONFIRMATORY}
+    assert set(slopes[~tested]["status"]) == {EXPLORATORY}
     assert tables.pop("dictionary")["meaning"].notna().all()
     assert {word for rows in tables.values() for word in rows["status"]} == {EXPLORATORY}
     elsewhere = analyze_study(smallest, ratings=smallest.ratings, draws=100)

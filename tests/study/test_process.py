@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.analysis.report import association
+from feel321.analysis.report import correlations
 from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
@@ -210,9 +210,7 @@ def test_demo_runs_the_whole_chain_and_goes_on_where_it_was(
     assert ratings.count(b"\n") == 1 + 16 * 144
     monkeypatch.chdir(tmp_path)
     # The second report may be short.
-    monkeypatch.setattr(
-        "feel321.analysis.report.write.SECTIONS", (association.compute_association,)
-    )
+    monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", (correlations.SECTION,))
     assert main(["demo", "--out", "demo"]) == 0
     again = capsys.readouterr()
     assert (again.err, again.out) == (first.stderr, first.stdout)

@@ -51,7 +51,12 @@ def _describe(one: PaperAnswer) -> Row:
 
 def _list_answer(one: PaperAnswer) -> Iterator[Row]:
     claim, found = one.claim, one.found
-    keys: Row = {"claim": claim.name, "source": claim.source, "n": found.n if found else 0}
+    keys: Row = {
+        "claim": claim.name,
+        "measure": claim.measure,
+        "source": claim.source,
+        "n": found.n if found else 0,
+    }
     kind = found.kind if found else "correlation"
     yield make_row("verdict", note=one.verdict.replace("_", " "), **keys)
     value, low, high = claim.paper

@@ -375,8 +375,9 @@ def _compute(table: Table, chosen: Choices, move: Callable[[int, int], None]) ->
             own = section.compute(table, chosen)
             found[section.key] = replace(own, pictures=tuple(name_pictures(own.pictures)))
             move(number, len(SECTIONS))
-    if "panels" in found["metrics"].facts:
-        answer.reconcile(found["metrics"].facts["panels"], found["primary"].verdicts)
+    if "metrics" in found:
+        panels = found["metrics"].facts.get("panels", ())
+        answer.reconcile(panels, [one for own in found.values() for one in own.verdicts])
     return found
 
 
@@ -528,7 +529,7 @@ def _write(
         shown = [_show(one, results, found[one.key]) for one in own]
         blocks.append({"key": key, "title": title, "sections": shown})
     sizes = {row["quantity"]: row["value"] for row in _count_table(table)}
-    lead = next((one for one in found["metrics"].pictures if not one.detail), None)
+    lead = next((one for one in found.get("metrics", Found()).pictures if not one.detail), None)
     told = [text for one in found.values() for text in one.clauses]
     common: dict[str, Any] = {"results": results, "sizes": sizes, "title": TITLE}
     frames = {str(name): _tidy(part) for name, part in results.numbers.groupby("table", sort=False)}
@@ -583,27 +584,25 @@ FIELDS = {
 }
 
 
+KINDS = dict.fromkeys(("value", "low", "high", "p"), "number") | {"n": "integer"}
+
+
 def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
-    """Describe every quantity of every table, and the columns that all have."""
+    """Describe every column and every quantity of every table."""
     import pandas as pd
 
-    known = {
-        (form.name, one.quantity): one.meaning
-        for section in sections
-        for form in section.tables
-        for one in form.columns
-    }
-    rows = [
-        {"file": "*", "column": name, "quantity": "", "meaning": meaning}
-        for name, meaning in FIELDS.items()
-    ]
+    forms = {form.name: form for section in sections for form in section.tables}
+    rows = []
     for name, frame in frames.items():
+        heads = forms[name].keys if name in forms else {}
+        known = {one.quantity: one.meaning for one in forms[name].columns} if name in forms else {}
+        for column in map(str, frame):
+            kind = KINDS.get(column, "text")
+            meaning = FIELDS.get(
+                column, heads.get(column, column.replace("_", " ")).lstrip("?").lower()
+            )
+            rows.append([f"{name}.csv", column, "", kind, meaning])
         for quantity in frame["quantity"].unique():
-            meaning = known.get((name, quantity), quantity.replace("_", " "))
-            rows.append({
-                "file": f"{name}.csv",
-                "column": "value",
-                "quantity": quantity,
-                "meaning": meaning,
-            })
-    return pd.DataFrame(rows)
+            meaning = known.get(quantity) or quantity.replace("_", " ")
+            rows.append([f"{name}.csv", "value", quantity, "number", meaning])
+    return pd.DataFrame(rows, columns=["file", "column", "quantity", "type", "meaning"])

@@ -11,7 +11,9 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
-from feel321.analysis.report.choices import compute_choices
+from feel321.analysis.page import render_words
+from feel321.analysis.report.answer import find_row
+from feel321.analysis.report.choices import compute
 from feel321.analysis.resampling import Choices
 
 if TYPE_CHECKING:
@@ -25,9 +27,7 @@ BEST = "spectral_match_bounded"
 
 
 def answer(planted: Any) -> str:
-    section = compute_choices(planted.read(), QUICK)
-    assert [str(line) for line in section.verdict] == list(section.answers)
-    return str(section.answers[0])
+    return render_words("choices", **compute(planted.read(), QUICK).facts)[0]
 
 
 def test_a_planted_metric_is_named_with_its_share_the_ceiling_and_the_comparison(
@@ -82,29 +82,30 @@ def test_abilities_and_catch_trials_are_counted(plant: Plant) -> None:
     )  # fmt: skip
     catch.iloc[0, catch.columns.get_loc("rating")] = 0
     votes = pd.concat([planted.votes, catch], ignore_index=True)
-    section = compute_choices(planted._replace(votes=votes).read(), QUICK)
+    section = compute(planted._replace(votes=votes).read(), QUICK)
     assert "preference, as_is: an anchor was chosen in 1 of 12 catch trials." in section.notes
-    table = section.tables["choices_abilities"]
-    assert set(table["reducer"]) == {"sax321", "mag321", "soc321", "dft321", "pca321"}
-    for row in table.to_dict("records"):
+    rows = section.rows["choices_abilities"]
+    assert {row["reducer"] for row in rows} == {"sax321", "mag321", "soc321", "dft321", "pca321"}
+    for row in (row for row in rows if row["quantity"] == "share_chosen"):
         names = (
             planted.votes["stimulus_id"].str.split("-").str[1],
             planted.votes["other_id"].str.split("-").str[1],
         )
         won = names[0].where(planted.votes["rating"] == 100, names[1]) == row["reducer"]
         met = (names[0] == row["reducer"]) | (names[1] == row["reducer"])
-        assert row["share"] == pytest.approx(won[met].mean())
+        assert row["value"] == pytest.approx(won[met].mean())
 
 
 def test_a_reducer_that_always_wins_has_a_shrunken_ability_and_no_interval(plant: Plant) -> None:
     planted = plant(participants=4, recordings=3)
     best = [planted.votes[name].str.endswith("dft321") for name in ("stimulus_id", "other_id")]
     votes = planted.votes.assign(rating=planted.votes["rating"].mask(best[0], 100).mask(best[1], 0))
-    section = compute_choices(planted._replace(votes=votes).read(), QUICK)
-    table = section.tables["choices_abilities"].set_index("reducer")
-    assert table["estimate"].idxmax() == "dft321"
-    assert table.loc["dft321", "share"] == 1
-    assert table[["low", "high"]].isna().all(axis=None)
+    section = compute(planted._replace(votes=votes).read(), QUICK)
+    rows = section.rows["choices_abilities"]
+    abilities = [row for row in rows if row["quantity"] == "ability"]
+    assert max(abilities, key=lambda row: row["value"])["reducer"] == "dft321"
+    assert find_row(rows, "share_chosen", reducer="dft321")["value"] == 1
+    assert all(np.isnan(row["low"]) and np.isnan(row["high"]) for row in abilities)
     assert any("abilities are shrunken" in note for note in section.notes)
 
 
@@ -121,9 +122,10 @@ def test_several_references_give_abilities_of_the_recording_alone(plant: Plant) 
     ]  # fmt: skip
     columns = ["participant", "stimulus_id", "other_id", "reference_id", "rating"]
     votes = pd.DataFrame(rows, columns=columns).assign(scale="triplet", trial=range(len(rows)))
-    section = compute_choices(planted._replace(votes=votes).read(), QUICK)
-    assert set(section.tables["choices_abilities"]["n_votes"]) == {12 * 2 * 3}
-    abilities = section.tables["choices_abilities"].set_index("reducer")["estimate"]
+    section = compute(planted._replace(votes=votes).read(), QUICK)
+    rows = [row for row in section.rows["choices_abilities"] if row["quantity"] == "ability"]
+    assert {row["n"] for row in rows} == {12 * 2 * 3}
+    abilities = pd.Series({row["reducer"]: row["value"] for row in rows})
     assert abilities.reindex(names[1:]).is_monotonic_decreasing
 
 
@@ -132,16 +134,16 @@ def test_a_report_of_choices_alone_opens_with_them_and_holds_its_numbers(
 ) -> None:
     planted = plant(weights=(5.0, 0.0), recordings=12)
     results = analysis.write_report(planted.votes, planted.stimuli, tmp_path / "report", draws=50)
-    assert results.verdict[0].startswith("Bounded spectral match (7")
+    assert results.headline.startswith("Bounded spectral match (7")
     stored = json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
-    numbers = {number["name"]: number for number in stored["numbers"]}
-    share = numbers[f"choices.triplet.as_is.{BEST}.share"]
+    share = find_row(stored["numbers"], "share", scale="triplet", metric=BEST)
     predicted = analysis.predict_votes(planted.read()).shares.loc[BEST]
     assert [share[key] for key in ("value", "low", "high")] == pytest.approx(
         predicted[["share", "low", "high"]].tolist()
     )
     table = pd.read_csv(tmp_path / "report" / "tables" / "choices_predicted.csv")
-    assert table["metric"].tolist()[-2:] == ["majority_of_others", "majority_of_all"]
+    shares = table[table["quantity"] == "share"]
+    assert shares["metric"].tolist()[-2:] == ["majority_of_others", "majority_of_all"]
     assert (tmp_path / "report" / "figures" / "choices_triplet_as_is.svg").is_file()
 
 

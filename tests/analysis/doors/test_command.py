@@ -172,7 +172,7 @@ def test_what_little_there_is_becomes_a_page(
     results = write_report(small.ratings, small.manifest, folder, draws=2, rng=0)
     assert any(note in told for told in results.notes)
     assert all("\n" not in told for told in results.notes)
-    assert results.verdict
+    assert results.headline
     assert (folder / "index.html").is_file()
     written = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     assert written["notes"] == list(results.notes)

@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.page import render_words
+from feel321.analysis.report.answer import find_row
 from feel321.analysis.report.raters import compute
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.consistency import find_apart, rater_model
@@ -156,11 +158,13 @@ def test_the_report_says_it_in_words(files: Callable[..., object]) -> None:
     ratings.loc[high, "rating"] = (ratings.loc[high, "rating"] + 20).clip(upper=100)
     ratings.to_csv(study.ratings, index=False)
     section = compute(read_table(study.ratings, study.manifest), Choices(draws=10))
-    (told,) = (one for one in section.answers if one.startswith("Rater model"))
+    (told,) = (
+        one for one in render_words("raters", **section.facts) if one.startswith("Rater model")
+    )
     assert told.startswith(f"Rater model of realism ratings: {names[1]} rates ")
     assert f"{names[0]} is far less consistent than the others" in told
-    numbers = {number.name: number for number in section.numbers}
-    bias = numbers[f"rater_model.realism.as_is.{names[1]}.bias"]
-    assert bias.low < bias.value < bias.high
-    assert f"{names[1]} rates {bias.value:.1f} points higher" in told
-    assert len(section.tables["rater_model"]) == 10
+    rows = section.rows["rater_model"]
+    bias = find_row(rows, "bias", participant=names[1])
+    assert bias["low"] < bias["value"] < bias["high"]
+    assert f"{names[1]} rates {bias['value']:.1f} points higher" in told
+    assert len({row["participant"] for row in rows}) == 10

@@ -63,8 +63,9 @@ def test_a_rule_changes_the_report_by_its_own_rows_and_is_recorded(
     )
     assert results.inputs["rule_all_but_one_sha256"]
     hits = pd.read_csv(tmp_path / "out" / "tables" / "screening.csv")
-    assert hits.loc[hits["rule"] == "all_but_one", "hit"].sum() == 1
-    assert "all_but_one" in (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    flags = hits[(hits["rule"] == "all_but_one") & (hits["quantity"] == "flagged")]
+    assert (flags["note"] == "yes").sum() == 1
+    assert "all but one" in (tmp_path / "out" / "details.html").read_text(encoding="utf-8")
 
 
 def use(**changed: object) -> Callable[[pd.DataFrame], object]:

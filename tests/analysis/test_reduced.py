@@ -65,13 +65,12 @@ def report_on(rows: pd.DataFrame, manifest: Path, folder: Path) -> Results:
 def test_a_protocol_alone_is_a_report(lab: StudyFolder, tmp_path: Path, protocol: str) -> None:
     rows = pd.read_csv(lab.ratings).query("protocol == @protocol")
     results = report_on(rows, lab.manifest, tmp_path)
-    assert results.verdict
+    assert results.headline
     chosen = dict.fromkeys(("triplet", "preference"), "choices")
     shown = ({"dissimilarity": "space", "abx": "discrimination"} | chosen).get(protocol, "slope")
-    assert any(
-        shown in name for name in [*results.figures, *(number.name for number in results.numbers)]
-    )
-    assert ("do not show whether the metrics predict" in results.verdict[0]) == (protocol == "abx")
+    assert any(shown in name for name in [*results.figures, *results.numbers["table"]])
+    told = " ".join(results.answers.get("metrics", ()))
+    assert ("do not show whether the metrics predict" in told) == (protocol == "abx")
 
 
 CASES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
@@ -99,6 +98,6 @@ def test_what_is_missing_is_said(lab: StudyFolder, tmp_path: Path, case: str) ->
     rows = pd.read_csv(lab.ratings)
     rated = rows[rows["protocol"].isin(["realism", "dissimilarity"])]
     results = report_on(CASES[case](rated), lab.manifest, tmp_path)
-    assert results.verdict
+    assert results.headline
     assert results.notes
     assert all(note.strip() == note and "\n" not in note for note in results.notes)

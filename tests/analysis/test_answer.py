@@ -1,0 +1,253 @@
+"""The headline and the cards: they claim what the verdicts do, whatever the study, and nothing else."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from feel321.analysis.page import render_words
+from feel321.analysis.primary.sensitivity import list_changes
+from feel321.analysis.report.answer import list_clauses, make_cards, reconcile
+from feel321.analysis.report.raters import conclude_panels
+from feel321.analysis.report.section import Found, make_row
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+OUTCOMES = ("predicts", "opposite", "open", "not_estimable")
+NONE = {"value": math.nan, "low": math.nan, "high": math.nan}
+
+
+def make_card(scale: str, metric: str, outcome: str, **more: Any) -> dict[str, Any]:
+    direction = {"predicts": "higher", "opposite": "lower"}.get(outcome, "")
+    card = {
+        "scale": scale, "level": "as_is", "metric": metric, "subject": scale.capitalize(),
+        "ratings": f"{scale} ratings", "verdict": "predicts" if outcome == "opposite" else outcome,
+        "outcome": outcome, "direction": direction, "higher": "better", "opposite": outcome == "opposite",
+        "hinges_on": [], "better_than": [], "few": [], "beyond_level": "", "effect": NONE, "r": NONE,
+        "ceiling": math.nan, "given": [], "unflagged": "", "turned": False, "alone": "",
+    }  # fmt: skip
+    return card | more
+
+
+def say(cards: Sequence[dict[str, Any]], **found: Found) -> str:
+    (line,) = render_words("headline", clauses=list_clauses(cards, found))
+    return line.replace("\N{NO-BREAK SPACE}", " ")
+
+
+@st.composite
+def studies(draw: st.DrawFn) -> list[dict[str, Any]]:
+    scales = ["realism", "similarity", "roughness"][: draw(st.integers(1, 3))]
+    metrics = ["spectral_match", "temporal_match"][: draw(st.integers(1, 2))]
+    return [
+        make_card(scale, metric, draw(st.sampled_from(OUTCOMES)))
+        for scale in scales
+        for metric in metrics
+    ]
+
+
+@given(studies())
+def test_the_sentence_claims_what_the_verdicts_do(cards: list[dict[str, Any]]) -> None:
+    said, outcomes = say(cards), {card["outcome"] for card in cards}
+    assert ("predict" in said) == bool({"predicts", "opposite"} & outcomes)
+    assert ("opposite" in said) == ("opposite" in outcomes)
+    assert ("is open" in said) == ("open" in outcomes)
+    assert ("cannot be estimated" in said) == ("not_estimable" in outcomes)
+    every = "both rating scales" in said or "all 3 rating scales" in said
+    assert all(card["scale"] in said.casefold() or every for card in cards)
+    assert said[0].isupper()
+    assert said.endswith(".")
+    assert said.count(".") == 1
+
+
+def test_the_sentence_as_it_is_read() -> None:
+    spectral, temporal = (
+        make_card("realism", f"{name}_match", "predicts") for name in ("spectral", "temporal")
+    )
+    assert say([spectral, temporal]) == "Spectral match and temporal match predict realism ratings."
+    better = spectral | {"better_than": ["temporal_match"]}
+    assert say([better, temporal]).endswith("ratings, spectral match more strongly.")
+    hinging = spectral | {"hinges_on": ["reducer mag321"]}
+    assert say([hinging, temporal]).endswith(", which in part hinges on the reducer mag321.")
+    few = [card | {"few": ["3 recordings"]} for card in (spectral, temporal)]
+    assert "(with 3 recordings, a hint rather than a result)." in say(few)
+    none = [make_card(scale, "spectral_match", "open") for scale in ("realism", "mushra")]
+    assert say(none) == "Whether the ratings on both rating scales follow spectral match is open."
+    blank = make_card("realism", "spectral_match", "not_estimable", few=["3 people", "4 reducers"])
+    assert say([blank]).endswith("cannot be estimated with 3 people and 4 reducers.")
+    lost = make_card("realism", "spectral_match", "open", beyond_level="lost")
+    assert say([lost]).endswith(
+        "without level in the model spectral match would predict realism ratings."
+    )
+
+
+def test_levels_are_not_scales() -> None:
+    arms = [
+        make_card(
+            "realism", "spectral_match", "open", level=level, subject=f"Realism (level {level})"
+        )
+        for level in ("as is", "loud")
+    ]
+    assert say(arms) == "Whether realism ratings at both levels follow spectral match is open."
+    more = [
+        *arms,
+        *(card | {"scale": "mushra", "subject": f"MUSHRA{card['level']}"} for card in arms),
+    ]
+    assert "the ratings on both rating scales at both levels" in say(more)
+    assert "all ratings" in say(more[:3])
+
+
+def test_a_slope_that_turns_alone_is_said() -> None:
+    spectral = make_card("realism", "spectral_match", "predicts")
+    turned = make_card(
+        "realism",
+        "temporal_match",
+        "opposite",
+        turned=True,
+        given=["spectral_match"],
+        alone="higher",
+    )
+    told = "(at equal spectral match, higher temporal match goes with lower ratings; alone, with higher ratings)."
+    assert say([spectral, turned]).endswith(told)
+    assert "alone, its direction is open" in say([spectral, turned | {"alone": ""}])
+
+
+def test_a_surprising_reducer_is_named_where_metrics_predict() -> None:
+    rows = [
+        row
+        for scale, excess in (("realism", 31.24), ("mushra", 35.0))
+        for keys in [{"scale": scale, "level": "as_is", "reducer": "mag321"}]
+        for row in (make_row("excess", excess, **keys), make_row("exceptional", note="yes", **keys))
+    ]
+    odd = Found({"exceptions": rows})
+    cards = [make_card(scale, "spectral_match", "predicts") for scale in ("realism", "mushra")]
+    told = "mag321 was rated 31.2 to 35.0 points higher on realism and mushra than its metrics would suggest."
+    assert say(cards, primary=odd).endswith(told)
+    opened = [make_card(scale, "spectral_match", "open") for scale in ("realism", "mushra")]
+    assert "mag321" not in say(opened, primary=odd)
+
+
+def test_every_protocol_with_a_clause_is_in_the_sentence() -> None:
+    asked = {"choices": "triplets show this", "discrimination": "0 of 4 were distinguished"}
+    found = {key: Found(clauses=(text,)) for key, text in asked.items()}
+    for cards in ([], [make_card("realism", "spectral_match", "open")]):
+        said = say(cards, **found).casefold()
+        assert all(text in said for text in asked.values())
+
+
+@pytest.mark.parametrize(
+    ("verdict", "said"),
+    [
+        ("open", "is open."),
+        ("not_estimable", "cannot be estimated."),
+        ("predicts", "in the opposite direction."),
+    ],
+)
+def test_a_verdict_that_changes_without_flagged_raters_is_in_the_sentence(
+    verdict: str, said: str
+) -> None:
+    raters = Found(facts={"flagged": 13, "n_raters": 16})
+    card = make_card("mushra", "temporal_match", "predicts", unflagged=verdict)
+    told = say([card], raters=raters)
+    assert "without the 13 of 16 raters whom screening rules flag" in told
+    assert told.endswith(said)
+    assert "13" not in say([card | {"unflagged": ""}], raters=raters)
+
+
+def test_cards_take_their_numbers_from_the_rows() -> None:
+    place = {"scale": "realism", "level": "as_is", "metric": "temporal_match"}
+    verdict = {
+        key: make_card("realism", "temporal_match", "predicts")[key]
+        for key in ("subject", "opposite", "verdict")
+    }
+    ends = {"low": 1.0, "high": 7.0, "interval": "t"}
+    within = {**place, "method": "Pearson within recordings"}
+    found = {
+        "primary": Found(
+            {"slopes": [make_row("slope_quartile", 4.0, **ends, **place)]}, verdicts=[place | verdict]
+        ),
+        "metrics": Found({"associations": [
+            make_row("r", -0.5, low=-0.7, high=-0.2, interval="b", **within), make_row("ceiling", 0.9, **within),
+        ]}),
+    }  # fmt: skip
+    (card,) = make_cards(found)
+    assert card["effect"] == {"value": 4.0, "low": 1.0, "high": 7.0}
+    assert (card["r"]["value"], card["ceiling"], card["alone"], card["turned"]) == (
+        -0.5,
+        0.9,
+        "lower",
+        True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("p", "tenth", "changes"),
+    [(0.001, 3.0, False), (0.04, 3.0, True), (0.001, -3.0, True), (math.nan, math.nan, True)],
+)
+def test_verdicts_without_flagged_raters_are_adjusted_as_the_primary_ones(
+    p: float, tenth: float, *, changes: bool
+) -> None:
+    rows = [
+        {
+            "scale": "mushra",
+            "level": "as_is",
+            "panel": panel,
+            "metric": metric,
+            "p": p,
+            "tenth": tenth,
+        }
+        for panel, p, tenth in (("everyone", 0.001, 3.0), ("any", p, tenth))
+        for metric in ("spectral_match", "temporal_match")
+    ]
+    metrics = {row["metric"] for row in list_changes(conclude_panels(rows))}
+    assert metrics == ({"spectral_match", "temporal_match"} if changes else set())
+
+
+def test_a_model_that_everyone_lacks_claims_nothing() -> None:
+    row = {"scale": "realism", "level": "as_is", "panel": "any", "metric": "temporal_match"}
+    assert list(list_changes([row | {"verdict": "open", "tenth": 3.0}])) == []
+    assert len(list(list_changes([row | {"verdict": "predicts", "tenth": 3.0}]))) == 1
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict", "direction", "against"),
+    [
+        (0.4, 0.9, "open", "", True), (0.4, 0.9, "predicts", "higher", False), (0.4, 0.9, "predicts", "lower", True),
+        (-0.1, 0.9, "predicts", "higher", True), (-0.1, 0.9, "open", "", False),
+        (math.nan, math.nan, "predicts", "", False),
+        (0.4, 0.9, "not_estimable", "", False),
+    ],
+)  # fmt: skip
+def test_pooled_correlations_that_disagree_with_the_verdict_are_marked(
+    low: float, high: float, verdict: str, direction: str, *, against: bool
+) -> None:
+    place = {"scale": "realism", "level": "as_is"}
+    one = {
+        "metric": "spectral_match",
+        "r": {"value": 0.7, "low": low, "high": high},
+        "covers": low <= 0 <= high,
+        "ranks": None,
+    }
+    panel = {
+        **place,
+        "found": [one],
+        "differences": [],
+        "subject": "Realism",
+        "n_items": 9,
+        "ceiling": math.nan,
+    }
+    claim = {
+        **place,
+        "metric": "spectral_match",
+        "verdict": verdict,
+        "direction": direction,
+        "better_than": [],
+    }
+    reconcile([panel], [claim])
+    assert bool(panel["against"]) == against
+    lines = render_words("metrics", panels=[panel], map="", ranges=[])
+    assert any("That is another question" in line for line in lines) == against

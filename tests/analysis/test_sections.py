@@ -1,0 +1,243 @@
+"""Sections of the report: their rows by hand, how far a claim reaches, and what they say they did not do."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from feel321.analysis.contrasts.compare import equivalence, non_inferiority
+from feel321.analysis.page import render_words
+from feel321.analysis.primary.sensitivity import adjust_holm
+from feel321.analysis.report import correlations, pairs, parts, raters, reducers, robustness
+from feel321.analysis.report.answer import find_row
+from feel321.analysis.resampling import Choices
+from feel321.analysis.standard import compare_p1401, p1401
+from feel321.analysis.table.items import make_items
+from feel321.analysis.table.reading import Table, read_table
+from feel321.analysis.table.schema import ANSWERED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+METRICS = ("spectral_match", "temporal_match")
+ARMS = ("as_is", "equal_intensity")
+CHOICES = Choices(draws=2)
+
+
+def pick(rows: list[dict[str, Any]], quantity: str) -> list[dict[str, Any]]:
+    return [row for row in rows if row["quantity"] == quantity]
+
+
+# Reducers and levels against each other.
+
+
+def test_contrasts_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
+    rows, margin = tidy(1, participants=8, recordings=5), 4.0
+    found = reducers.compute_contrasts(Table(rows, METRICS, ()), Choices(draws=2, margin=margin))
+    contrasts = found.rows["contrasts"]
+    differences, t = pick(contrasts, "difference"), pick(contrasts, "t")
+    tests = rows[rows["role"] == "test"]
+    # In a balanced study a contrast is the difference of two means, whatever the spreads.
+    means = tests.groupby("reducer")["rating"].mean()
+    assert len(differences) == len(list(combinations(means.index, 2)))
+    for row in differences:
+        assert row["value"] == pytest.approx(means[row["reducer"]] - means[row["second_reducer"]])
+    assert [row["p"] for row in differences] == pytest.approx(adjust_holm([row["p"] for row in t]))
+    columns = [pick(contrasts, name) for name in ("df", "difference_90", "non_inferiority")]
+    for row, one, df, tost, worse in zip(differences, t, *columns, strict=True):
+        se = row["value"] / one["value"]
+        wanted = equivalence(row["value"], se, df["value"], low=-margin, high=margin)
+        assert (tost["low"], tost["p"]) == pytest.approx((wanted.low90, wanted.p))
+        # Higher is better: the first, the simpler one, must not lie below the second by the margin.
+        assert worse["p"] == pytest.approx(
+            non_inferiority(row["value"], se, df["value"], margin=-margin).p
+        )
+    n_differ = find_row(found.rows["reducers_together"], "n_differ")["value"]
+    assert n_differ == sum(row["p"] < 0.05 for row in differences) > 0
+
+
+def test_raters_who_ignore_the_scale_show_no_equivalence(tidy: Callable[..., pd.DataFrame]) -> None:
+    rows = tidy(1, participants=12, recordings=6)
+    noise = np.random.default_rng(2).uniform(0, 100, len(rows))
+    found = reducers.compute_contrasts(Table(rows.assign(rating=noise), METRICS, ()), CHOICES)
+    assert all(np.isnan(row["p"]) for row in pick(found.rows["contrasts"], "difference_90"))
+    assert not pick(found.rows["contrasts"], "equivalent")
+    assert not found.pictures
+    (line,) = render_words("contrasts", **found.facts)
+    assert "equivalence is not tested" in line
+
+
+@pytest.mark.parametrize(
+    ("people", "scenes", "hint"),
+    [(6, 5, ""), (6, 1, "with 1 recording"), (1, 6, "with 1 participant"), (6, 3, "with 3 recordings")],
+)  # fmt: skip
+def test_what_is_said_of_reducers_reaches_as_far_as_the_study(
+    tidy: Callable[..., pd.DataFrame], people: int, scenes: int, hint: str
+) -> None:
+    table = Table(tidy(1, participants=people, recordings=scenes, spectral=80.0), METRICS, ())
+    (line,) = render_words("contrasts", **reducers.compute_contrasts(table, CHOICES).facts)
+    assert line.endswith(f"; {hint} a hint rather than a result." if hint else "tested.")
+
+
+def make_arms(tidy: Callable[..., pd.DataFrame], **changes: object) -> pd.DataFrame:
+    """At the first level ratings follow the spectral match by 30 points, at the second by none but lie 9 higher."""
+    rows = tidy(2, levels=ARMS, anchors=False, **changes)
+    second = rows["level"] == ARMS[1]
+    rows["rating"] -= second * 30 * rows["spectral_match"].clip(0, 1)
+    return rows.assign(rating=rows["rating"] + second * 24)
+
+
+def test_levels_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
+    rows = make_arms(tidy, participants=8, recordings=6)
+    found = reducers.compute_levels(Table(rows, METRICS, ()), CHOICES)
+    levels = found.rows["levels"]
+    differences = pick(levels, "difference")
+    wanted = adjust_holm([row["p"] for row in pick(levels, "t")])
+    assert [row["p"] for row in differences] == pytest.approx(wanted)
+    means = rows.groupby("level")["rating"].mean()
+    rating, slope, _ = differences
+    assert rating["value"] == pytest.approx(means[ARMS[0]] - means[ARMS[1]], abs=0.01)
+    assert slope["low"] < 3 < slope["high"]
+    assert slope["p"] < 0.01
+    told = [
+        line.replace("\N{NO-BREAK SPACE}", " ") for line in render_words("levels", **found.facts)
+    ]
+    assert told[0].startswith("Levels compared: 2 of 3 differences")
+    assert told[1].startswith("Realism ratings are lower at as is than at equal intensity (−")
+    assert "the slope on spectral match is larger at as is than at equal intensity (" in told[2]
+    assert "It is unclear whether the effect of temporal match" in told[3]
+    assert not any("hint" in line for line in told)
+
+
+def test_levels_of_one_participant_are_a_hint(tidy: Callable[..., pd.DataFrame]) -> None:
+    rows = make_arms(tidy, participants=1, recordings=8, noise=2.0)
+    found = reducers.compute_levels(Table(rows, METRICS, ()), CHOICES)
+    *_, spectral, temporal = render_words("levels", **found.facts)
+    assert spectral.endswith("; with 1 participant a hint rather than a result.")
+    assert "hint" not in temporal
+
+
+# Raters.
+
+
+@pytest.fixture
+def read(files: Callable[..., Any]) -> Callable[..., Table]:
+    """Read ratings of which some participants do not know the hidden reference again."""
+
+    def read(protocol: str, *, forgetful: tuple[str, ...], people: int = 6) -> Table:
+        study = files(participants=people, recordings=3, scales=("comfort",))
+        rows = pd.read_csv(study.ratings).assign(protocol=protocol)
+        known = ~rows["participant"].isin(forgetful)
+        rows.loc[rows["reducer"] == "original", "rating"] = known.map({True: 97.0, False: 60.0})
+        rows.to_csv(study.ratings, index=False)
+        return read_table(study.ratings, study.manifest)
+
+    return read
+
+
+def test_flagged_raters_are_counted_by_the_rules_that_apply(read: Callable[..., Table]) -> None:
+    first = {}
+    for protocol in ("mushra", "realism"):
+        found = raters.compute(read(protocol, forgetful=("p01", "p02")), Choices(draws=10))
+        first[protocol] = render_words("raters", **found.facts)[0]
+        assert (
+            find_row(found.rows["screening_rules"], "n_flagged", panel="any")["value"]
+            == found.facts["flagged"]
+        )
+    assert first["mushra"].startswith(
+        "2 of 6 raters were flagged by screening rules (all by ITU-R BS.1534-3 rules). Nobody was removed."
+    )
+    assert "the ITU-R BS.1534-3 rules do not apply to these ratings" in first["realism"]
+
+
+def test_one_rater_left_of_several_gives_no_slope(read: Callable[..., Table]) -> None:
+    table = read("mushra", forgetful=("p01", "p02"), people=3)
+    slopes = pick(raters.compute(table, Choices(draws=10)).rows["slopes_without_hits"], "slope")
+    alone = [row for row in slopes if row["panel"] == raters.GROUPS["standard"]]
+    assert [row["n"] for row in alone] == [1, 1]
+    assert all(np.isnan(row["value"]) for row in alone)
+    assert all(row["note"].startswith("One rater is left") for row in alone)
+    everyone = [row for row in slopes if row["panel"] == "everyone"]
+    assert not any(np.isnan(row["value"]) for row in everyone)
+
+
+# For comparison with the literature.
+
+
+@pytest.mark.parametrize("order", [1, 3])
+def test_differences_are_those_of_p1401(tidy: Callable[..., pd.DataFrame], order: int) -> None:
+    table = Table(tidy(1, recordings=6, participants=6), METRICS, ())
+    found = correlations.compute_standard(table, CHOICES)
+    (part,) = parts.split_parts(table)
+    items = make_items(part.rows, METRICS)
+    judged = [p1401(items.ratings.T, values, order=order) for values in items.metrics]
+    wanted = compare_p1401(*judged)
+    keys = {"order": order, "mapping": "fitted"}
+    for name in ("plcc_z", "outlier_z", "rmse_f", "rmse_star_f"):
+        row = find_row(found.rows["p1401_differences"], name, **keys)
+        p = getattr(wanted, f"{name[:-2]}_p")
+        assert (row["value"], row["p"]) == pytest.approx((getattr(wanted, name), p), nan_ok=True)
+    row = find_row(found.rows["p1401"], "rmse", metric=METRICS[0], **keys)
+    assert (row["value"], row["low"]) == pytest.approx((judged[0].rmse, judged[0].rmse_low))
+
+
+def test_one_metric_has_no_differences(tidy: Callable[..., pd.DataFrame]) -> None:
+    rows = tidy(1, recordings=6, participants=6).drop(columns="temporal_match")
+    found = correlations.compute_standard(Table(rows, METRICS[:1], ()), CHOICES)
+    assert not found.rows["p1401_differences"]
+    assert not found.rows["dependent"]
+
+
+# What a section does not do, and says so.
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"draws": 1}, "draws must be 2 or more, got 1"),
+        ({"margin": 0.0}, "margin must be above 0.*got 0.0"),
+        ({"margin": float("nan")}, "margin must be above 0.*got nan"),
+        ({"margin": float("inf")}, "margin must be above 0.*got inf"),
+    ],
+)
+def test_choices_that_cannot_be_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Choices(**changes)
+
+
+@pytest.mark.parametrize(
+    ("module", "limit", "size", "told"),
+    [
+        (
+            robustness,
+            "MOST_CELLS",
+            6 * 4 * 9 - 1,
+            "for 216 participant x stimulus cells; up to 215 are varied.",
+        ),
+        (parts, "MOST_DENSE", 3, "They are left out, for these ratings are too many for one fit."),
+    ],
+)
+def test_ratings_too_many_to_be_varied_are_told(
+    tidy: Callable[..., pd.DataFrame], monkeypatch: pytest.MonkeyPatch, module: object, limit: str, size: int, told: str
+) -> None:  # fmt: skip
+    monkeypatch.setattr(module, limit, size)
+    found = robustness.compute(Table(tidy(), METRICS, ()), CHOICES)
+    (note,) = found.notes
+    assert note.endswith(told)
+    assert found.is_empty
+
+
+def test_answers_that_are_neither_right_nor_wrong_are_not_evaluated(
+    tidy: Callable[..., pd.DataFrame],
+) -> None:
+    rows = tidy().assign(scale=ANSWERED)
+    rows["rating"] = rows["rating"].gt(50) * 100.0
+    rows.loc[rows.index[:3], "rating"] = 55.0
+    found = pairs.compute_discrimination(Table(rows, METRICS, ()), CHOICES)
+    told = f"Scale '{ANSWERED}' is not evaluated: 3 answers are neither 100 (right) nor 0 (wrong)."
+    assert found.notes == (told,)
+    assert found.is_empty
