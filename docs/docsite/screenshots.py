@@ -57,7 +57,7 @@ MARKED = (
     ".card:nth-of-type(1) li:nth-of-type(1) .points",
     ".card:nth-of-type(1) li:nth-of-type(1) .strip + .faint",
     ".lead figcaption",
-    "h2#contents",
+    "h2#predict",
 )
 """What docs/reading-the-report.md explains, in the order of its numbers."""
 

@@ -89,7 +89,15 @@ def plot_forest(
             offset = (number - (len(row.marks) - 1) / 2) * MARK_CM / ROW_CM
             _plot_mark(axes, mark, height=place + offset, limits=limits)
     axes.set(xlim=limits, ylim=(len(rows) - 0.4, -0.6))
-    axes.set_yticks(range(len(rows)), [style.fit_text(row.label, LABEL_CM) for row in rows])
+    axes.set_yticks(
+        range(len(rows)),
+        [
+            style.fit_text(
+                row.label, LABEL_CM if row.marks else LABEL_CM + 1, lines=2 if row.marks else 1
+            )
+            for row in rows
+        ],
+    )
     axes.tick_params(axis="y", length=0)
     for label, row in zip(axes.get_yticklabels(), rows, strict=True):
         label.set_fontweight("normal" if row.marks else "bold")
@@ -144,7 +152,7 @@ def draw_forest(
     with style.print_style():
         figure, axes = style.new_figure(height)
         plot_forest(axes, rows, include=include, zero=zero)
-        figure.supxlabel(label)
+        axes.set_xlabel(label)
         if title:
             style.add_title(figure, title)
     return figure, axes
@@ -356,7 +364,7 @@ def draw_scatters(
                 style.label_scale(panel.scale, CELL_CM - 0.4, level=panel.level * several)
             )
             for axes, metric in zip(line, metrics, strict=True):
-                shown |= plot_stimuli(axes, panel.stimuli, metric, looks=looks, size=3.5)
+                shown |= plot_stimuli(axes, panel.stimuli, metric, looks=looks, size=4.2)
                 (one,) = (
                     one
                     for one in panel.associations
@@ -456,7 +464,7 @@ def draw_profiles(
         grid = figure.subplots(lines, columns, squeeze=False)
         for axes, (name, profile, people) in zip(grid.flat, parts, strict=False):
             plot_profile(axes, profile, people, looks=looks, label_cm=LABEL_CM / columns**0.5)
-            axes.set_title(style.fit_text(name, 6.0))
+            axes.set_title(style.fit_text(name, 4.5))
             axes.set_xlabel(
                 style.label_scale(str(profile["scale"].iloc[0]), style.WIDTH_CM / columns - 3)
             )
