@@ -219,7 +219,10 @@ def test_another_seed_moves_intervals_only(report: Path, study: object, tmp_path
 
     def index(folder: Path) -> dict[tuple[object, ...], dict[str, Any]]:
         rows = load(folder)["numbers"]
-        return {tuple((k, v) for k, v in row.items() if k not in FIXED): row for row in rows}
+        return {
+            tuple(sorted((k, str(v)) for k, v in row.items() if k not in FIXED)): row
+            for row in rows
+        }
 
     first, second = index(report), index(tmp_path / "other")
     assert len(second) > 100

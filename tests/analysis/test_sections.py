@@ -148,9 +148,7 @@ def test_flagged_raters_are_counted_by_the_rules_that_apply(read: Callable[..., 
             find_row(found.rows["screening_rules"], "n_flagged", panel="any")["value"]
             == found.facts["flagged"]
         )
-    assert first["mushra"].startswith(
-        "2 of 6 raters were flagged by screening rules (all by ITU-R BS.1534-3 rules). Nobody was removed."
-    )
+    assert "(2 of them by ITU-R BS.1534-3 rules). Nobody was removed." in first["mushra"]
     assert "the ITU-R BS.1534-3 rules do not apply to these ratings" in first["realism"]
 
 
