@@ -191,14 +191,21 @@ def _leave_incomplete(tests: DataFrame, rivals: Sequence[str]) -> tuple[tuple[st
 
 
 def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
-    """Find the tables in a study's folder."""
+    """Find the tables of a study, by its folder or its ratings."""
     if not isinstance(ratings, str | os.PathLike):
         raise TypeError(
             f"ratings must be a path, of a study, where no manifest is given, got {describe(ratings)}; give the "
             "manifest too, a path or a DataFrame"
         )
-    folder = as_path(ratings, "ratings")
-    return folder / RATINGS_FILE, folder / MANIFEST_FILE
+    path = as_path(ratings, "ratings")
+    if not path.is_file():
+        return path / RATINGS_FILE, path / MANIFEST_FILE
+    for manifest in (path.with_name("manifest.csv"), path.parent / MANIFEST_FILE):
+        if manifest.is_file():
+            return path, manifest
+    raise FileNotFoundError(
+        f"{path}: no manifest.csv beside it, nor stimuli/manifest.csv; pass the manifest as second argument"
+    )
 
 
 # What was judged against what, and what of it the metrics describe.
