@@ -202,6 +202,18 @@ def make_handles(looks: Mapping[str, Look]) -> dict[str, Artist]:
     }
 
 
+def spread(falling: Sequence[float], apart: float, *, low: float) -> list[float]:
+    """Move heights, from the highest down, until each is so far below the one before, and the last not below low."""
+    places: list[float] = []
+    for height in falling:
+        places.append(min(height, places[-1] - apart) if places else height)
+    floor = low
+    for number in range(len(places) - 1, -1, -1):
+        places[number] = max(places[number], floor)
+        floor = places[number] + apart
+    return places
+
+
 # How figures are saved: as vector and as bitmap, the same bytes for the same data.
 
 PNG_DPI = 200
