@@ -1,38 +1,26 @@
 """What each protocol compares: the trials that the stimuli of one recording make, and their catch trials.
 
-Realism: one stimulus, from not at all real to like the real surface, which may be stroked first. Every stimulus is
-judged by itself, the recording's own vibration and the anchors among them.
+- *Realism*: one stimulus, from not at all real to like the real surface, which may be stroked first. Every stimulus is
+  judged by itself, the recording's own vibration and the anchors among them.
+- *Similarity*: a reference, then a stimulus; 100 points mean identical. The reference is the recording itself, the real
+  surface, or what a reducer made of the recording [1]_; it is judged against itself too. Nothing is identical to the
+  real surface; there the recording itself is the hidden reference. Strict timing is that of [2]_.
+- *Dissimilarity*: two stimuli; 0 points mean identical. All pairs of the reducers and the recording itself are judged,
+  so that multidimensional scaling can draw the space in which they differ [3]_, and the recording itself against
+  itself. Anchors would stretch the space; they appear in training only, where they are what certainly differs.
+- *MUSHRA*: a page holds one level arm of one recording, each stimulus with a slider, and a reference that is named as
+  such [4]_. Among them are, unnamed, the reference itself and anchors that were made to be rated badly: haptic ones,
+  for a low-pass is no anchor below 1 kHz ([2]_ brought the method to vibrations).
+- *ABX*: a and b are a stimulus and its reference, x is one of them again. 100 points mean right, so that the mean is
+  the percentage correct: 50 for someone who feels no difference [5]_.
+- *Triplet*: the reference, then a and b, which of the two felt more like it [6]_: pairs of the reducers of one
+  recording and level arm. With `reference = "every"` each of them and the recording itself is the reference in turn.
+- *Preference*: which of a and b is preferred; the recording itself is one of the stimuli.
 
-Similarity: a reference, then a stimulus; 100 points mean identical. The reference is the recording itself, the real
-surface, or what a reducer made of the recording [1]_. The reference is judged against itself too: a participant who
-feels a difference there is caught. Nothing is identical to the real surface; there the recording itself is the hidden
-reference. Parts may be felt again unless a study asks for strict timing, as in [2]_.
-
-Dissimilarity: two stimuli; 0 points mean identical. All pairs of the reducers and the recording itself are judged, so
-that multidimensional scaling can draw the space in which they differ [3]_. One more pair holds the recording itself
-twice, as a catch trial. Anchors would stretch the space; they appear in training only, where they are what certainly
-differs from the recording. Which of the two comes first changes with every turn.
-
-MUSHRA: many stimuli on one page, each with a slider, and a reference that is named as such [4]_. The participant
-switches freely between them; 100 points mean just like the reference. Among them are, unnamed, the reference itself
-and two anchors that were made to be rated badly. A low-pass is no anchor below 1 kHz, so a stimulus set brings haptic
-ones; [2]_ brought the method to vibrations. A page holds one level arm of one recording.
-
-ABX: the participant feels a, b and x, and says which of the first two x was. One of a and b is a stimulus, the other
-its reference; x is one of them again. 100 points mean right, 0 wrong, so that the mean over trials is the percentage
-correct: 50 for someone who feels no difference. This is the task behind "not perceptibly different" [5]_. Everyone
-who has understood it distinguishes an anchor from the reference.
-
-Triplet: the participant feels the reference, then a and b, and says which of the two felt more like it [6]_. The pairs
-are those of the reducers of one recording and level arm. With `reference = "every"` each of them and the recording
-itself is the reference in turn, which is what a map of the stimuli needs. Preference: a and b only, and which of them
-is preferred; the recording itself is one of the stimuli. `[tasks.triplet] pairs = N` asks for N of the pairs per
-recording, level arm and reference: each stimulus is in equally many of them, as far as the number allows, and each
-recording has pairs of its own.
-
-The judgement of both is about a, which is felt first: 100 points mean that a was chosen, 0 that b was. Which stimulus
-is a changes with every turn, so that the mean over balanced trials has no advantage of the first. In catch trials one
-of the two is the recording itself and the other an anchor.
+Of the last two, `pairs = N` asks for N of the pairs per recording, level arm and reference. Their judgement is about a,
+which is felt first: 100 points mean that a was chosen, 0 that b was. In catch trials one of the two is the recording
+itself and the other an anchor. In every protocol, which of two comes first changes with every turn, so that the mean
+over balanced trials has no advantage of the first.
 
 References
 ----------

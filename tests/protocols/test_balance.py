@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from feel321.protocols.balance import count_rows, measure_balance, pool_balances, williams_row
@@ -24,13 +24,7 @@ if TYPE_CHECKING:
 
 N_RECORDINGS, N_STIMULI, CYCLE = 8, 12, 24
 ITEMS = [
-    Item(
-        f"{r}-{s}",
-        str(r),
-        str(s),
-        "as_is",
-        "anchor" if s in {1, 2} else "test" if s else "reference",
-    )
+    Item(f"{r}-{s}", str(r), str(s), "as_is", ("reference", "anchor", "anchor", "test")[min(s, 3)])
     for r in range(N_RECORDINGS)
     for s in range(N_STIMULI)
 ]
@@ -60,51 +54,16 @@ def run(numbers: Iterable[int], order: str = "williams", seed: int = 1) -> Balan
 
 def test_counts_by_hand() -> None:
     balance = measure_balance(["ABC", "BA", "AAC"])
+    rows = {"A": (2, 2, 0), "B": (1, 1, 0), "C": (0, 0, 2)}
     assert balance.positions == {
-        ("A", 1): 2,
-        ("A", 2): 2,
-        ("A", 3): 0,
-        ("B", 1): 1,
-        ("B", 2): 1,
-        ("B", 3): 0,
-        ("C", 1): 0,
-        ("C", 2): 0,
-        ("C", 3): 2,
+        (name, place): count for name, row in rows.items() for place, count in enumerate(row, 1)
     }
-    assert balance.carry_over == {
-        ("A", "B"): 1,
-        ("A", "C"): 1,
-        ("B", "A"): 1,
-        ("B", "C"): 1,
-        ("C", "A"): 0,
-        ("C", "B"): 0,
-    }
+    pairs = {"AB": 1, "AC": 1, "BA": 1, "BC": 1, "CA": 0, "CB": 0}
+    assert balance.carry_over == {tuple(pair): count for pair, count in pairs.items()}
     assert balance.repeats == 1
     # Positions: mean 8/9, squares sum to 14, so the variance is 14/9 - 64/81.
     assert balance.position_index == pytest.approx(sqrt(14 / 9 - 64 / 81) / (8 / 9))
     assert balance.carry_over_index == pytest.approx(sqrt(4 / 6 - 16 / 36) / (4 / 6))
-
-
-@given(letters)
-def test_every_condition_that_was_run_is_counted_once_at_its_place_and_once_with_its_neighbour(
-    rows: list[str],
-) -> None:
-    assume(any(rows))
-    balance = measure_balance(rows)
-    assert sum(balance.positions.values()) == sum(map(len, rows))
-    assert sum(balance.carry_over.values()) + balance.repeats == sum(
-        max(0, len(row) - 1) for row in rows
-    )
-
-
-@given(letters, st.integers(2, 4))
-def test_the_same_again_scales_counts_and_leaves_indices(rows: list[str], times: int) -> None:
-    assume(any(rows))
-    once, often = measure_balance(rows), measure_balance(rows * times)
-    assert often.positions == {spot: times * count for spot, count in once.positions.items()}
-    assert often.carry_over == {pair: times * count for pair, count in once.carry_over.items()}
-    assert often.position_index == pytest.approx(once.position_index)
-    assert often.carry_over_index == pytest.approx(once.carry_over_index)
 
 
 @pytest.mark.parametrize("n", range(2, 13))
@@ -143,28 +102,6 @@ def test_williams_is_in_perfect_balance_after_full_cycles_from_any_participant(s
     for start in (1, 6):
         balance = run(range(start, start + CYCLE), seed=seed)
         assert (balance.position_index, balance.carry_over_index) == (0.0, 0.0)
-
-
-@given(st.sets(st.integers(1, 15), max_size=5))
-def test_slots_that_are_issued_again_restore_the_balance(starts_that_drop_out: set[int]) -> None:
-    free, completed, start = set(range(1, N_STIMULI + 1)), [], 0
-    while free:
-        start += 1
-        slot = min(free)  # as numbers are given: the lowest free one
-        if start not in starts_that_drop_out:
-            free.remove(slot)
-            completed.append(slot)
-    balance = run(completed)
-    assert (balance.position_index, balance.carry_over_index) == (0.0, 0.0)
-
-
-@given(st.sets(st.integers(1, N_STIMULI), min_size=1, max_size=6))
-def test_slots_that_stay_empty_cost_as_much_as_counts_of_none_and_one_can(lost: set[int]) -> None:
-    balance = run(set(range(1, N_STIMULI + 1)) - lost)
-    share = 1 - len(lost) / N_STIMULI
-    assert set(balance.positions.values()) == set(balance.carry_over.values()) == {0, 1}
-    assert balance.position_index == pytest.approx(sqrt((1 - share) / share))
-    assert balance.carry_over_index == pytest.approx(sqrt((1 - share) / share))
 
 
 @pytest.mark.parametrize("n_participants", [6, 12, 15, 16, 24])

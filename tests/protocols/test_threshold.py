@@ -126,15 +126,6 @@ def test_wrong_assumptions_shift_the_threshold_by_little(
     assert coverage(planted, estimates, "threshold") >= 0.6
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_more_trials_narrow_the_interval(name: str) -> None:
-    few, many = (
-        [one.threshold_high_db - one.threshold_low_db for one in recover(name, 12, trials=n)[2]]
-        for n in (30, 90)
-    )
-    assert np.mean(many) < 0.75 * np.mean(few)
-
-
 def test_the_planted_proportion_is_correct_at_the_threshold() -> None:
     for n_down, expected in ((2, 0.7071), (3, 0.7937), (4, 0.8409)):  # Levitt 1971, Table I
         plan = ThresholdPlan(lowest_db=-60, highest_db=0, start_db=0, n_down=n_down)
@@ -243,13 +234,6 @@ def test_replay_is_identical(name: str) -> None:
     assert estimate_threshold(again) == estimate_threshold(whole)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_asking_moves_nothing(name: str) -> None:
-    procedure = resume(name, PLAN, answers=[1, 2, 1])
-    before = procedure.next(), estimate_threshold(procedure)
-    assert (procedure.next(), estimate_threshold(procedure)) == before
-
-
 def test_catch_trials_are_silent_and_spread() -> None:
     procedure = conduct("staircase", Observer(-30))
     silent = [one.level_db is None for one in procedure.shown]
@@ -282,11 +266,6 @@ def test_guessing_by_the_binomial_distribution() -> None:
     tails = [module.find_tail(hits, 6) for hits in (0, 5, 6)]
     assert tails == [1, 7 / 64, 1 / 64]
     assert module._binary_entropy(np.array([0, 0.5, 1 + 2**-50])).tolist() == [0, 1, 0]
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_ordinary_measurement_has_no_notes(name: str) -> None:
-    assert estimate_threshold(conduct(name, Observer(-30))).notes == ()
 
 
 def test_a_preferred_interval_is_noted_from_5_percent_on() -> None:
@@ -333,13 +312,6 @@ def test_an_estimate_without_answers_is_the_prior(name: str) -> None:
 def test_plans_that_cannot_be_run(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ThresholdPlan(**{"lowest_db": -60, "highest_db": 0, "start_db": -10, **change})
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_without_lapses_and_with_the_widest_range(name: str) -> None:
-    plan = {"lowest_db": -200, "lapse": 0, "trials": 40}
-    procedure = conduct(name, Observer(-30, lapse=0), plan=plan)
-    assert estimate_threshold(procedure).threshold_db == pytest.approx(-30, abs=4)
 
 
 def test_refused_answers() -> None:

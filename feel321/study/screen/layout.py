@@ -142,7 +142,8 @@ def _add_question(sheet: Sheet, view: View, question: Question, *, texts: Screen
         optional = texts.questions["optional"]
         sheet.write(sheet.find_strip("top"), optional, ui.SMALL, color=ui.DIM)
     leave, is_ready = Button(texts.keys["leave"], "pause"), question.name in view.felt
-    go_on = Button(texts.keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=True)
+    line = texts.keys["confirm" if question.choices else "confirm_typed"]
+    go_on = Button(line, "confirm", is_main=True, is_ready=is_ready, explains=True)
     sheet.add_buttons([leave], [go_on])
     sheet.add_hints([*_list_hints(question, texts)])
 
@@ -165,8 +166,7 @@ def _add_options(sheet: Sheet, view: View, question: Question, *, box: Box) -> N
     for place, option in enumerate(question.options):
         field = Box(box.left, box.top + place * row, box.width, row - 0.8 * unit)
         is_chosen = view.chosen == str(place)
-        style = {"round_px": unit, "line_px": 0.2 * unit}
-        ink = sheet.add_choice(field, str(place), is_chosen=is_chosen, **style)
+        ink = sheet.add_choice(field, str(place), is_chosen=is_chosen)
         mark = Box(field.left + 2 * unit, field.top, 3 * unit, field.height)
         sheet.write(mark, CHOSEN if is_chosen else OPEN, ui.BODY, color=ink)
         words = Box(mark.right + 1.5 * unit, field.top, field.width - 10 * unit, field.height)
@@ -183,8 +183,7 @@ def _add_points(sheet: Sheet, view: View, question: Question, *, box: Box) -> No
     for place, text in enumerate(question.options):
         field = Box(box.left + place * step, box.top, step - 1.2 * unit, (POINT - 3) * unit)
         is_chosen = view.chosen == str(place)
-        style = {"round_px": unit, "line_px": 0.2 * unit}
-        ink = sheet.add_choice(field, str(place), is_chosen=is_chosen, **style)
+        ink = sheet.add_choice(field, str(place), is_chosen=is_chosen)
         upper = Box(field.left, field.top, field.width, field.height * 0.62)
         lower = Box(field.left, upper.bottom, field.width, field.height * 0.38)
         sheet.write(upper, str(place + 1), ui.QUESTION, color=ink, bold=True, align="center")

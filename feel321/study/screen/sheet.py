@@ -274,12 +274,10 @@ class Sheet:
                 f"its {what} must take at most {most} lines, got {count}; shorten it"
             )
 
-    def add_choice(
-        self, box: Box, part: str, *, is_chosen: bool, round_px: float, line_px: float
-    ) -> str:
-        """Draw a field that can be chosen, filled if it is; returns the color of its letters."""
+    def add_choice(self, box: Box, part: str, *, is_chosen: bool) -> str:
+        """Draw an option, filled if it is chosen; returns the color of its letters."""
         fill = BLUE if is_chosen else PANEL
-        self.fill(box, fill, line=LINE, round_px=round_px, line_px=line_px)
+        self.fill(box, fill, line=LINE, round_px=self.unit, line_px=0.2 * self.unit)
         self.targets.append(Target(box, "choose", part))
         return GROUND if is_chosen else INK
 

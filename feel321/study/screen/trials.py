@@ -241,13 +241,13 @@ class _TrialLayout:
         for place, name in enumerate(self.scale.choices):
             field = Box(left + place * (width + gap), top, width, height)
             is_chosen = name == view.chosen
-            style = {"round_px": 2 * unit, "line_px": 0.3 * unit}
-            ink = sheet.add_choice(field, name, is_chosen=is_chosen, **style)
-            if not view.can_answer:
-                sheet.targets.pop()
-                ink = ink if is_chosen else ui.DIM
+            ink = GROUND if is_chosen else INK if view.can_answer else ui.DIM
+            fill = ui.BLUE if is_chosen else ui.PANEL
+            sheet.fill(field, fill, line=ui.LINE, round_px=2 * unit, line_px=0.3 * unit)
             words = self.texts.name_part(name)
             sheet.write(field, words, 2 * ui.QUESTION, color=ink, bold=True, align="center")
+            if view.can_answer:
+                sheet.targets.append(Target(field, "choose", name))
 
     def add_rows(self, box: Box) -> None:
         """Set the reference beside the words of the scale, and under them a row for each vibration."""
@@ -339,14 +339,17 @@ class _TrialLayout:
         words = f"{view.typed}_" if view.typed and is_selected else words
         beside = Box(track.right + unit, track.top, (MARGIN + VALUE - 1) * unit, track.height)
         sheet.write(beside, words, ui.BODY, bold=True, align="right")
-        top, step = track.bottom + 0.2 * unit, sheet.find_height(1, ui.SMALL)
+        top, half = track.bottom + 0.2 * unit, LABEL * width
+        labels = (scale.low_label, scale.high_label)
+        # As large as where there is one slider, if they fit.
+        fits = max(sheet.measure(label, ui.BODY) for label in labels) <= half
+        size = ui.BODY if fits and not scale.anchors else ui.SMALL
+        step = sheet.find_height(1, size)
         if scale.anchors:
             self.write_along(track, top, scale.anchors, align="left")
         else:
-            half = LABEL * width
-            low, high = Box(left, top, half, step), Box(track.right - half, top, half, step)
-            sheet.write(low, scale.low_label, ui.SMALL, color=ui.DIM)
-            sheet.write(high, scale.high_label, ui.SMALL, color=ui.DIM, align="right")
+            sheet.write(Box(left, top, half, step), labels[0], size)
+            sheet.write(Box(track.right - half, top, half, step), labels[1], size, align="right")
         if view.can_answer:
             target = Box(left - unit, head.top, width + 2 * unit, top + step - head.top)
             sheet.targets.append(Target(target, "mark", key, track))

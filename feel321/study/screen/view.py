@@ -118,6 +118,7 @@ def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> Scr
     lines, asked = tables["keys"], tables["questions"]["prompts"]
     prompts = label_prompts(keys, tables["prompts"], lines)
     labelled = label_keys(keys, lines)
+    labelled["confirm_typed"] = lines["confirm"]  # Enter, whatever key confirms elsewhere
     labelled["loop"] = f"{label_key(keys.loop[0], {})}  {LOOP}"
     refusals = {**tables["refusals"], **asked}
     return ScreenTexts(pages, refusals, prompts, tables["parts"], labelled, keys, asked)

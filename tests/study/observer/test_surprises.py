@@ -22,7 +22,6 @@ from feel321.study.observer.model import (
     ObserverModel,
     Touch,
     draw_rater,
-    identify_observer,
 )
 from feel321.study.observer.percepts import Percept
 from feel321.study.settings.read import read_settings
@@ -120,12 +119,6 @@ def test_choices_feel_it_too(stimuli: StimulusSet) -> None:
     away = Touch(MODEL, {}).compare(Experience(trial, felt), asked, ("a", "b"))
     assert away["a"] == pytest.approx(40 * 0.8 + 30 * 0.5 + 15 - 55)
     assert away["b"] == pytest.approx(40 * 0.1 + 30 * 0.8 + 15 - 10)
-
-
-def test_journals_name_them() -> None:
-    plain = identify_observer(ObserverModel(), seed=1)["observer"]
-    assert (plain["reducers"], plain["direction"], plain["vector_magnitude"]) == ({}, 0.0, 0.0)
-    assert identify_observer(MODEL, seed=1)["observer"]["reducers"] == {"third": 45.0}
 
 
 STUDY = """

@@ -53,11 +53,6 @@ def find_ink(text: Text) -> Box:
     return Box(left, middle - text.size / 2, width, text.size)
 
 
-def test_overlap_is_told() -> None:
-    assert overlap(Box(0, 0, 10, 10), Box(9, 9, 10, 10))
-    assert not overlap(Box(0, 0, 10, 10), Box(10, 0, 10, 10))
-
-
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("language", list_languages())
 def test_screens(gallery: dict[str, Any], language: str, size: tuple[int, int]) -> None:
@@ -90,16 +85,6 @@ def test_screens(gallery: dict[str, Any], language: str, size: tuple[int, int]) 
             if overlap(one.box, other.box)
         ]
     assert faults == []
-
-
-def test_question_is_larger_than_what_surrounds_it(gallery: dict[str, Any]) -> None:
-    texts = make_screen_texts(read_texts())
-    view = gallery["make_views"](read_scales(), read_texts())["similarity fresh"]
-    items = compose(view, texts, size=(1920, 1080)).items
-    question = next(
-        item for item in items if isinstance(item, Text) and item.words.startswith("How similar")
-    )
-    assert question.size >= 0.03 * 1080
 
 
 def test_nothing_reveals_the_condition(gallery: dict[str, Any]) -> None:

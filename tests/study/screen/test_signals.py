@@ -9,28 +9,18 @@ import pytest
 from feel321.study.screen.input import HELD, hold_signals
 
 
-def test_the_first_signal_waits_and_the_second_does_not() -> None:
-    with hold_signals() as heed:
-        heed()
-        os.kill(os.getpid(), signal.SIGINT)  # nothing is raised here
-        with pytest.raises(KeyboardInterrupt):
-            heed()
-        heed()
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-
-
-def test_who_presses_twice_does_not_wait_for_a_frame() -> None:
-    with hold_signals():
-        os.kill(os.getpid(), signal.SIGINT)
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-
-
-def test_handlers_are_as_they_were_afterwards() -> None:
+@pytest.mark.parametrize("is_over", [True, False])
+def test_the_first_signal_waits_for_a_frame_and_the_second_does_not(is_over: bool) -> None:
     before = [signal.getsignal(number) for number in HELD]
-    with hold_signals():
-        pass
+    with hold_signals() as deliver:
+        deliver()
+        os.kill(os.getpid(), signal.SIGINT)  # nothing is raised here
+        if is_over:
+            with pytest.raises(KeyboardInterrupt):
+                deliver()
+            deliver()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
     assert [signal.getsignal(number) for number in HELD] == before
 
 
@@ -39,8 +29,8 @@ def test_other_threads_hold_nothing() -> None:
     seen = []
 
     def enter() -> None:
-        with hold_signals() as heed:
-            heed()
+        with hold_signals() as deliver:
+            deliver()
             seen.append(signal.getsignal(signal.SIGINT))
 
     thread = threading.Thread(target=enter)
