@@ -1,6 +1,6 @@
 """Every kind of screen: as views for the tests of the layout, and as pictures for people to look at.
 
-Run it by itself, on a display: gallery.py FOLDER [LANGUAGE WIDTH HEIGHT]...
+Run it by itself, on a display: gallery.py FOLDER LANGUAGE WIDTH HEIGHT [few]
 """
 
 from __future__ import annotations
@@ -274,8 +274,8 @@ def capture(window: Window, path: Path) -> None:
     window.handle.movieFrames = []
 
 
-def save_gallery(folder: Path, size: tuple[int, int], language: str) -> None:
-    """Save a picture of every screen."""
+def save_gallery(folder: Path, size: tuple[int, int], language: str, *, few: bool) -> None:
+    """Save a picture of every screen, or of one in its last state for every kind."""
     from feel321.protocols.texts import read_scales
 
     picture = write_picture(folder / "surface.png")
@@ -284,11 +284,13 @@ def save_gallery(folder: Path, size: tuple[int, int], language: str) -> None:
         tables = read_texts(language)
         texts = make_screen_texts(tables)
         for name, view in make_views(read_scales(language), tables, picture=picture).items():
+            if few and not name.endswith(("answered", "stroking", "realism", "rest")):
+                continue
             window.show(compose(view, texts, size=window.size).items)
             check_widths(window)
             capture(window, folder / f"{name} {language}.png".replace(" ", "_"))
 
 
 if __name__ == "__main__":
-    for language, width, height in zip(*[iter(sys.argv[2:])] * 3, strict=True):
-        save_gallery(Path(sys.argv[1]), (int(width), int(height)), language)
+    folder, language, width, height, *few = sys.argv[1:]
+    save_gallery(Path(folder), (int(width), int(height)), language, few=bool(few))
