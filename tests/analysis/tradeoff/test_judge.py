@@ -13,7 +13,7 @@ from feel321.analysis.tradeoff.measure import measure_tradeoff
 from feel321.analysis.tradeoff.page import advise_tradeoff
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from tests.analysis.tradeoff.conftest import judge, make_frame, read_verdicts
+from tests.analysis.tradeoff.made import judge, make_frame, read_verdicts
 
 if TYPE_CHECKING:
     import pandas as pd

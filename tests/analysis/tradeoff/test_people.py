@@ -10,7 +10,7 @@ import pytest
 
 from feel321.analysis.tradeoff.page import advise_tradeoff
 from feel321.analysis.tradeoff.people import compare_rated
-from tests.analysis.tradeoff.conftest import make_frame
+from tests.analysis.tradeoff.made import make_frame
 
 MEANS = {"best": 80.0, "alike": 79.5, "unsure": 75.0, "worse": 50.0}
 
