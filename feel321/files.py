@@ -9,10 +9,10 @@ import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from filecmp import cmp
-from itertools import chain, count
+from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -29,7 +29,7 @@ TEMPORARY = re.compile(r"feel321-\d+-\w+")
 
 def write_text(path: Path, text: str, *, private: bool = False) -> None:
     """Write a text file in one step, replacing the one that is there unless it holds just that."""
-    write_bytes(path, text.encode(), private=private)
+    _write(path, [text.encode()], private=private)
 
 
 def write_table(
@@ -73,15 +73,7 @@ def defuse(cell: Any) -> Any:  # noqa: ANN401 - any cell of a table
 
 def write_chunks(path: Path, chunks: Iterable[str], *, private: bool = False) -> int:
     """Write a text file as `write_text` does, but piece by piece, never in memory as a whole; counts the pieces."""
-    written = count()
-
-    def write(file: BinaryIO) -> None:
-        for chunk, _ in zip(chunks, written, strict=False):
-            file.write(chunk.encode())
-
-    with _naming(path):
-        _replace(path, write, private=private)
-    return next(written)
+    return _write(path, (chunk.encode() for chunk in chunks), private=private)
 
 
 def digest_file(path: Path) -> str:
@@ -95,17 +87,61 @@ def write_bytes(path: Path, content: bytes, *, private: bool = False) -> None:
 
     private: nobody but its owner may read it, from its first byte (see `find_mode`).
     """
-    with _naming(path):
-        if not (path.is_file() and path.read_bytes() == content and _is_kept(path, private)):
-            _replace(path, lambda file: file.write(content), private=private)
+    _write(path, [content], private=private)
 
 
 def replace_bytes(path: Path, content: bytes) -> None:
     """Write a file in one step, whoever else writes it; after a power cut it may be damaged."""
-    with _unfinished(path) as (file, unfinished):
-        file.write(content)
-        file.close()
+    _write(path, [content], is_durable=False)
+
+
+def _write(
+    path: Path, chunks: Iterable[bytes], *, private: bool = False, is_durable: bool = True
+) -> int:
+    """Write a file beside its target, which takes its name as a whole; counts the chunks."""
+    count = 0
+    with _naming(path), _unfinished(path, private=private) as (file, unfinished):
+        for count, chunk in enumerate(chunks, start=1):  # noqa: B007 - the last one counts
+            file.write(chunk)
+        file.flush()
+        is_open = private and os.name != "nt" and path.is_file() and path.stat().st_mode & 0o027
+        if path.is_file() and not is_open and cmp(unfinished, path, shallow=False):
+            return count
+        if is_durable:
+            os.fsync(file.fileno())
+        if os.name == "nt":  # pragma: no cover - an open file is not moved there
+            file.close()
         unfinished.replace(path)
+        if is_durable:
+            sync_folder(path.parent)
+    return count
+
+
+@contextmanager
+def _unfinished(path: Path, *, private: bool) -> Iterator[tuple[BinaryIO, Path]]:
+    """Open a file beside its target, so that the replacement stays on one file system and is atomic; it is held."""
+    while True:
+        place = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
+        flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(place, flags, find_mode(path, private=private))
+        _lock(descriptor, wait=True)
+        if os.fstat(descriptor).st_nlink:
+            break
+        os.close(descriptor)  # pragma: no cover - swept between its making and its hold
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            yield file, place
+    finally:
+        place.unlink(missing_ok=True)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the file in an error: a full disk is reported without a name, most else with that of the unfinished file."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def find_mode(path: Path, *, private: bool) -> int:
@@ -125,15 +161,6 @@ GROUP = 0o050
 def is_of_group(folder: Path) -> bool:
     """Check whether its group may read a folder, and nobody else besides its owner."""
     return folder.stat().st_mode & (GROUP | 0o007) == GROUP
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Name the file in an error: a full disk is reported without a name, most else with that of the unfinished file."""
-    try:
-        yield
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def create_text(path: Path, text: str, *, private: bool = False) -> None:
@@ -288,41 +315,6 @@ def as_line(text: str) -> str:
     if len(text) > LONGEST_LINE:
         text = f"{text[: LONGEST_LINE // 2]} ... {text[-LONGEST_LINE // 2 :]}"
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-
-
-def _is_kept(path: Path, private: bool) -> bool:  # noqa: FBT001 - of one caller
-    return not private or os.name == "nt" or not path.stat().st_mode & 0o027
-
-
-def _replace(path: Path, write: Callable[[BinaryIO], object], *, private: bool = False) -> None:
-    with _unfinished(path, private=private) as (file, unfinished):
-        write(file)
-        file.flush()
-        os.fsync(file.fileno())
-        if path.is_file() and _is_kept(path, private) and cmp(unfinished, path, shallow=False):
-            return
-        if os.name == "nt":  # pragma: no cover - an open file is not moved there
-            file.close()
-        unfinished.replace(path)
-    sync_folder(path.parent)
-
-
-@contextmanager
-def _unfinished(path: Path, *, private: bool = False) -> Iterator[tuple[BinaryIO, Path]]:
-    """Open a file beside its target, so that the replacement stays on one file system and is atomic; it is held."""
-    while True:
-        place = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
-        flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-        descriptor = os.open(place, flags, find_mode(path, private=private))
-        _lock(descriptor, wait=True)
-        if os.fstat(descriptor).st_nlink:
-            break
-        os.close(descriptor)  # pragma: no cover - swept between its making and its hold
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            yield file, place
-    finally:
-        place.unlink(missing_ok=True)
 
 
 def _hold(path: Path) -> int:

@@ -1,12 +1,11 @@
 """Steps of a study that need the analysis: the report, and the recordings for the trade-off."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import fields, replace
 from itertools import chain, count
 from pathlib import Path
 from shlex import quote
-from typing import Any
 
 import pandas as pd
 
@@ -30,7 +29,6 @@ from feel321.study.freeze import make_standing
 from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
 from feel321.study.paper import make_paper
-from feel321.study.people import Progress as Participant
 from feel321.study.people import list_progress, note_estimates, write_roster
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import closing_results
@@ -64,21 +62,25 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         own, asked = not (ratings or manifest), metrics or ()
         standing = make_standing(study, settings, metrics=asked, draws=draws, own=own)
         about = replace(about, standing=standing)
-    listed = manifest or study.manifest
+    listed, folder = manifest or study.manifest, out or study.report
     if rivals:
         further = add_rivals(study, None if manifest else settings, listed, further=further)
-    with _closing(study, out):
+    declared = declaring(study, "analyze") if out is None else nullcontext()
+    with closing_results(study, folder), declared:
         return write_report(
             ratings or study.ratings,
             listed,
-            out or study.report,
+            folder,
             draws=draws or chosen.draws,
             margin=chosen.margin,
             metrics=metrics or chosen.metrics,
             further=further,
             rules=find_rules(chosen.screening, study.path),
             about=about,
-            **_list_declared(settings, further),
+            sources=list_origins(settings) if settings else {},
+            info=list_info(settings) if settings else {},
+            paper=make_paper(settings, further.mountings) if settings else None,
+            rng=settings.study.seed if settings else 0,
             progress=progress,
         )
 
@@ -90,23 +92,6 @@ def _read_settings(study: StudyFolder, *inputs: Path | None) -> Settings | None:
     return read_settings(study.settings) if study.settings.is_file() else None
 
 
-@contextmanager
-def _closing(study: StudyFolder, out: Path | None) -> Iterator[None]:
-    declared = declaring(study, "analyze") if out is None else nullcontext()
-    with closing_results(study, out or study.report), declared:
-        yield
-
-
-def _list_declared(settings: Settings | None, further: Further) -> dict[str, Any]:
-    """List what a study declares for its report, beside its choices."""
-    if settings is None:
-        return {"sources": {}, "info": {}, "paper": None, "rng": 0}
-    return {
-        "sources": list_origins(settings), "info": list_info(settings),
-        "paper": make_paper(settings, further.mountings), "rng": settings.study.seed,
-    }  # fmt: skip
-
-
 def read_study_table(
     study: StudyFolder,
     *,
@@ -116,13 +101,11 @@ def read_study_table(
 ) -> tuple[Table, int]:
     """Read the ratings that a report would be about, and the seed of that report."""
     settings = _read_settings(study, ratings, manifest)
-    further = None
+    chosen, further = settings.analysis if settings else AnalysisTable(), None
     if settings and ratings is None:
-        stimuli = read_stimuli(study.stimuli)
-        if not write_ratings(study, stimuli):
+        if not write_ratings(study, read_stimuli(study.stimuli)):
             raise ValueError(f"{study.path}: no ratings yet; run sessions first")
         further = measure_declared(study, settings)
-    chosen = settings.analysis if settings else AnalysisTable()
     table = read_table(
         ratings or study.ratings,
         manifest or study.manifest,
@@ -144,9 +127,7 @@ def gather_study(
     """Gather what the report needs beside the tables; of the study's own ratings, derive these and find their day."""
     further, day, declared = Further(pd.DataFrame(), ()), "", settings.analysis.metrics
     if own:
-        everybody = list_progress(study)
-        day = max((one.rated_utc[:10] for one in everybody), default="")
-        further = _derive_ratings(study, settings, metrics or declared, everybody=everybody)
+        further, day = _derive_tables(study, settings, metrics or declared)
     notes = further.notes
     if metrics and set(metrics) != set(declared):
         asked, names = ", ".join(metrics), ", ".join(declared)
@@ -154,6 +135,41 @@ def gather_study(
         notes = (*notes, f"Metrics {asked} were asked for with this analysis; {said}")
     about = About(settings.study.name, day, tuple(settings.session.protocols))
     return replace(further, notes=notes, labels=list_labels(settings)), about
+
+
+def _derive_tables(
+    study: StudyFolder, settings: Settings, metrics: Sequence[str]
+) -> tuple[Further, str]:
+    """Derive all tables of the study's own journals; returns what else is known of its stimuli, and the last day."""
+    announce("ratings from the journals")
+    everybody = list_progress(study)
+    write_roster(study, everybody)
+    stimuli = read_stimuli(study.stimuli)
+    if not write_ratings(study, stimuli):
+        simulate = f"feel321 simulate {quote(str(study.path))}"
+        raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
+    write_answers(study)
+    matched = write_matches(study, stimuli)
+    _write_dictionary(study, settings)
+    announce("metrics over orientations of the sensor")
+    further = measure_rotations(study, settings, stimuli, metrics=metrics)
+    notes = [*further.notes, *describe_matches(matched), *note_estimates(everybody)]
+    if methods := [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]:
+        said = "Reducers and metrics of the lab's own, with the SHA-256 of their code"
+        notes.append(f"{said}: {', '.join(methods)}.")
+    day = max((one.rated_utc[:10] for one in everybody), default="")
+    return replace(further, notes=tuple(notes)), day
+
+
+def _write_dictionary(study: StudyFolder, settings: Settings) -> None:
+    """Describe the columns of the study's own tables, beside them."""
+    own = [study.path / name for name in (ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)]
+    paths = (path for path in (study.ratings, *own, study.manifest) if path.is_file())
+    tables = {path.name: pd.read_csv(path) for path in paths}
+    rows = make_dictionary(tables, list_info(settings))
+    groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
+    rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
+    write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
 
 
 def list_labels(settings: Settings) -> pd.DataFrame:
@@ -170,45 +186,6 @@ def list_info(settings: Settings) -> dict[str, MetricInfo]:
     facts = {name: table.to_facts() for name, table in settings.metrics.items()}
     declared = {field.name for field in fields(MetricInfo)}
     return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
-
-
-def _derive_ratings(
-    study: StudyFolder,
-    settings: Settings,
-    metrics: Sequence[str],
-    *,
-    everybody: Sequence[Participant],
-) -> Further:
-    announce("ratings from the journals")
-    write_roster(study, everybody)
-    stimuli = read_stimuli(study.stimuli)
-    if not write_ratings(study, stimuli):
-        simulate = f"feel321 simulate {quote(str(study.path))}"
-        raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
-    write_answers(study)
-    _write_dictionary(study, settings)
-    announce("metrics over orientations of the sensor")
-    further = measure_rotations(study, settings, stimuli, metrics=metrics)
-    matched = describe_matches(write_matches(study, stimuli))
-    notes = (*further.notes, *matched, *note_estimates(everybody), *_note_methods(study))
-    return replace(further, notes=notes)
-
-
-def _write_dictionary(study: StudyFolder, settings: Settings) -> None:
-    """Describe the columns of the study's own tables, beside them."""
-    own = [study.path / name for name in (ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)]
-    paths = (path for path in (study.ratings, *own, study.manifest) if path.is_file())
-    tables = {path.name: pd.read_csv(path) for path in paths}
-    rows = make_dictionary(tables, list_info(settings))
-    groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
-    rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
-    write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
-
-
-def _note_methods(study: StudyFolder) -> Iterator[str]:
-    """Name the lab's own methods that the stimuli were made with."""
-    if own := [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]:
-        yield f"Reducers and metrics of the lab's own, with the SHA-256 of their code: {', '.join(own)}."
 
 
 # What the trade-off works on: a study's recordings, the bundled scenes, recordings from elsewhere.
@@ -273,19 +250,14 @@ def _name_apart(own: Sequence[Recording], others: Iterable[Recording]) -> list[R
     return named
 
 
-def _list_files(paths: Iterable[Path]) -> list[Path]:
-    files: list[Path] = []
+def _list_files(paths: Iterable[Path]) -> Iterator[Path]:
     for path in paths:
         found = [path]
         if path.is_dir():
-            found = sorted(
-                entry
-                for entry in path.glob("[!.]*")
-                if entry.suffix.lower() in SUFFIXES and entry.is_file()
-            )
+            entries = (entry for entry in path.glob("[!.]*") if entry.is_file())
+            found = sorted(entry for entry in entries if entry.suffix.lower() in SUFFIXES)
         if not found:
             raise FileNotFoundError(
                 f"{path}: no recordings in this folder; name another, or files ending in {' '.join(sorted(SUFFIXES))}"
             )
-        files += found
-    return files
+        yield from found

@@ -27,6 +27,16 @@ class Problems(Result):
     remarks: tuple[str, ...] = ()
     figures: Mapping[str, Any] = field(default_factory=dict)
 
+    def __add__(self, other: Problems) -> Problems:
+        """Put what was found in two parts of a study together."""
+        return Problems(
+            self.problems + other.problems,
+            self.warnings + other.warnings,
+            self.notes + other.notes,
+            self.remarks + other.remarks,
+            {**self.figures, **other.figures},
+        )
+
     def to_frame(self) -> DataFrame:
         """Return one row per finding, with the columns `kind` and `text`."""
         return _list_findings(self, "problems", "warnings", "remarks", "notes")

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from feel321 import intake
+from feel321.doors import check_name
 from feel321.files import create_text, is_of_group, make_folder, write_text
 from feel321.study.session.journal import PARTICIPANT_ID, list_journals
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    from feel321.study.session.plan import Dossier
+
+Read = TypeVar("Read")
 
 SETTINGS_FILE = "study.toml"
 RIG_FILE = "rig.toml"
@@ -39,11 +47,14 @@ class StudyFolder:
     """The places in the folder that holds `study.toml`.
 
     is_rehearsal: whether sessions are tried out: they are stored apart, with numbers of their own, and nothing is
-    derived from them.
+    derived from them. Plans and journals are read once, and again only where a file has changed since.
     """
 
     path: Path
     is_rehearsal: bool = False
+    _known: dict[Path, tuple[object, Dossier]] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def settings(self) -> Path:
@@ -91,6 +102,14 @@ class StudyFolder:
         return [entry for entry in self._entries if _is_ours(entry) and any(entry.glob("[!.]*"))]
 
     @property
+    def planned(self) -> list[Path]:
+        """Folders of those who have a plan or a journal and did not withdraw."""
+        from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
+
+        own = [one for one in self.participants if not (one / TOMBSTONE_FILE).exists()]
+        return [one for one in own if (one / PLAN_FILE).exists() or list_journals(one)]
+
+    @property
     def strangers(self) -> list[Path]:
         """What else lies beside the participants' folders, sorted: copies, and what drives and programs leave."""
         return [entry for entry in self._entries if not _is_ours(entry)]
@@ -99,6 +118,22 @@ class StudyFolder:
     def journals(self) -> list[Path]:
         """All journals, sorted by participant, then session, without copies under other names."""
         return [journal for folder in self.participants for journal in list_journals(folder)]
+
+    def read_person(self, folder: Path) -> Dossier:
+        """Read the plan and the journals of a participant, unless they are known as they are now."""
+        from feel321.study.session.plan import PLAN_FILE, read_dossier
+
+        paths = [folder / PLAN_FILE, *list_journals(folder)]
+        stamp = [(path, path.exists() and _stamp(path)) for path in paths]
+        known = self._known.get(folder)
+        if known is None or known[0] != stamp:
+            known = stamp, read_dossier(folder)
+            self._known[folder] = known
+        return known[1]
+
+    def read_people(self) -> list[Dossier]:
+        """Read everybody of `planned`; all that cannot be read is named at once."""
+        return name_all(self.read_person, self.planned)
 
     def make_sessions(self) -> None:
         """Make the folder of the sessions, its owner's alone; a lab may open it to its group (mode 0750)."""
@@ -113,6 +148,25 @@ class StudyFolder:
     def _entries(self) -> list[Path]:
         # Hidden ones are the system's, or a file that is being written.
         return sorted(self.sessions.glob("[!.]*"))
+
+
+def name_all(read: Callable[[Path], Read], folders: Iterable[Path]) -> list[Read]:
+    """Read several folders; what is wrong with any of them is refused in one go, a line each."""
+    found, faults = [], []
+    for folder in folders:
+        try:
+            found.append(read(folder))
+        except ValueError as error:
+            faults.append(str(error))
+    if faults:
+        raise ValueError("\n".join(faults))
+    return found
+
+
+def _stamp(path: Path) -> tuple[int, ...]:
+    """Say by what an unchanged file is known; nobody can set the time of its last change of any kind."""
+    found = path.stat()
+    return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
 def _is_ours(entry: Path) -> bool:
@@ -199,42 +253,15 @@ def read_template() -> str:
 
 def read_bundled(name: str) -> str:
     """Read the `study.toml` of a published study."""
-    if name not in list_bundled():
-        raise ValueError(f"study must be one of {', '.join(list_bundled())}; got {name!r}")
+    check_name(name, list_bundled(), "study")
     return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
-
-
-METHODS = ("reducers", "metrics")
-"""Entries of it on the lab's own methods, and on further metrics; there where there are any."""
-
-
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """What `manifest.json` says.
-
-    recordings: name of each recording -> digest of its source; methods: the lab's own, and further metrics, by kind.
-    """
-
-    recipe: dict[str, Any]
-    recordings: dict[str, str]
-    methods: dict[str, Any]
-
-
-def read_origin(folder: Path) -> Origin:
-    """Read what a stimulus set was made of."""
-    from feel321.stimuli.sets.manifest import read_details
-
-    found = read_details(folder)
-    return Origin(
-        found.recipe,
-        {row.get("recording", ""): row.get("recording_sha256", "") for row in found.stimuli},
-        {kind: entries for kind in METHODS if (entries := getattr(found, kind))},
-    )
 
 
 def read_recipe(folder: Path) -> dict[str, Any]:
     """Read the recipe that a stimulus set was made by."""
-    return read_origin(folder).recipe
+    from feel321.stimuli.sets.manifest import read_details
+
+    return read_details(folder).recipe
 
 
 def is_in_use(study: StudyFolder, stimuli_sha256: str) -> bool:

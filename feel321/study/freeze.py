@@ -23,7 +23,7 @@ from feel321 import intake
 from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_versions
 from feel321.doors import name_of
 from feel321.files import write_text
-from feel321.study.session.events import TrialRated
+from feel321.study.session.events import SessionBegun, TrialRated
 from feel321.study.session.identity import FROZEN_FILE
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PLAN_FILE
@@ -268,62 +268,51 @@ def find_faults(study: StudyFolder) -> list[str]:
 
 
 def _list_faults(study: StudyFolder, frozen: Frozen | None) -> Iterator[str]:
-    sessions = [own for folder in _list_people(study) for own in _list_sessions(study, folder)]
+    lines = list(_list_lines(study, SessionBegun.event))
     if frozen is None:
-        if path := next((path for path, _, named in sessions if named), ""):
+        if path := next((path for path, _, data in lines if data.get("frozen")), ""):
             yield f"is not there, though {path} names it in its header; restore it from a copy"
         return
-    when, known = _read_time(frozen.utc), {frozen.sha256, *frozen.former}
-    first = min((utc for own in _list_people(study) for utc in _list_times(own)), default=when)
+    when, known = datetime.fromisoformat(frozen.utc), {"", frozen.sha256, *frozen.former}
+    first = min((utc for _, utc, _ in _list_lines(study, TrialRated.event)), default=when)
     if first < when:
         yield (
             f"says that it was frozen before any rating, on {frozen.utc}, but a person had rated by "
-            f"{first.isoformat()}"
+            f"{first.astimezone(UTC).isoformat()}"
         )
-    for path, utc, named in sessions:
-        if named and named not in known:
+    for path, utc, data in lines:
+        named = data.get("frozen", "")
+        if named not in known:
             yield f"is not the one that {path} names in its header; restore the former file"
         elif not named and utc > when:
             yield f"says that it was written before the session of {path}, whose header knows of no frozen file"
 
 
-def _list_people(study: StudyFolder) -> Iterator[Path]:
-    """List the folders of participants who are not simulated; one whose plan cannot be read counts as a person."""
-    for folder in study.participants:
-        try:
-            plan = json.loads((folder / PLAN_FILE).read_bytes())
-            is_simulated = plan["simulated"] is True
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            is_simulated = False
-        if not is_simulated:
-            yield folder
+def _list_lines(
+    study: StudyFolder, event: str
+) -> Iterator[tuple[str, datetime, Mapping[str, Any]]]:
+    """List the records of an event of people: journal, time, data; damaged lines are found by the audit."""
+    mark = f'"event": "{event}"'.encode()
+    journals = (path for folder in study.participants for path in _list_journals(folder))
+    for path in journals:
+        for line in (line for line in path.read_bytes().split(b"\n") if mark in line):
+            with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
+                entry = json.loads(line)
+                utc = datetime.fromisoformat(entry["utc"]).astimezone(UTC)
+                yield path.relative_to(study.path).as_posix(), utc, {**entry["data"]}
 
 
-def _list_sessions(study: StudyFolder, folder: Path) -> Iterator[tuple[str, datetime, str]]:
-    """List journal, when it was begun, and the digest of the frozen file that its header names."""
-    for path in list_journals(folder):
-        with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            head = json.loads(path.read_bytes().partition(b"\n")[0])
-            named = head["data"].get("frozen", "")
-            yield path.relative_to(study.path).as_posix(), _read_time(head["utc"]), named
-
-
-def _list_times(folder: Path) -> Iterator[datetime]:
-    """List when a participant rated, without a look at any rating; what cannot be read is found by the audit."""
-    mark = f'"event": "{TrialRated.event}"'.encode()
-    lines = (line for path in list_journals(folder) for line in path.read_bytes().split(b"\n"))
-    for line in (line for line in lines if mark in line):
-        with suppress(ValueError, KeyError, TypeError, RecursionError):
-            yield _read_time(json.loads(line)["utc"])
-
-
-def _read_time(utc: str) -> datetime:
-    return datetime.fromisoformat(utc).astimezone(UTC)
+def _list_journals(folder: Path) -> list[Path]:
+    """List the journals of a person; one whose plan cannot be read counts as one, a simulated participant does not."""
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        if json.loads((folder / PLAN_FILE).read_bytes())["simulated"] is True:
+            return []
+    return list_journals(folder)
 
 
 def _list_rated(study: StudyFolder) -> Iterator[str]:
     """List people who rated, by journals, or by the table where their journals are gone."""
-    yield from (folder.name for folder in _list_people(study) if any(_list_times(folder)))
+    yield from (path.split("/")[1] for path, *_ in _list_lines(study, TrialRated.event))
     if study.ratings.is_file():
         with intake.open_text(study.ratings) as file:
             rows = csv.DictReader(file)

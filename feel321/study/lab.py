@@ -73,11 +73,6 @@ class Lab:
     certificate: Certificate | None = None
     lsl: bool = False
 
-    @property
-    def calibration(self) -> dict[str, str] | str:
-        """What the journal's header says of the calibration."""
-        return self.certificate.identity if self.certificate else UNCALIBRATED
-
 
 def check_lab(rig: Rig, *, screen: int = 0, has_lsl: bool = False) -> None:
     """Check everything that can be checked before anything is opened."""
@@ -104,18 +99,11 @@ def check_lab(rig: Rig, *, screen: int = 0, has_lsl: bool = False) -> None:
 
 def identify_lab(lab: Lab) -> dict[str, Any]:
     """Describe what a session depends on besides its plan, for the header of its journal."""
-    who = (
-        {"simulated": False}
-        if lab.casting is None
-        else identify_observer(lab.casting.model, seed=lab.casting.seed)
-    )
-    return {**who, "rehearsal": lab.study.is_rehearsal, "rig": identify(lab.rig)}
-
-
-def _identify_all(lab: Lab) -> dict[str, Any]:
-    presenter = identify_lab(lab)
-    settings, folder = lab.settings, lab.study.path
-    return read.make_identity(settings, folder, presenter, calibration=lab.calibration)
+    casting = lab.casting
+    who = identify_observer(casting.model, seed=casting.seed) if casting else {"simulated": False}
+    presenter = {**who, "rehearsal": lab.study.is_rehearsal, "rig": identify(lab.rig)}
+    calibration = lab.certificate.identity if lab.certificate else UNCALIBRATED
+    return read.make_identity(lab.settings, lab.study.path, presenter, calibration=calibration)
 
 
 @contextmanager
@@ -135,7 +123,7 @@ def open_lab(
         output.lead_s = lab.certificate.lead_s if lab.certificate else 0.0
         screen = open_screen(clock=clock, windowed=lab.windowed, screen=lab.screen)
         window = stack.enter_context(screen)
-        hand = stack.enter_context(_open_hand(plan, journal, stimuli, lab=lab))
+        hand = _open_hand(plan, journal, stimuli, lab=lab, stack=stack)
         own = {} if lab.rig.keys == USUAL else {"keys": lab.rig.keys.model_dump(mode="json")}
         if lab.lsl or lab.settings.session.lsl:
             stack.enter_context(open_outlet(journal, clock))
@@ -188,21 +176,19 @@ def _make_check(lab: Lab) -> DeliveryCheck | None:
     )
 
 
-@contextmanager
 def _open_hand(
-    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, lab: Lab
-) -> Iterator[Hand | None]:
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, lab: Lab, stack: ExitStack
+) -> Hand | None:
     """Seat a simulated participant, who remembers the last answer before a break."""
     if (casting := lab.casting) is None:
-        yield None
-        return
+        return None
     from feel321.study.screen.robot import PressingHand, XKeyboard
 
     person = find_person(plan.participant)
     mind = Participant(casting.model, seed=casting.seed, number=person, percepts=casting.percepts)
     mind.recall(journal.records, plan.trials, stimuli=stimuli)
-    with closing(XKeyboard()) as keyboard:
-        yield PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter, keys=lab.rig.keys)
+    keyboard = stack.enter_context(closing(XKeyboard()))
+    return PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter, keys=lab.rig.keys)
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +237,7 @@ def run_participant(
         outcome, repaired = lead_session(
             replace(room, pace=read_pace(study, stimuli)),
             plan,
-            identity=_identify_all(lab),
+            identity=identify_lab(lab),
             make_presenter=partial(open_lab, lab=lab),
             on_step=on_step,
             accept_rig=visit.accept_rig,

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
+    from feel321.study.session.plan import Dossier
 
 MATCHES_FILE = "matches.csv"
 
@@ -45,7 +46,7 @@ class MatchedStrength:
 
 def write_matches(study: StudyFolder, stimuli: StimulusSet) -> list[dict[str, Any]]:
     """Write all matches of a study, if it has or had any, and return them."""
-    rows = [row for folder in study.participants for row in read_matches(folder, stimuli)]
+    rows = [row for one in study.read_people() for row in list_matches(one, stimuli)]
     path = study.path / MATCHES_FILE
     if rows or path.exists():
         write_table(path, COLUMNS, rows, private=True)
@@ -54,10 +55,13 @@ def write_matches(study: StudyFolder, stimuli: StimulusSet) -> list[dict[str, An
 
 
 def read_matches(folder: Path, stimuli: StimulusSet) -> Iterator[dict[str, Any]]:
-    """Read the matches of one participant that count, from the newest journal."""
-    if (folder / TOMBSTONE_FILE).exists():
-        return
-    dossier = read_dossier(folder)
+    """Read the matches of one participant; a withdrawn one has none."""
+    if not (folder / TOMBSTONE_FILE).exists():
+        yield from list_matches(read_dossier(folder), stimuli)
+
+
+def list_matches(dossier: Dossier, stimuli: StimulusSet) -> Iterator[dict[str, Any]]:
+    """List the matches of one participant that count, from the newest journal."""
     plan = dossier.plan
     if plan.matching is None:
         return

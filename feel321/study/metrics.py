@@ -47,20 +47,13 @@ def measure_rivals(
 
     def measure(given: Recording | Unread) -> dict[str, dict[str, float]]:
         ready = condition(read_given(given), recipe.conditioning)
-        names = made[ready.name]
-        return {
-            name: {
-                metric: float(value)
-                for metric, value in measure_batch(
-                    ready.acceleration,
-                    np.asarray(
-                        find_reducer(recipe, name, ready.name)(ready.acceleration, ready.rate_hz)
-                    ),
-                    ready.rate_hz,
-                ).items()
-            }
-            for name in names
-        }
+        signal, rate_hz = ready.acceleration, ready.rate_hz
+        found = {}
+        for name in made[ready.name]:
+            reduced = np.asarray(find_reducer(recipe, name, ready.name)(signal, rate_hz))
+            values = measure_batch(signal, reduced, rate_hz)
+            found[name] = {metric: float(value) for metric, value in values.items()}
+        return found
 
     # Threads: nearly all of the work is done by libraries that release the interpreter.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -69,35 +62,31 @@ def measure_rivals(
         )
     return pd.DataFrame(
         [found[stimulus.recording][stimulus.reducer] for stimulus in tests],
-        index=pd.Index([stimulus.stimulus_id for stimulus in tests], name="stimulus_id"),
+        index=_index(tests),
         columns=lacking,
     )
+
+
+def _index(tests: Sequence[Stimulus]) -> "pd.Index[str]":
+    return pd.Index([one.stimulus_id for one in tests], name="stimulus_id")
 
 
 def add_rivals(
     study: StudyFolder, settings: Settings | None, manifest: Path, *, further: Further
 ) -> Further:
     """Let all metrics of a manifest be compared, and in a study those too that the manifest lacks."""
-    names, measured, note = list_rivals(manifest), pd.DataFrame(), ""
+    names, measured, reason = list_rivals(manifest), pd.DataFrame(), ""
     if settings:
         recordings, recipe, reason = _read_unchanged(study, settings)
         try:
-            measured = (
-                pd.DataFrame()
-                if reason
-                else measure_rivals(recordings, read_stimuli(study.stimuli), recipe)
-            )
+            if not reason:
+                measured = measure_rivals(recordings, read_stimuli(study.stimuli), recipe)
         except ValueError as error:
             reason = str(error)
-        note = f"Metrics that the manifest lacks are not compared: {reason}." if reason else ""
+    note = (f"Metrics that the manifest lacks are not compared: {reason}.",) if reason else ()
+    rivals = tuple(dict.fromkeys([*names, *map(str, measured)]))
     metrics = further.metrics.join(measured, how="outer") if len(measured) else further.metrics
-    notes = (*further.notes, note) if note else further.notes
-    return replace(
-        further,
-        metrics=metrics,
-        notes=notes,
-        rivals=tuple(dict.fromkeys([*names, *map(str, measured)])),
-    )
+    return replace(further, metrics=metrics, notes=(*further.notes, *note), rivals=rivals)
 
 
 def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread], Recipe, str]:
@@ -161,20 +150,17 @@ def measure_rotations(
         return Further(pd.DataFrame(), (note,))
     wanted = settings.analysis.metrics if metrics is None else metrics
     effort = DECLARED if set(wanted) & set(ROTATIONS) else 1
-    copies, seed = _list_copies(settings), settings.study.seed
-    return compute_rotations(
-        recordings, stimuli, recipe=recipe, seed=seed, effort=effort, copies=copies
-    )
-
-
-def _list_copies(settings: Settings) -> dict[str, str]:
-    """List the recordings with the first entry that differs from each in nothing but how the sensor was mounted."""
+    # The first entry that differs from each in nothing but how the sensor was mounted.
     first: dict[str, str] = {}
     own = {"name", "sample", "interaction", "picture", "rotation"}
-    return {
+    copies = {
         entry.title: first.setdefault(repr(entry.model_dump(exclude=own)), entry.title)
         for entry in settings.recordings
     }
+    seed = settings.study.seed
+    return compute_rotations(
+        recordings, stimuli, recipe=recipe, seed=seed, effort=effort, copies=copies
+    )
 
 
 def measure_declared(study: StudyFolder, settings: Settings) -> Further | None:
@@ -203,9 +189,8 @@ def compute_rotations(
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
     if not reducers:
-        return Further(
-            pd.DataFrame(), ("Rotation statistics: all reducers are commands or files; left out.",)
-        )
+        note = "Rotation statistics: all reducers are commands or files; left out."
+        return Further(pd.DataFrame(), (note,))
     own = [find_reducer(recipe, name) for name in reducers]
     first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
     sizes = [
@@ -223,34 +208,23 @@ def compute_rotations(
     with ThreadPoolExecutor(1 if recipe.methods else os.cpu_count()) as pool:
         of_first = dict(zip(first, pool.map(match, first.values()), strict=True))
     matches = {one.name: of_first[copies.get(one.name, one.name)] for one in recordings}
-    turned = f"{n_turns} random orientations of the sensor (seed {seed}, the same ones for all)"
-    note = _describe_turns(turned, sorted(commands), shared=len(first) < len(recordings))
-    table = _tabulate_rotations(tests, matches, reducers)
-    return Further(table, (note,), mountings=_tabulate_mountings(matches, reducers))
-
-
-def _describe_turns(turned: str, commands: Sequence[str], *, shared: bool) -> str:
-    return (
-        f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {turned}, reduced and "
-        "matched with itself; level, resampling and fades, which stimuli go through afterwards, are not included."
-        + (" Turned copies of a recording share theirs." if shared else "")
-        + (f" Left out, as commands or files: {', '.join(commands)}." if commands else "")
+    note = (
+        f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {n_turns} random "
+        f"orientations of the sensor (seed {seed}, the same ones for all), reduced and matched with itself; level, "
+        "resampling and fades, which stimuli go through afterwards, are not included."
+        + (" Turned copies of a recording share theirs." if len(first) < len(recordings) else "")
+        + (f" Left out, as commands or files: {', '.join(sorted(commands))}." if commands else "")
     )
-
-
-def _tabulate_rotations(
-    tests: Sequence[Stimulus], matches: Mapping[str, np.ndarray], reducers: Sequence[str]
-) -> pd.DataFrame:
-    """Tabulate mean and spread of every match over orientations, by test stimulus."""
-    found = {
+    moments = {
         name: np.stack([one.mean(axis=-1), one.std(axis=-1, ddof=1)], axis=-1).round(DIGITS)
         for name, one in matches.items()
     }
-    return pd.DataFrame(
-        [found[one.recording][reducers.index(one.reducer)].ravel() for one in tests],
-        index=pd.Index([one.stimulus_id for one in tests], name="stimulus_id"),
+    table = pd.DataFrame(
+        [moments[one.recording][reducers.index(one.reducer)].ravel() for one in tests],
+        index=_index(tests),
         columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
     )
+    return Further(table, (note,), mountings=_tabulate_mountings(matches, reducers))
 
 
 def _tabulate_mountings(matches: Mapping[str, np.ndarray], reducers: Sequence[str]) -> pd.DataFrame:

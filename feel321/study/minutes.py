@@ -20,7 +20,7 @@ from feel321.study.observer.model import UNHURRIED
 from feel321.study.observer.simulated import STROKE_S
 from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
 from feel321.study.session.pace import find_gap
-from feel321.study.session.plan import make_trials, read_dossier, replay
+from feel321.study.session.plan import make_trials, replay
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -222,5 +222,5 @@ def read_pace(study: StudyFolder, stimuli: StimulusSet) -> Pace:
     dossiers = []
     for folder in study.participants:
         with suppress(OSError, ValueError):
-            dossiers.append(read_dossier(folder))
+            dossiers.append(study.read_person(folder))
     return observe_pace(dossiers, find_durations(stimuli))

@@ -82,15 +82,10 @@ def read_holder(folder: Path) -> Holder | None:
         raise ValueError(
             f"{path}: is missing or damaged, so the participant's number is unknown; restore the file from a copy"
         )
-    if state == PLANNED and journals and _RELEASED in _read_lines(journals[-1]):
-        state = RELEASED
+    if state == PLANNED and journals:
+        whole, _, _torn = journals[-1].read_bytes().rpartition(b"\n")  # torn: never acknowledged
+        state = RELEASED if _RELEASED in whole else PLANNED
     return Holder(folder.name, int(found[2]), found[3] == b"true", state)
-
-
-def _read_lines(journal: Path) -> bytes:
-    """Read the whole lines of a journal: one that a power cut tore was never acknowledged."""
-    content = journal.read_bytes()
-    return content[: content.rfind(b"\n") + 1]
 
 
 def read_holders(study: StudyFolder) -> list[Holder]:
@@ -140,7 +135,12 @@ def plan_participants(
             if one.state == PLANNED and one.simulated == simulated
         }
         free = (number for number in count(1) if station.has(number) and number not in taken)
-        _check_capitals([*known, *names])
+        folded: dict[str, str] = {}
+        for name in (*known, *names):  # on many systems they name one folder
+            if (other := folded.setdefault(name.lower(), name)) != name:
+                raise ValueError(
+                    f"participant {name}: differs from {other} in capitals only; use another code"
+                )
         plans = [
             make(name, _keep(known[name], simulated=simulated) if name in known else next(free))
             for name in dict.fromkeys(names)
@@ -161,13 +161,3 @@ def _keep(holder: Holder, *, simulated: bool) -> int:
         got, known = ("simulated", "real") if simulated else ("real", "simulated")
         raise ValueError(f"{who}: was planned as a {known} one, got a {got} one; use another code")
     return holder.number
-
-
-def _check_capitals(participants: Sequence[str]) -> None:
-    """Refuse codes that differ in capitals only: on many systems they name one folder."""
-    named: dict[str, str] = {}
-    for name in participants:
-        if (other := named.setdefault(name.lower(), name)) != name:
-            raise ValueError(
-                f"participant {name}: differs from {other} in capitals only; use another code"
-            )

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from feel321.doors import name_of
 from feel321.protocols.balance import count_rows
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.sets.recipe import ORIGINAL
+from feel321.study.findings import Problems
 from feel321.study.settings.read import list_items, make_design
 
 if TYPE_CHECKING:
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from feel321.analysis.replication.claims import Paper
     from feel321.stimuli.sets.build import Facts
     from feel321.study.actuator.rig import Rig
-    from feel321.study.findings import Problems
-    from feel321.study.settings.paper import PaperTable
     from feel321.study.settings.schema import Settings
+
+    Known = Mapping[str, Any]
 
 WINDOW_MS = 35.0
 """Window of dft321_windowed."""
@@ -31,83 +31,69 @@ FROM_PAPER = "the paper's study"
 
 
 def compare_with_paper(
-    settings: Settings, recordings: Sequence[Facts], rig: Rig | None, *, found: Problems
+    settings: Settings, recordings: Sequence[Facts], rig: Rig | None
 ) -> Problems:
-    """Add to what was found where a study differs from the paper's, and note what of the paper is not known."""
+    """Find where a study differs from the paper's, and note what of the paper is not known."""
     if (paper := settings.paper) is None:
-        return found
+        return Problems()
+    conditions = {name: one for name, one in paper.conditions if one is not None}
+    known = {name: one.value for name, one in conditions.items() if one.value is not None}
     told = [
-        *_compare_people(settings, paper), *_compare_names(settings, paper),
-        *_compare_signals(settings, paper, recordings), *_compare_plain(settings, paper),
-        *_compare_rig(settings, paper, rig),
+        *_compare_people(settings, known), *_compare_names(settings, known),
+        *_compare_signals(settings, known, {one.name: one.rate_hz for one in recordings}),
+        *_compare_plain(settings, known), *_compare_rig(settings, known, rig),
     ]  # fmt: skip
-    conditions = [(name, one) for name, one in paper.conditions if one is not None]
-    unknown = [name for name, one in conditions if one.source == "unknown"]
-    notes = (f"not known of {FROM_PAPER}: {', '.join(unknown)}",) if unknown else ()
+    unknown = [name for name, one in conditions.items() if one.source == "unknown"]
+    missing = [f"not known of {FROM_PAPER}: {', '.join(unknown)}"] if unknown else []
     lead = f"study.toml, paper ({paper.seen}): "
-    return replace(
-        found,
-        warnings=(*found.warnings, *(lead + line for line in told)),
-        notes=(*found.notes, *(lead + line for line in notes)),
-    )
+    warnings, notes = (tuple(lead + line for line in lines) for lines in (told, missing))
+    return Problems(warnings=warnings, notes=notes)
 
 
-def _compare_people(settings: Settings, paper: PaperTable) -> Iterator[str]:
+def _compare_people(settings: Settings, known: Known) -> Iterator[str]:
     """Find orders that so many participants as the paper's leave uneven."""
-    known = paper.conditions.participants
-    if known is None or known.value is None or settings.session.order != "williams":
+    if "participants" not in known or settings.session.order != "williams":
         return
-    items = list_items(settings)
+    people, items = known["participants"], list_items(settings)
     sizes = {"recordings": len(settings.recordings)}
     for task in make_design(settings).tasks:
-        sizes[f"comparisons in {task.protocol}"] = len(
-            PROTOCOLS[task.protocol].compare(items, task)
-        )
+        compared = PROTOCOLS[task.protocol].compare(items, task)
+        sizes[f"comparisons in {task.protocol}"] = len(compared)
     for what, size in sizes.items():
         cycle = count_rows(size) if size > 1 else 1
-        if left := known.value % cycle:
-            fewer, more = known.value - left, known.value - left + cycle
+        if left := people % cycle:
+            fewer, more = people - left, people - left + cycle
             even = f"{fewer} or {more}" if fewer else f"{more}"
             yield (
-                f"{known.value} participants as in the paper leave orders of {size} {what} unbalanced: they repeat "
+                f"{people} participants as in the paper leave orders of {size} {what} unbalanced: they repeat "
                 f"after {cycle} participants; {even} would balance them"
             )
 
 
-def _compare_names(settings: Settings, paper: PaperTable) -> Iterator[str]:
+def _compare_names(settings: Settings, known: Known) -> Iterator[str]:
     """Compare reducers, levels and protocols."""
-    conditions, stimuli = paper.conditions, settings.stimuli
     here = {
-        "reducers": tuple(name_of(name) for name in stimuli.reducers),
-        "levels": stimuli.levels,
+        "reducers": tuple(name_of(name) for name in settings.stimuli.reducers),
+        "levels": settings.stimuli.levels,
         "protocols": settings.session.protocols,
     }
     for what, own in here.items():
-        known = getattr(conditions, what)
-        if known is None or known.value is None:
-            continue
-        if lacking := [name for name in known.value if name not in own]:
+        theirs = known.get(what, own)
+        if lacking := [name for name in theirs if name not in own]:
             yield f"{what} of {FROM_PAPER} that are missing here: {', '.join(lacking)}"
-        if added := [name for name in own if name not in known.value]:
+        if added := [name for name in own if name not in theirs]:
             yield f"{what} here that {FROM_PAPER} did not have: {', '.join(added)}"
 
 
-def _compare_signals(
-    settings: Settings, paper: PaperTable, recordings: Sequence[Facts]
-) -> Iterator[str]:
+def _compare_signals(settings: Settings, known: Known, rates: Mapping[str, float]) -> Iterator[str]:
     """Compare rates, bands and windows."""
-    rates = {one.name: one.rate_hz for one in recordings}
-    if (band := paper.conditions.band_hz) and band.value:
-        yield from _compare_band(settings, band.value, rates)
-    if (
-        (rate := paper.conditions.rate_hz)
-        and rate.value
-        and (own := sorted(set(rates.values()) - {rate.value}))
-    ):
-        yield f"recordings are sampled at {', '.join(f'{one:g}' for one in own)} Hz, the paper's at {rate.value:g} Hz"
-    window = paper.conditions.window_ms
-    if window and window.value not in {None, WINDOW_MS}:
-        yield f"dft321_windowed uses windows of {WINDOW_MS:g} ms, the paper {window.value:g} ms"
+    if "band_hz" in known:
+        yield from _compare_band(settings, known["band_hz"], rates)
+    if "rate_hz" in known and (own := sorted({*rates.values()} - {known["rate_hz"]})):
+        listed = ", ".join(f"{one:g}" for one in own)
+        yield f"recordings are sampled at {listed} Hz, the paper's at {known['rate_hz']:g} Hz"
+    if known.get("window_ms", WINDOW_MS) != WINDOW_MS:
+        yield f"dft321_windowed uses windows of {WINDOW_MS:g} ms, the paper {known['window_ms']:g} ms"
 
 
 def _compare_band(
@@ -129,7 +115,7 @@ def _compare_band(
         yield f"stimuli.conditioning.high_pass_hz is {steps.high_pass_hz:g}, the paper's band begins at {low:g} Hz"
 
 
-def _compare_plain(settings: Settings, paper: PaperTable) -> Iterator[str]:
+def _compare_plain(settings: Settings, known: Known) -> Iterator[str]:
     """Compare what is one value on both sides."""
     touched = any(task.surface or task.reference == SURFACE for task in make_design(settings).tasks)
     here: dict[str, object] = {
@@ -137,31 +123,27 @@ def _compare_plain(settings: Settings, paper: PaperTable) -> Iterator[str]:
         "gain": settings.stimuli.gain, "repeats": settings.session.repeats,
         "anchors": settings.stimuli.anchors, "surface": touched,
     }  # fmt: skip
+    told = {True: "yes", False: "no"}
     for name, own in here.items():
-        known = getattr(paper.conditions, name)
-        if known is not None and known.value is not None and known.value != own:
-            told = {True: "yes", False: "no"}
-            values = [
-                told.get(one, one) if isinstance(one, bool) else one for one in (own, known.value)
-            ]
-            yield f"{name} is {values[0]} here, {values[1]} in {FROM_PAPER}"
+        theirs = known.get(name, own)
+        if theirs != own:
+            mine, other = (told[one] if isinstance(one, bool) else one for one in (own, theirs))
+            yield f"{name} is {mine} here, {other} in {FROM_PAPER}"
 
 
-def _compare_rig(settings: Settings, paper: PaperTable, rig: Rig | None) -> Iterator[str]:
+def _compare_rig(settings: Settings, known: Known, rig: Rig | None) -> Iterator[str]:
     """Compare how many channels the rig plays with what the paper's reference wants."""
-    known = paper.conditions.channels
-    if known is None or known.value is None:
-        return
-    if known.value > 1 and name_of(settings.stimuli.reference) != ORIGINAL:
+    channels, reference = known.get("channels", 1), name_of(settings.stimuli.reference)
+    if channels > 1 and reference != ORIGINAL:
         yield (
-            f"{FROM_PAPER} played {known.value} channels, here stimuli.reference is "
-            f"{name_of(settings.stimuli.reference)!r}, which is one; use reference = {ORIGINAL!r}"
+            f"{FROM_PAPER} played {channels} channels, here stimuli.reference is {reference!r}, which is one; use "
+            f"reference = {ORIGINAL!r}"
         )
     if rig is None:
-        if known.value > 1:
-            yield f"{FROM_PAPER} used {known.value} actuators, one per axis; there is no rig.toml yet"
-    elif (count := len(rig.actuators)) < known.value:
-        yield f"{FROM_PAPER} used {known.value} actuators, the rig has {count}"
+        if channels > 1:
+            yield f"{FROM_PAPER} used {channels} actuators, one per axis; there is no rig.toml yet"
+    elif (count := len(rig.actuators)) < channels:
+        yield f"{FROM_PAPER} used {channels} actuators, the rig has {count}"
 
 
 def make_paper(settings: Settings, mountings: DataFrame | None = None) -> Paper | None:

@@ -2,27 +2,19 @@
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
 from feel321.files import write_table, write_text
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import StudyFolder, name_all
+from feel321.study.session import events
 from feel321.study.session import plan as plans
-from feel321.study.session.events import (
-    NoteTaken,
-    PageRead,
-    PartPlayed,
-    RigAccepted,
-    SessionFinished,
-    SessionReleased,
-    TrialRated,
-)
-from feel321.study.session.journal import Anchor, Chain, Records, digest, list_journals
+from feel321.study.session.journal import Anchor, Chain, Records, digest
 from feel321.study.thresholds import list_columns, read_thresholds
 
 ROSTER_FILE = "participants.csv"
@@ -32,9 +24,6 @@ REMOVING, REMOVED = "removing", "removed"
 
 LOCK_FILE = ".lock"
 """Held while a session runs or a participant leaves."""
-
-
-# Tombstones.
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +42,9 @@ class Tombstone:
 def write_tombstone(folder: Path, tombstone: Tombstone) -> None:
     """Write a tombstone and seal it with its digest, replacing the one that is there."""
     entry = asdict(tombstone)
-    sealed = entry | {"sha256": _digest(entry)}
-    text = json.dumps(sealed, indent=1, ensure_ascii=False) + "\n"
-    write_text(folder / plans.TOMBSTONE_FILE, text, private=True)
+    sealed = entry | {"sha256": digest(json.dumps(entry, sort_keys=True))}
+    text = json.dumps(sealed, indent=1, ensure_ascii=False)
+    write_text(folder / plans.TOMBSTONE_FILE, f"{text}\n", private=True)
 
 
 def read_tombstone(folder: Path) -> Tombstone | None:
@@ -65,7 +54,7 @@ def read_tombstone(folder: Path) -> Tombstone | None:
         return None
     try:
         entry = json.loads(path.read_bytes())
-        is_sealed = entry.pop("sha256") == _digest(entry)
+        is_sealed = entry.pop("sha256") == digest(json.dumps(entry, sort_keys=True))
         journals = tuple(Anchor(**anchor) for anchor in entry["journals"])
         tombstone = Tombstone(**entry | {"journals": journals})
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError):
@@ -90,29 +79,6 @@ def find_leftovers(folder: Path) -> list[str]:
         f"{path}: lies beside a tombstone, the participant withdrew; remove it"
         for path in sorted(files - kept)
     ]
-
-
-def _digest(entry: Mapping[str, Any]) -> str:
-    return digest(json.dumps(entry, sort_keys=True))
-
-
-# Notes of the experimenter.
-
-
-@dataclass(frozen=True, slots=True)
-class Note:
-    """A note, and when it was taken."""
-
-    utc: str
-    text: str
-
-
-def list_notes(chains: Iterable[Chain]) -> Iterator[Note]:
-    """List the notes in all journals of a participant, in order."""
-    for chain in chains:
-        for record in chain.records:
-            if record.event == NoteTaken.event and isinstance(event := record.content, NoteTaken):
-                yield Note(record.utc, event.text)
 
 
 # Rigs.
@@ -145,16 +111,16 @@ def find_rig_use(participant: str, records: Records) -> RigUse:
         return RigUse(participant)
     rig = header.identity.get("presenter", {}).get("rig")
     calibration, changes = header.identity.get("calibration"), []
-    for event in records.find(RigAccepted):
+    for event in records.find(events.RigAccepted):
         rig, calibration = event.rig, event.calibration
         changes += event.changes
-    sources = (event.dac_source for event in records.find(PartPlayed))
+    played = (one for one in records if one.event == events.PartPlayed.event)
     return RigUse(
         participant,
         rig=digest_settings(json.dumps(rig, sort_keys=True))[:LETTERS] if rig else "",
         calibration=calibration["id"] if isinstance(calibration, dict) else calibration or "",
         changes=tuple(changes),
-        estimated=sum(source == ESTIMATED for source in sources),
+        estimated=sum(one.data.get("dac_source") == ESTIMATED for one in played),
     )
 
 
@@ -193,12 +159,27 @@ def _describe_odd(values: Mapping[str, str], what: str) -> Iterator[str]:
         yield f"{who}: another {what} ({odd or 'none'}) than the other {n_usual} ({usual or 'none'})"
 
 
-def _find_usual(values: Sequence[Any]) -> Any:  # noqa: ANN401 - whatever is counted
+def _find_usual(values: Sequence[str]) -> str:
     """Find the value that most have; of several, the one that came first."""
-    return max(Counter(values).items(), key=lambda item: item[1])[0] if values else None
+    return max(Counter(values).items(), key=lambda item: item[1])[0] if values else ""
 
 
 # Progress and `participants.csv`.
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """A note of the experimenter, and when it was taken."""
+
+    utc: str
+    text: str
+
+
+def list_notes(chains: Iterable[Chain]) -> Iterator[Note]:
+    """List the notes in all journals of a participant, in order."""
+    for record in (one for chain in chains for one in chain.records):
+        if record.event == events.NoteTaken.event:
+            yield Note(record.utc, str(record.data.get("text", "")))
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,18 +207,15 @@ class Progress:
 
 def list_progress(study: StudyFolder) -> list[Progress]:
     """Read the progress of all participants who have a plan or a journal and did not withdraw."""
-    return [
-        read_progress(folder)
-        for folder in study.participants
-        if not (folder / plans.TOMBSTONE_FILE).exists()
-        and ((folder / plans.PLAN_FILE).exists() or list_journals(folder))
-    ]
+    return name_all(partial(read_progress, read=study.read_person), study.planned)
 
 
-def read_progress(folder: Path) -> Progress:
+def read_progress(
+    folder: Path, read: Callable[[Path], plans.Dossier] = plans.read_dossier
+) -> Progress:
     """Read the progress of one participant, also while a session runs."""
     try:
-        return make_progress(plans.read_dossier(folder))
+        return make_progress(read(folder))
     except ValueError as error:
         # A broken plan raises again; of a broken journal the plan still says who it is.
         planned = make_progress(plans.Dossier(folder, plans.require_own_plan(folder), ()))
@@ -248,9 +226,11 @@ def make_progress(dossier: plans.Dossier) -> Progress:
     """Derive the progress of one participant from plan and journals."""
     plan, newest = dossier.plan, dossier.records
     records = [record for chain in dossier.chains for record in chain.records]
-    use = find_rig_use(plan.participant, newest)
-    times = [record.utc for record in records if record.event != NoteTaken.event]
+    times = [record.utc for record in records if record.event != events.NoteTaken.event]
+    rated = (one.utc for one in records if one.event == events.TrialRated.event)
     with plans.read_as_written(dossier.newest):
+        use = find_rig_use(plan.participant, newest)
+        pages = {page.key for page in newest.find(events.PageRead)}
         return Progress(
             participant=plan.participant,
             simulated=plan.simulated,
@@ -258,14 +238,14 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             groups=plan.groups,
             total=sum(trial.phase == "main" for trial in plan.trials),
             done=plans.replay(plan, newest).done,
-            state=find_state(newest),
+            state=_find_state(newest),
             sessions=len(dossier.chains),
             first_utc=times[0] if times else "",
             last_utc=times[-1] if times else "",
-            rated_utc=max(
-                (one.utc for one in records if one.event == TrialRated.event), default=""
-            ),
-            training_passed=_find_training(newest),
+            rated_utc=max(rated, default=""),
+            training_passed="training_failed" not in pages
+            if pages & {"training_failed", "training_passed"}
+            else None,
             rig=use.rig,
             calibration=use.calibration,
             estimated=use.estimated,
@@ -273,19 +253,12 @@ def make_progress(dossier: plans.Dossier) -> Progress:
         )
 
 
-def find_state(records: Records) -> str:
+def _find_state(records: Records) -> str:
     """Find the state in which a session was left, by its newest journal."""
-    for kind in (SessionReleased, SessionFinished):
+    for kind in (events.SessionReleased, events.SessionFinished):
         if records.has(kind):
             return kind.event
     return "running" if records.find_header() else "claimed"
-
-
-def _find_training(records: Records) -> bool | None:
-    pages = {page.key for page in records.find(PageRead)}
-    if "training_failed" in pages:
-        return False
-    return True if "training_passed" in pages else None
 
 
 def note_estimates(everybody: Iterable[Progress]) -> Iterator[str]:
@@ -300,9 +273,8 @@ def note_estimates(everybody: Iterable[Progress]) -> Iterator[str]:
 def write_roster(study: StudyFolder, everybody: Sequence[Progress] | None = None) -> Path:
     """Write `participants.csv`: one row per participant, without those who withdrew."""
     everybody = list_progress(study) if everybody is None else everybody
-    for progress in everybody:
-        if progress.problem:
-            raise ValueError(progress.problem)
+    if problems := [one.problem for one in everybody if one.problem]:
+        raise ValueError("\n".join(problems))
     write_table(study.path / ROSTER_FILE, *list_roster(everybody), private=True)
     study.share(study.path / ROSTER_FILE)
     return study.path / ROSTER_FILE

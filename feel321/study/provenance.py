@@ -8,9 +8,9 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
+from feel321.stimuli.sets.manifest import read_details
 from feel321.stimuli.sets.recipe import Recipe, describe_recipe
 from feel321.stimuli.sets.render import list_methods
-from feel321.study.folder import read_origin
 from feel321.study.settings.read import make_recipe
 
 if TYPE_CHECKING:
@@ -32,17 +32,20 @@ def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | No
 
     recordings: name of each recording in the settings -> digest of its source.
     """
-    origin = read_origin(folder)
-    wanted = json.loads(json.dumps(describe_recipe(recipe)))
-    changes = list(_compare_recipes(origin.recipe, wanted))
-    changes += _compare_recipes(origin.methods, json.loads(json.dumps(list_methods(recipe))))
-    if set(origin.recordings) != set(recordings):
-        built, named = (", ".join(sorted(names)) for names in (origin.recordings, recordings))
-        changes.append(f"recordings: built from {built}; the settings name {named}")
+    built = read_details(folder)
+    origins = {row.get("recording", ""): row.get("recording_sha256", "") for row in built.stimuli}
+    wanted, own = json.loads(json.dumps([describe_recipe(recipe), list_methods(recipe)]))
+    changes = list(_compare_recipes(built.recipe, wanted))
+    # The lab's own methods, and further metrics, are there where there are any.
+    methods = {kind: getattr(built, kind) for kind in ("reducers", "metrics")}
+    changes += _compare_recipes({kind: one for kind, one in methods.items() if one}, own)
+    if set(origins) != set(recordings):
+        was, named = (", ".join(sorted(names)) for names in (origins, recordings))
+        changes.append(f"recordings: built from {was}; the settings name {named}")
     changes += [
         f"recording {name!r}: is not the one that the set was built from"
         for name, sha256 in recordings.items()
-        if sha256 is not None and origin.recordings.get(name, sha256) != sha256
+        if sha256 is not None and origins.get(name, sha256) != sha256
     ]
     return [f"{folder}: {change}" for change in changes]
 

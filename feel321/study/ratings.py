@@ -3,7 +3,8 @@
 It may be deleted at any time: it is written anew, byte for byte the same, from what the journals hold.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,8 @@ from feel321.study.session.events import (
     TrialRated,
     TrialShown,
 )
-from feel321.study.session.journal import Records, list_journals, name_journal, read_journal
-from feel321.study.session.plan import TOMBSTONE_FILE, Plan, read_as_written, require_own_plan
+from feel321.study.session.journal import Records, list_journals, name_journal
+from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
@@ -34,53 +35,40 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
     was begun anew, is there and marked as rejected.
     """
-    rows = (row for folder in study.participants for row in read_judgements(folder, stimuli))
+    rows = (row for one in study.read_people() for row in list_judgements(one, stimuli))
     count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
     study.share(study.ratings)
     return count
 
 
 def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
-    """Read the completed judgements of one participant, with names in the place of blind codes."""
-    journals = list_journals(folder)
-    # A withdrawn participant has no ratings, even while the removal is not finished or a copy has come back.
-    if not journals or (folder / TOMBSTONE_FILE).exists():
+    """Read the completed judgements of one participant; a withdrawn one has none, even if a copy has come back."""
+    if not list_journals(folder) or (folder / TOMBSTONE_FILE).exists():
         return []
-    plan = require_own_plan(folder)
-    if plan.stimuli_sha256 != stimuli.sha256:
+    return list_judgements(read_dossier(folder), stimuli)
+
+
+def list_judgements(dossier: Dossier, stimuli: StimulusSet) -> list[dict[str, Any]]:
+    """List the completed judgements of one participant, with names in the place of blind codes."""
+    plan, folder = dossier.plan, dossier.folder
+    if dossier.chains and plan.stimuli_sha256 != stimuli.sha256:
         raise ValueError(
             f"{folder}: was planned with stimulus set {plan.stimuli_sha256[:12]}, the study holds "
             f"{stimuli.sha256[:12]}; build the set of that session again"
         )
     by_code = list_by_code(stimuli, seed=plan.seed)
     rows = []
-    for path in journals:
-        records = read_journal(path).records
+    for path, chain in zip(list_journals(folder), dossier.chains, strict=False):
         with read_as_written(path):
-            if (header := records.find_header()) is None:
+            if (header := chain.records.find_header()) is None:
                 continue
             if fault := next(find_misplaced(path, header, plan), ""):
                 remedy = "move a copy out of sessions/, or restore the plan from one"
                 raise ValueError(f"{path}{fault}; {remedy}")
-            levels = find_own_levels(plan, records, stimuli)
-            rows += decode_judgements(plan, records, by_code, levels=levels, path=path)
+            levels = find_own_levels(plan, chain.records, stimuli)
+            own = _decode_judgements(dossier, chain.records, by_code, levels=levels, path=path)
+            rows += sorted(own, key=itemgetter("trial"))
     return rows
-
-
-def decode_judgements(
-    plan: Plan,
-    records: Records,
-    by_code: Mapping[str, Stimulus],
-    *,
-    levels: Mapping[str, float],
-    path: Path,
-) -> list[dict[str, Any]]:
-    """Decode the completed judgements of a journal that has a header, in the order of the plan's trials."""
-    if (header := records.find_header()) is None:
-        return []
-    judged = _list_judgements(plan, records, path=path)
-    rows = [_decode(row, header, by_code, levels=levels) for row in judged]
-    return sorted(rows, key=lambda row: row["trial"])
 
 
 def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str]:
@@ -91,34 +79,21 @@ def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str
         yield ": was begun with another plan than the one beside it"
 
 
-def _decode(
-    row: dict[str, Any],
-    header: SessionBegun,
+def _decode_judgements(
+    dossier: Dossier,
+    records: Records,
     by_code: Mapping[str, Stimulus],
     *,
     levels: Mapping[str, float],
-) -> dict[str, Any]:
-    stimulus = by_code[row["stimulus_id"]]
-    others = {name: by_code.get(row[name]) for name in ("reference_id", "other_id")}
-    return row | {
-        "participant": header.participant,
-        "session": header.session,
-        "stimulus_id": stimulus.stimulus_id,
-        "recording": stimulus.recording,
-        "reducer": stimulus.reducer,
-        "level": stimulus.level,
-        **{name: other.stimulus_id if other else row[name] for name, other in others.items()},
-        "simulated": _write_flag(header.identity["presenter"]["simulated"]),
-        "sensation_level_db": levels.get(stimulus.stimulus_id, ""),
-    }
-
-
-def _list_judgements(plan: Plan, records: Records, *, path: Path) -> Iterator[dict[str, Any]]:
-    trials = {trial.number: trial for trial in plan.trials}
+    path: Path,
+) -> Iterator[dict[str, Any]]:
+    """Decode the completed judgements of a journal that has a header, as they were made."""
+    header = records.find_header()
+    trials = {trial.number: trial for trial in dossier.plan.trials}
     superseded = records.has(SessionSuperseded)
     played: list[PartPlayed] = []
     for record in records:
-        if record.event not in _KINDS:
+        if record.event not in _KINDS or header is None:
             continue
         match record.content:
             case TrialShown():
@@ -126,21 +101,29 @@ def _list_judgements(plan: Plan, records: Records, *, path: Path) -> Iterator[di
             case PartPlayed() as part:
                 played.append(part)
             case TrialRated() as rated if (trial := trials[rated.trial]).phase == "main":
-                felt = {part.part for part in played if part.completed}
+                felt = {part.part: part for part in played if part.completed}
                 parts = dict.fromkeys(judgement.part for judgement in trial.judgements)
                 if missing := [name for name in parts if name not in felt]:
                     raise ValueError(
                         f"{path}, line {record.sequence + 1}: trial {trial.number} is rated, but {', '.join(missing)} "
                         "was not played since it was shown; restore the file from a copy"
                     )
-                yield from _judge(trial, rated, played, superseded=superseded)
+                facts = {
+                    "participant": header.participant,
+                    "session": header.session,
+                    "simulated": _write_flag(header.identity["presenter"]["simulated"]),
+                    "underruns": sum(part.underruns for part in played),
+                    "rejected": _write_flag(rated.rejected or superseded),
+                    "response_time_s": rated.response_time_s,
+                }
+                for row in _judge(trial, rated, felt):
+                    yield facts | _name(row, by_code, levels)
 
 
 def _judge(
-    trial: Trial, rated: TrialRated, played: Sequence[PartPlayed], *, superseded: bool
+    trial: Trial, rated: TrialRated, felt: Mapping[str, PartPlayed]
 ) -> Iterator[dict[str, Any]]:
     points = score_trial(trial, rated.values)
-    felt = {part.part: part for part in played if part.completed}
     for judgement in trial.judgements:
         yield {
             "protocol": trial.protocol,
@@ -151,13 +134,26 @@ def _judge(
             "reference_id": judgement.reference_id,
             "scale": judgement.scale or trial.scale,
             "rating": points[judgement.key],
-            "response_time_s": rated.response_time_s,
             "onset_s": felt[judgement.part].onset_s,
-            "underruns": sum(part.underruns for part in played),
-            "rejected": _write_flag(rated.rejected or superseded),
             **_describe_delivered(felt[judgement.part].delivered),
             "other_id": find_other(trial, judgement),
         }
+
+
+def _name(
+    row: dict[str, Any], by_code: Mapping[str, Stimulus], levels: Mapping[str, float]
+) -> dict[str, Any]:
+    """Put names in the place of codes."""
+    stimulus = by_code[row["stimulus_id"]]
+    others = {name: by_code.get(row[name]) for name in ("reference_id", "other_id")}
+    return row | {
+        "stimulus_id": stimulus.stimulus_id,
+        "recording": stimulus.recording,
+        "reducer": stimulus.reducer,
+        "level": stimulus.level,
+        **{name: other.stimulus_id if other else row[name] for name, other in others.items()},
+        "sensation_level_db": levels.get(stimulus.stimulus_id, ""),
+    }
 
 
 def _describe_delivered(delivered: Mapping[str, float]) -> dict[str, Any]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import groupby
 from math import lcm, prod
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.doors import announce
@@ -18,15 +17,8 @@ from feel321.protocols.order import TASK_ORDERS
 from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study import minutes
 from feel321.study.freeze import describe_frozen
-from feel321.study.minutes import (
-    Length,
-    Sitting,
-    find_durations,
-    find_left,
-    measure_length,
-    observe_pace,
-)
 from feel321.study.people import (
     LOCK_FILE,
     Note,
@@ -35,12 +27,14 @@ from feel321.study.people import (
     find_rig_use,
     list_notes,
     make_progress,
-)
+)  # fmt: skip
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
-from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
+from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
 from feel321.study.thresholds import find_warnings, read_thresholds
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from pandas import DataFrame
 
     from feel321.protocols.trial import Trial
@@ -48,6 +42,9 @@ if TYPE_CHECKING:
     from feel321.study.session.journal import Chain, Records
 
     Sequences = dict[tuple[str, ...], list[list[str]]]
+
+SESSION, TASKS = "session", "tasks"
+"""What is put in order where tasks are counterbalanced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +70,11 @@ class BalanceAsRun:
     evenness: tuple[Evenness, ...]
 
 
-def measure_realised(dossiers: Iterable[Dossier]) -> BalanceAsRun | None:
-    """Measure the balance of all trials that were run: of real participants if there are any."""
-    run = [(dossier, trials) for dossier in dossiers if (trials := _list_counted(dossier))]
-    simulated = all(dossier.plan.simulated for dossier, _ in run)
-    run = [(dossier, trials) for dossier, trials in run if dossier.plan.simulated == simulated]
+def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> BalanceAsRun | None:
+    """Measure the balance of the trials that counted, of real participants if there are any."""
+    begun = [(dossier, trials) for dossier, trials in everybody if trials]
+    simulated = all(dossier.plan.simulated for dossier, _ in begun)
+    run = [(dossier, trials) for dossier, trials in begun if dossier.plan.simulated == simulated]
     if not run:
         return None
     groups: dict[tuple[str, str], Sequences] = defaultdict(lambda: defaultdict(list))
@@ -90,19 +87,24 @@ def measure_realised(dossiers: Iterable[Dossier]) -> BalanceAsRun | None:
     # Shares of the recordings have none: who comes a full cycle later feels other recordings.
     whole = [plan for plan in plans if plan.recordings_per_participant is None]
     of_trials = cycles * any(plan.order == "williams" for plan in whole)
-    return BalanceAsRun(
-        simulated=simulated,
-        participants=len(run),
-        finished=sum(_is_finished(dossier.records) for dossier, _ in run),
-        evenness=tuple(
-            _measure(task, what, sequences, cycles=cycles if what == TASKS else of_trials)
-            for (task, what), sequences in groups.items()
-        ),
-    )
-
-
-SESSION, TASKS = "session", "tasks"
-"""What is put in order where tasks are counterbalanced."""
+    evenness = []
+    for (task, what), sequences in groups.items():
+        balance = pool_balances(measure_balance(group) for group in sequences.values())
+        round_of = lcm(*(count_rows(len(among)) for among in sequences))
+        evenness.append(
+            Evenness(
+                task=task,
+                what=what,
+                cycle=(cycles if what == TASKS else of_trials) * round_of,
+                positions=balance.positions.find_ends(),
+                carry_over=balance.carry_over.find_ends(),
+                position_index=balance.position_index,
+                carry_over_index=balance.carry_over_index,
+            )
+        )
+    over = [one.records for one, _ in run if one.records.has(SessionFinished)]
+    finished = sum(not records.has(SessionReleased) for records in over)
+    return BalanceAsRun(simulated, len(run), finished, tuple(evenness))
 
 
 def describe_balance(realised: BalanceAsRun | None) -> list[str]:
@@ -118,25 +120,14 @@ def describe_balance(realised: BalanceAsRun | None) -> list[str]:
         return ["balance: no trial was run yet"]
     lines = [f"balance: {realised.finished} finished{' (simulated)' if realised.simulated else ''}"]
     for entry in realised.evenness:
-        places, neighbours = (
-            " to ".join(map(str, ends)) for ends in (entry.positions, entry.carry_over)
-        )
+        ends = (entry.positions, entry.carry_over)
+        places, neighbours = (" to ".join(map(str, end)) for end in ends)
         left = -realised.finished % entry.cycle if entry.cycle else 0
         circle = f"; even over {entry.cycle}, {left} to go" if entry.cycle else ""
         lines.append(
             f"  {entry.task}, {entry.what}: {places} at each position, {neighbours} after each other{circle}"
         )
     return lines
-
-
-def _is_finished(records: Records) -> bool:
-    return records.has(SessionFinished) and not records.has(SessionReleased)
-
-
-def _list_counted(dossier: Dossier) -> list[Trial]:
-    """List the trials of the main phase, in the order in which they counted."""
-    trials = {trial.number: trial for trial in dossier.plan.trials if trial.phase == "main"}
-    return [trials[rated.trial] for rated in _list_accepted(dossier.records, trials)]
 
 
 def _list_accepted(records: Records, numbers: Collection[int]) -> list[TrialRated]:
@@ -180,19 +171,6 @@ def _gather_blocks(trials: Iterable[Trial]) -> dict[int, list[Trial]]:
     return blocks
 
 
-def _measure(task: str, what: str, sequences: Sequences, *, cycles: int) -> Evenness:
-    balance = pool_balances(measure_balance(group) for group in sequences.values())
-    return Evenness(
-        task=task,
-        what=what,
-        cycle=cycles * lcm(*(count_rows(len(among)) for among in sequences)),
-        positions=balance.positions.find_ends(),
-        carry_over=balance.carry_over.find_ends(),
-        position_index=balance.position_index,
-        carry_over_index=balance.carry_over_index,
-    )
-
-
 def _name_condition(trial: Trial) -> str:
     """Name the two stimuli that are compared, whichever comes first."""
     about = trial.judgements[0]
@@ -228,7 +206,7 @@ class Status(Result):
 
     participants: tuple[ParticipantStatus, ...]
     balance: BalanceAsRun | None
-    length: Length | None = None
+    length: minutes.Length | None = None
     frozen: str = ""
 
     def to_frame(self) -> DataFrame:
@@ -266,63 +244,65 @@ def _describe(entry: ParticipantStatus) -> str:
         return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}{'':5}  {entry.problem}"
     notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
     tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
-    minutes = "" if entry.left_min is None else f"{entry.left_min:.0f}"
-    return (
-        f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{minutes:>5}{tail}"
-    )
+    left = "" if entry.left_min is None else f"{entry.left_min:.0f}"
+    return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{left:>5}{tail}"
 
 
 def read_status(
     study: StudyFolder, *, progress: Callable[[int, int], None] | None = None
 ) -> Status:
     """Read the progress of a study, also while sessions run."""
-    entries, dossiers = [], []
+    entries: dict[str, ParticipantStatus] = {}
+    counted: list[tuple[Dossier, list[Trial]]] = []
     folders = study.participants
     for count, folder in enumerate(folders, start=1):
         announce(folder.name)
-        entry, dossier = read_participant(folder)
-        entries.append(entry)
-        if dossier is not None:
-            dossiers.append(dossier)
+        entries[folder.name], own = read_participant(study, folder)
+        if own is not None:
+            counted.append(own)
         if progress is not None:
             progress(count, len(folders))
-    timed, length = _add_minutes(study, entries, dossiers)
+    length = _add_minutes(study, entries, [dossier for dossier, _ in counted])
     frozen = "" if study.is_rehearsal else describe_frozen(study)
-    return Status(tuple(timed), measure_realised(dossiers), length, frozen)
+    return Status(tuple(entries.values()), measure_realised(counted), length, frozen)
 
 
 def _add_minutes(
-    study: StudyFolder, entries: Sequence[ParticipantStatus], dossiers: Sequence[Dossier]
-) -> tuple[list[ParticipantStatus], Length | None]:
+    study: StudyFolder, entries: dict[str, ParticipantStatus], dossiers: Sequence[Dossier]
+) -> minutes.Length | None:
     """Add the minutes that participants have left, and measure how long whole sessions take."""
     try:
-        durations = find_durations(read_stimuli(study.stimuli))
+        durations = minutes.find_durations(read_stimuli(study.stimuli))
     except (OSError, ValueError):
-        return list(entries), None
-    pace = observe_pace(dossiers, durations)
-    timed = {entry.participant: entry for entry in entries}
+        return None
+    pace = minutes.observe_pace(dossiers, durations)
     for dossier in dossiers:
-        entry = timed[dossier.plan.participant]
+        entry = entries[dossier.plan.participant]
         if entry.state in {"claimed", "running", "aborted"}:
-            left = find_left(dossier.plan, dossier.records, durations=durations, pace=pace)
-            left_min = max(left.values()) / SECONDS
-            timed[entry.participant] = replace(entry, left_min=left_min)
-    sittings = [Sitting.plan(dossier.plan, dossier.plan.flow, durations) for dossier in dossiers]
-    return list(timed.values()), measure_length(sittings, pace) if sittings else None
+            left = minutes.find_left(dossier.plan, dossier.records, durations=durations, pace=pace)
+            entries[entry.participant] = replace(entry, left_min=max(left.values()) / SECONDS)
+    sittings = [
+        minutes.Sitting.plan(dossier.plan, dossier.plan.flow, durations) for dossier in dossiers
+    ]
+    return minutes.measure_length(sittings, pace) if sittings else None
 
 
-def read_participant(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
-    """Read the status of a participant; the dossier comes too if it counts for the balance."""
+def read_participant(
+    study: StudyFolder, folder: Path
+) -> tuple[ParticipantStatus, tuple[Dossier, list[Trial]] | None]:
+    """Read the status of a participant; with the trials that count for the balance, in the order that they were run."""
     if (folder / TOMBSTONE_FILE).exists():
         return ParticipantStatus(folder.name, state="withdrawn"), None
     try:
-        dossier = read_dossier(folder)
+        dossier = study.read_person(folder)
+        plan, records = dossier.plan, dossier.records
         progress = make_progress(dossier)
         with read_as_written(dossier.newest):
-            chains = dossier.chains[-1:]
-            warnings = [line for chain in chains for line in _find_warnings(dossier.plan, chain)]
+            trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
+            rated = _list_accepted(records, trials)
+            warnings = [*_find_warnings(dossier, trials, rated)]
             notes = tuple(list_notes(dossier.chains))
-            _list_counted(dossier)  # for the balance, which tells no folder
+            use = find_rig_use(progress.participant, records)
     except (OSError, ValueError) as error:
         return ParticipantStatus(folder.name, problem=str(error)), None
     is_left = progress.state == "running" and not is_held(folder / LOCK_FILE)
@@ -337,16 +317,19 @@ def read_participant(folder: Path) -> tuple[ParticipantStatus, Dossier | None]:
         last_activity=progress.last_utc,
         warnings=tuple(warnings),
         notes=notes,
-        rig=find_rig_use(progress.participant, dossier.records),
+        rig=use,
     )
-    return entry, dossier
+    return entry, (dossier, [trials[one.trial] for one in rated])
 
 
-def _find_warnings(plan: Plan, chain: Chain) -> Iterator[str]:
-    yield from find_flags(chain)
-    yield from find_warnings(read_thresholds(plan, chain.records))
-    caught = find_catches(plan, chain.records)
-    if missed := sum(not as_expected for as_expected in caught):
+def _find_warnings(
+    dossier: Dossier, trials: Mapping[int, Trial], rated: Sequence[TrialRated]
+) -> Iterator[str]:
+    for chain in dossier.chains[-1:]:
+        yield from find_flags(chain)
+    yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
+    caught = _judge_catches(trials, rated)
+    if missed := caught.count(False):
         yield f"{missed} of {len(caught)} catch trials not as expected"
 
 
@@ -364,9 +347,11 @@ def find_flags(chain: Chain) -> Iterator[str]:
 
 def find_catches(plan: Plan, records: Records) -> list[bool]:
     """Check the answers to all catch trials against what is expected."""
-    caught = {trial.number: trial for trial in plan.trials if trial.phase == "main" and trial.catch}
-    answers = [
-        is_as_expected(caught[rated.trial], rated.values)
-        for rated in _list_accepted(records, caught)
-    ]
+    trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
+    return _judge_catches(trials, _list_accepted(records, trials))
+
+
+def _judge_catches(trials: Mapping[int, Trial], rated: Sequence[TrialRated]) -> list[bool]:
+    caught = [one for one in rated if trials[one.trial].catch]
+    answers = [is_as_expected(trials[one.trial], one.values) for one in caught]
     return [answer for answer in answers if answer is not None]

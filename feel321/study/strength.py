@@ -4,9 +4,10 @@ Everything here works on what a build would make (`feel321.stimuli.sets.build.fo
 whether it was made yet or not.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from math import inf, log10, sqrt
-from operator import itemgetter
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -47,38 +48,62 @@ MOST_LISTED = 50
 # How strongly a study's stimuli will be felt: sensation levels and gains.
 
 
+class _Played(NamedTuple):
+    """A stimulus as it is played; sensation_db: over the recipe's threshold."""
+
+    recording: str
+    reducer: str
+    role: str
+    level: str
+    gain: float
+    peak_m_s2: float
+    sensation_db: float
+
+
 def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Recipe) -> Problems:
     """Find out how strongly the stimuli of a study will be felt."""
-    unfelt = tuple(_find_weak(foreseen, recipe, least=-inf, below=0.0))
-    weak = _find_weak(foreseen, recipe, least=0.0, below=WEAK_DB)
+    played = _play(foreseen, recipe)
+    unfelt = tuple(_find_weak(played, recipe, least=-inf, below=0.0))
     is_accepted = settings.stimuli.below_threshold == ACCEPT
+    felt = [one for one in played if one.role != ANCHOR]
+    groups: dict[str, list[Foreseen]] = defaultdict(list)
+    for one in foreseen:
+        groups[one.recording].append(one)
     levels = {
         recording: {
             curve: [end(one.sensation_levels_db[curve] for one in own) for end in (min, max)]
             for curve in THRESHOLDS
         }
-        for recording, own in _group(foreseen).items()
+        for recording, own in groups.items()
     }
     return Problems(
         problems=() if is_accepted else unfelt,
         warnings=(
             *(unfelt if is_accepted else ()),
-            *weak,
-            *find_raised(
-                (one.recording, one.level, one.gain) for one in foreseen if one.role != ANCHOR
-            ),
-            *_compare_with_surface(settings, [one.gain for one in foreseen if one.role != ANCHOR]),
+            *_find_weak(played, recipe, least=0.0, below=WEAK_DB),
+            *find_raised((one.recording, one.level, one.gain) for one in felt),
+            *_compare_with_surface(settings, [one.gain for one in felt]),
             *_find_out_of_reach(settings),
         ),
-        notes=(*describe_gains(foreseen, recipe), *_list_levels(levels)),
+        notes=(*_describe_gains(played, recipe), *_list_levels(levels)),
         figures={
             "gain": recipe.gain,
             "threshold": recipe.threshold,
-            "below_threshold": sum(_own_level(one, recipe) < 0 for one in foreseen),
-            "stimuli": len(foreseen),
+            "below_threshold": sum(one.sensation_db < 0 for one in played),
+            "stimuli": len(played),
             "sensation_levels_db": levels,
         },
     )
+
+
+def _play(foreseen: Iterable[Foreseen], recipe: Recipe) -> list[_Played]:
+    return [
+        _Played(
+            *(one.recording, one.reducer, one.role, one.level, one.gain, one.peak_m_s2),
+            one.sensation_levels_db[recipe.threshold],
+        )
+        for one in foreseen
+    ]
 
 
 def _find_out_of_reach(settings: Settings) -> Iterator[str]:
@@ -96,31 +121,9 @@ def _find_out_of_reach(settings: Settings) -> Iterator[str]:
             )
 
 
-class _Played(NamedTuple):
-    recording: str
-    reducer: str
-    role: str
-    level: str
-    gain: float
-    peak_m_s2: float
-    sensation_db: float
-
-
 def describe_gains(foreseen: Iterable[Foreseen], recipe: Recipe) -> list[str]:
     """Describe by which gains stimuli are played, and what one recording's peak costs the others."""
-    played = [
-        _Played(
-            one.recording,
-            one.reducer,
-            one.role,
-            one.level,
-            one.gain,
-            one.peak_m_s2,
-            _own_level(one, recipe),
-        )
-        for one in foreseen
-    ]
-    return _describe_gains(played, recipe)
+    return _describe_gains(_play(foreseen, recipe), recipe)
 
 
 def _describe_gains(played: Sequence[_Played], recipe: Recipe) -> list[str]:
@@ -184,13 +187,9 @@ def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
 def describe_built(settings: Settings, stimuli: StimulusSet) -> list[str]:
     """Describe the gains of a built set, beside a real surface too, and how many of its stimuli cannot be felt."""
     recipe = make_recipe(settings, stimuli.folder.parent)
-    heard = [
+    played = [
         _Played(
-            one.recording,
-            one.reducer,
-            one.role,
-            one.level,
-            one.gain,
+            *(one.recording, one.reducer, one.role, one.level, one.gain),
             recipe.full_scale_m_s2 * one.peak,
             one.sensation_level_db,
         )
@@ -199,13 +198,13 @@ def describe_built(settings: Settings, stimuli: StimulusSet) -> list[str]:
     unfelt = filter(None, [find_unfelt(settings, stimuli)])
     tests = [one.gain for one in stimuli if one.role != ANCHOR]
     beside = _compare_with_surface(settings, tests)
-    return [*_describe_gains(heard, recipe), *beside, *unfelt, *stimuli.warnings]
+    return [*_describe_gains(played, recipe), *beside, *unfelt, *stimuli.warnings]
 
 
 def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
     """Find stimuli that are not built yet and will be limited at full scale: one line per recording."""
     lines = []
-    for recording, own in _group(foreseen).items():
+    for recording, own in _group(_play(foreseen, recipe)).items():
         peaks = [one.peak_m_s2 / recipe.full_scale_m_s2 for one in own]
         if over := [peak for peak in peaks if peak > 1]:
             lines.append(
@@ -216,49 +215,43 @@ def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
     return lines
 
 
-def _group(foreseen: Sequence[Foreseen]) -> dict[str, list[Foreseen]]:
-    groups: dict[str, list[Foreseen]] = {}
-    for one in foreseen:
-        groups.setdefault(one.recording, []).append(one)
+def _group(played: Sequence[_Played]) -> dict[str, list[_Played]]:
+    groups: dict[str, list[_Played]] = defaultdict(list)
+    for one in played:
+        groups[one.recording].append(one)
     return groups
 
 
-def _own_level(one: Foreseen, recipe: Recipe) -> float:
-    return one.sensation_levels_db[recipe.threshold]
-
-
 def _find_weak(
-    foreseen: Sequence[Foreseen], recipe: Recipe, *, least: float, below: float
+    played: Sequence[_Played], recipe: Recipe, *, least: float, below: float
 ) -> Iterator[str]:
     """List the recordings whose stimuli have sensation levels in a range, and what helps them."""
     accept = f', or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
     where = f"below the detection threshold ({recipe.threshold}), not to be felt"
     if below:
         where = f"less than {below:g} dB over the detection threshold ({recipe.threshold})"
-    for recording, own in _group(foreseen).items():
-        weak = [one for one in own if least <= _own_level(one, recipe) < below]
+    several = len(recipe.levels) > 1
+    for recording, own in _group(played).items():
+        weak = [one for one in own if least <= one.sensation_db < below]
         if not weak:
             continue
+        arms = several or len({one.level for one in weak}) > 1
+        named = ", ".join(
+            f"{one.reducer}{f' {one.level}' if arms else ''} {write_db(one.sensation_db)}"
+            + ("" if one.sensation_db == -inf else " dB")
+            for one in sorted(weak, key=attrgetter("sensation_db"))
+        )
         yield (
-            f"recording {recording!r}: {len(weak)} of {len(own)} stimuli {where}: {_list_weak(weak, recipe)}; "
+            f"recording {recording!r}: {len(weak)} of {len(own)} stimuli {where}: {named}; "
             f"{_advise(own, weak, recipe)}{'' if below else accept}"
         )
 
 
-def _list_weak(weak: Sequence[Foreseen], recipe: Recipe) -> str:
-    several = len({one.level for one in weak}) > 1 or len(recipe.levels) > 1
-    texts = []
-    for level, one in sorted(((_own_level(one, recipe), one) for one in weak), key=itemgetter(0)):
-        name = f"{one.reducer} {one.level}" if several else one.reducer
-        texts.append(f"{name} silent" if level == -inf else f"{name} {write_db(level)} dB")
-    return ", ".join(texts)
-
-
-def _advise(own: Sequence[Foreseen], weak: Sequence[Foreseen], recipe: Recipe) -> str:
+def _advise(own: Sequence[_Played], weak: Sequence[_Played], recipe: Recipe) -> str:
     """Suggest what helps weak stimuli of a recording: its own gain, a stronger rig, or leaving something out."""
     peak = max(one.peak_m_s2 for one in own if one.role != ANCHOR)
     room_db = energy_db(recipe.headroom * recipe.full_scale_m_s2, peak) * 2
-    least = min((_own_level(one, recipe) for one in weak), default=0.0)
+    least = min(one.sensation_db for one in weak)
     if least == -inf:
         return "leave out the recording or these reducers"
     if recipe.gain != GAIN_PER_RECORDING and room_db > COSTLY_DB:

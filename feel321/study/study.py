@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from feel321.doors import as_path, as_seed, follow
@@ -22,330 +21,14 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.findings import Audit, Problems, Seal
     from feel321.study.power.page import StudyPower
+    from feel321.study.session.plan import Dossier
     from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
     from feel321.types import PathLike, Progress, Rng
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Contents:
-    """A study as far as it is read."""
-
-    folder: StudyFolder
-    progress: Progress = False
-    now: Clock = utc_now
-    warn: Callable[[str], None] | None = None
-
-    def __repr__(self) -> str:
-        """Write what a user would write to open it."""
-        return f"{type(self).__name__}.open({str(self.folder.path)!r})"
-
-    def _warn(self, message: str) -> None:
-        if self.warn is None:
-            warnings.warn(message, stacklevel=4)
-        else:
-            self.warn(message)
-
-    @property
-    def settings(self) -> Settings:
-        """What `study.toml` says now, checked, with every default."""
-        from feel321.study.settings.read import read_settings
-
-        return read_settings(self.folder.settings)
-
-    def with_settings(self, changes: Mapping[str, object]) -> Self:
-        """Change settings in `study.toml`, which keeps its comments; a wrong one changes nothing.
-
-        Parameters
-        ----------
-        changes : Mapping of str to object
-            Dotted name -> value, such as `{"session.repeats": 2}`; None brings the default back.
-
-        Returns
-        -------
-        Study
-            The same study.
-        """
-        from feel321.study.settings.edit import edit_settings
-
-        edit_settings(self.folder.settings, changes)
-        return self
-
-    def recordings(self) -> list[Recording]:
-        """Read the recordings that `study.toml` names.
-
-        Returns
-        -------
-        list of Recording
-            As the sensor gave them: not conditioned.
-        """
-        from feel321.study.settings.read import open_recordings
-
-        return open_recordings(self.settings, self.folder.path)
-
-    def stimuli(self) -> StimulusSet:
-        """Read the stimulus set.
-
-        Returns
-        -------
-        StimulusSet
-            As it was built.
-        """
-        from feel321.stimuli.sets.manifest import read_stimuli
-
-        return read_stimuli(self.folder.stimuli)
-
-    def plan(self, participant: str, *, blind: bool = True) -> DataFrame:
-        """Read the plan of a participant.
-
-        Parameters
-        ----------
-        participant : str
-            The participant's code.
-        blind : bool
-            Whether stimuli keep their codes; if False, they are named.
-
-        Returns
-        -------
-        DataFrame
-            One row per judgement, in the order of the trials.
-        """
-        import pandas as pd
-
-        from feel321.study.session.codes import list_codes
-        from feel321.study.session.plan import PLAN_FILE, require_plan
-
-        plan = require_plan(self._find(participant) / PLAN_FILE)
-        rows = [
-            {**asdict(trial), **asdict(judgement), "scale": judgement.scale or trial.scale}
-            for trial in plan.trials
-            for judgement in trial.judgements
-        ]
-        frame = pd.DataFrame(rows).drop(columns=["parts", "judgements"])
-        if not blind:
-            codes = {
-                code: name for name, code in list_codes(self.stimuli(), seed=plan.seed).items()
-            }
-            columns = ["stimulus_id", "reference_id"]
-            frame[columns] = frame[columns].replace(codes)
-        return frame
-
-    def journal(self, participant: str) -> DataFrame:
-        """Read the journals of a participant.
-
-        Parameters
-        ----------
-        participant : str
-            The participant's code.
-
-        Returns
-        -------
-        DataFrame
-            One row per record: `session`, `sequence`, `utc`, `event`, `data`. Blind: stimuli have their codes.
-        """
-        import pandas as pd
-
-        from feel321.study.session.journal import list_journals, read_journal
-
-        rows = [
-            (number, record.sequence, record.utc, record.event, dict(record.data))
-            for number, path in enumerate(list_journals(self._find(participant)), start=1)
-            for record in read_journal(path).records
-        ]
-        return pd.DataFrame(rows, columns=["session", "sequence", "utc", "event", "data"])
-
-    def ratings(self) -> DataFrame:
-        """Derive the ratings from the journals.
-
-        Returns
-        -------
-        DataFrame
-            One row per completed judgement, as `ratings.csv` holds them, which is written anew.
-        """
-        import pandas as pd
-
-        from feel321.study.ratings import write_ratings
-
-        write_ratings(self.folder, self.stimuli())
-        return pd.read_csv(self.folder.ratings)
-
-    def answers(self) -> DataFrame:
-        """Derive the answers to question pages from the journals; personal ones are marked so.
-
-        Returns
-        -------
-        DataFrame
-            One row per answer, as in `answers.csv`, which is written anew; empty where nothing was asked.
-        """
-        import pandas as pd
-
-        from feel321.study.persons.answers import COLUMNS, write_answers
-
-        return pd.DataFrame(write_answers(self.folder), columns=list(COLUMNS))
-
-    def table(self) -> Table:
-        """Join ratings and metrics for the analysis.
-
-        Returns
-        -------
-        Table
-            What every function of `feel321.analysis` takes.
-        """
-        from feel321.analysis.table.reading import read_table
-        from feel321.study.analyze import list_info
-        from feel321.study.metrics import measure_declared
-        from feel321.study.settings.read import list_origins
-
-        self.ratings()
-        settings = self.settings
-        return read_table(
-            self.folder.ratings,
-            self.folder.manifest,
-            sources=list_origins(settings),
-            metrics=settings.analysis.metrics,
-            info=list_info(settings),
-            further=measure_declared(self.folder, settings),
-        )
-
-    def _find(self, participant: str) -> Path:
-        known = {folder.name: folder for folder in self.folder.participants}
-        if participant not in known:
-            raise ValueError(
-                f"participant must be one of {', '.join(known) or 'nobody yet'}; got {participant!r}"
-            )
-        return known[participant]
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Auditable(Contents):
-    """A study whose records can be verified."""
-
-    def audit(self, *, expect: str = "", remotes: Sequence[str] = ()) -> Audit:
-        """Verify plans, journals, stimuli and tables, and compare all files with the checkpoints.
-
-        Parameters
-        ----------
-        expect : str
-            The id of a checkpoint that must be there, or how it begins.
-        remotes : sequence of str
-            Git remotes with checkpoints, folders or URLs, besides those that the study is pushed to.
-
-        Returns
-        -------
-        Audit
-            Every change, and what the study was compared with.
-        """
-        from feel321.study.auditing.study import examine
-        from feel321.study.findings import Audit
-        from feel321.study.freeze import describe_frozen, find_faults
-
-        with follow(self.progress, "audit") as step:
-            found = examine(self.folder, expect=expect, remotes=remotes, progress=step)
-        findings = (*found.findings, *find_faults(self.folder))
-        remarks = (*found.remarks, *filter(None, [describe_frozen(self.folder)]))
-        return Audit(findings, remarks, found.sentence, found.checkpoint)
-
-    def seal(self, reason: str = "", *, to: str = "") -> Seal:
-        """Record the digests of all files as a checkpoint, and push it to the remotes.
-
-        Parameters
-        ----------
-        reason : str
-            Why settings, texts or methods were changed since the last checkpoint.
-        to : str
-            A further git remote, a folder or a URL; it is kept if it takes this checkpoint.
-
-        Returns
-        -------
-        Seal
-            The id of the checkpoint, and the remotes that have it.
-        """
-        from feel321.study.checkpoints import take_checkpoint
-
-        return take_checkpoint(self.folder, "seal", reason=reason, remote=to, now=self.now)
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Plannable(Auditable):
-    """A study that can be planned by what it would find."""
-
-    def power(  # noqa: PLR0913 - every choice that changes the answer has a name of its own
-        self,
-        *,
-        participants: int | Sequence[int] = (),
-        recordings: int | Sequence[int] = (),
-        reducers: int | Sequence[int] = (),
-        repeats: int | Sequence[int] = (),
-        effects: Mapping[str, float] | None = None,
-        hypothesis: str | None = None,
-        pilot: str | None = None,
-        manifest: PathLike | None = None,
-        screening: Sequence[str] = (),
-        wanted: float = 0.8,
-        studies: int = 1000,
-        workers: int | Workers = 1,
-        seed: int | None = None,
-        folder: PathLike | None = None,
-    ) -> StudyPower:
-        """Find how many participants, recordings and reducers the study needs, and write the page into `power/`.
-
-        Parameters
-        ----------
-        participants, recordings, reducers, repeats : int or sequence of int
-            Numbers that are compared; around the study's own if left out.
-        effects : Mapping of str to float, optional
-            Metric, or attribute/metric (which goes first) -> slope to plan for, in points per step of the metric: +0.1
-            of a match, a power of ten of metrics in dB or without bounds (the result names it). As the study's
-            simulated observers feel if left out; 0 for metrics that they do not feel.
-        hypothesis : str, optional
-            Attribute/metric that the recommended design is for; the one of `effects` with the least power if left out.
-        pilot : str, optional
-            Table of ratings to take standard deviations from, or "study" for the study's own; the usual ones of
-            `analysis.Truth` if left out.
-        manifest : str or path, optional
-            The stimuli of the pilot; the study's by default.
-        screening : sequence of str
-            Screening rules; whoever is flagged is left out. `analyze` itself leaves nobody out.
-        wanted : float
-            Power that is asked for.
-        studies : int
-            Simulated studies of each checked design; 0 for the closed form alone.
-        workers : int or Workers
-            Number of processes, or who else does the work. The result does not depend on it.
-        seed : int, optional
-            Random seed; the study's by default.
-        folder : str or path, optional
-            Where to, instead of `power/`.
-
-        Returns
-        -------
-        StudyPower
-            The answer, and every number behind it.
-        """
-        from feel321.analysis.report.folder import check_target
-        from feel321.jobs import as_workers
-        from feel321.study.power import setup
-
-        target = self.folder.path / "power" if folder is None else as_path(folder, "folder")
-        check_target(target)
-        given = None if manifest is None else as_path(manifest, "manifest")
-        seed = self.settings.study.seed if seed is None else seed
-        sizes = setup.Sizes(
-            participants, recordings, reducers, repeats, hypothesis or "", studies, seed
-        )
-        with follow(self.progress, "power") as step:
-            task = setup.set_up(
-                self.folder, effects=effects, pilot=pilot, pilot_manifest=given, screening=screening, wanted=wanted
-            )  # fmt: skip
-            found = setup.plan_study(
-                task, sizes, keep=target / setup.KEPT, workers=as_workers(workers), progress=step
-            )
-        found.write(target)
-        return found
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Study(Plannable):
+class Study:
     """A study in its folder; begin with `Study.create` or `Study.open`.
 
     Parameters
@@ -369,6 +52,11 @@ class Study(Plannable):
     >>> len(pilot.recordings())
     6
     """
+
+    folder: StudyFolder
+    progress: Progress = False
+    now: Clock = utc_now
+    warn: Callable[[str], None] | None = None
 
     @classmethod
     def create(cls, path: PathLike, *, like: str | None = None, progress: Progress = False) -> Self:
@@ -513,3 +201,285 @@ class Study(Plannable):
             results = analyze_study(self.folder, draws=draws, rivals=rivals, progress=step)
         write_methods(self.folder, self.folder.report)
         return results
+
+    def audit(self, *, expect: str = "", remotes: Sequence[str] = ()) -> Audit:
+        """Verify plans, journals, stimuli and tables, and compare all files with the checkpoints.
+
+        Parameters
+        ----------
+        expect : str
+            The id of a checkpoint that must be there, or how it begins.
+        remotes : sequence of str
+            Git remotes with checkpoints, folders or URLs, besides those that the study is pushed to.
+
+        Returns
+        -------
+        Audit
+            Every change, and what the study was compared with.
+        """
+        from feel321.study.auditing.study import examine
+        from feel321.study.findings import Audit
+        from feel321.study.freeze import describe_frozen, find_faults
+
+        with follow(self.progress, "audit") as step:
+            found = examine(self.folder, expect=expect, remotes=remotes, progress=step)
+        findings = (*found.findings, *find_faults(self.folder))
+        remarks = (*found.remarks, *filter(None, [describe_frozen(self.folder)]))
+        return Audit(findings, remarks, found.sentence, found.checkpoint)
+
+    def seal(self, reason: str = "", *, to: str = "") -> Seal:
+        """Record the digests of all files as a checkpoint, and push it to the remotes.
+
+        Parameters
+        ----------
+        reason : str
+            Why settings, texts or methods were changed since the last checkpoint.
+        to : str
+            A further git remote, a folder or a URL; it is kept if it takes this checkpoint.
+
+        Returns
+        -------
+        Seal
+            The id of the checkpoint, and the remotes that have it.
+        """
+        from feel321.study.checkpoints import take_checkpoint
+
+        return take_checkpoint(self.folder, "seal", reason=reason, remote=to, now=self.now)
+
+    def power(  # noqa: PLR0913 - every choice that changes the answer has a name of its own
+        self,
+        *,
+        participants: int | Sequence[int] = (),
+        recordings: int | Sequence[int] = (),
+        reducers: int | Sequence[int] = (),
+        repeats: int | Sequence[int] = (),
+        effects: Mapping[str, float] | None = None,
+        hypothesis: str | None = None,
+        pilot: str | None = None,
+        manifest: PathLike | None = None,
+        screening: Sequence[str] = (),
+        wanted: float = 0.8,
+        studies: int = 1000,
+        workers: int | Workers = 1,
+        seed: int | None = None,
+        folder: PathLike | None = None,
+    ) -> StudyPower:
+        """Find how many participants, recordings and reducers the study needs, and write the page into `power/`.
+
+        Parameters
+        ----------
+        participants, recordings, reducers, repeats : int or sequence of int
+            Numbers that are compared; around the study's own if left out.
+        effects : Mapping of str to float, optional
+            Metric, or attribute/metric (which goes first) -> slope to plan for, in points per step of the metric: +0.1
+            of a match, a power of ten of metrics in dB or without bounds (the result names it). As the study's
+            simulated observers feel if left out; 0 for metrics that they do not feel.
+        hypothesis : str, optional
+            Attribute/metric that the recommended design is for; the one of `effects` with the least power if left out.
+        pilot : str, optional
+            Table of ratings to take standard deviations from, or "study" for the study's own; the usual ones of
+            `analysis.Truth` if left out.
+        manifest : str or path, optional
+            The stimuli of the pilot; the study's by default.
+        screening : sequence of str
+            Screening rules; whoever is flagged is left out. `analyze` itself leaves nobody out.
+        wanted : float
+            Power that is asked for.
+        studies : int
+            Simulated studies of each checked design; 0 for the closed form alone.
+        workers : int or Workers
+            Number of processes, or who else does the work. The result does not depend on it.
+        seed : int, optional
+            Random seed; the study's by default.
+        folder : str or path, optional
+            Where to, instead of `power/`.
+
+        Returns
+        -------
+        StudyPower
+            The answer, and every number behind it.
+        """
+        from feel321.analysis.report.folder import check_target
+        from feel321.jobs import as_workers
+        from feel321.study.power import setup
+
+        target = self.folder.path / "power" if folder is None else as_path(folder, "folder")
+        check_target(target)
+        given = None if manifest is None else as_path(manifest, "manifest")
+        seed = self.settings.study.seed if seed is None else seed
+        sizes = setup.Sizes(
+            participants, recordings, reducers, repeats, hypothesis or "", studies, seed
+        )
+        with follow(self.progress, "power") as step:
+            task = setup.set_up(
+                self.folder, effects=effects, pilot=pilot, pilot_manifest=given, screening=screening, wanted=wanted
+            )  # fmt: skip
+            found = setup.plan_study(
+                task, sizes, keep=target / setup.KEPT, workers=as_workers(workers), progress=step
+            )
+        found.write(target)
+        return found
+
+    @property
+    def settings(self) -> Settings:
+        """What `study.toml` says now, checked, with every default."""
+        from feel321.study.settings.read import read_settings
+
+        return read_settings(self.folder.settings)
+
+    def with_settings(self, changes: Mapping[str, object]) -> Self:
+        """Change settings in `study.toml`, which keeps its comments; a wrong one changes nothing.
+
+        Parameters
+        ----------
+        changes : Mapping of str to object
+            Dotted name -> value, such as `{"session.repeats": 2}`; None brings the default back.
+
+        Returns
+        -------
+        Study
+            The same study.
+        """
+        from feel321.study.settings.edit import edit_settings
+
+        edit_settings(self.folder.settings, changes)
+        return self
+
+    def recordings(self) -> list[Recording]:
+        """Read the recordings that `study.toml` names.
+
+        Returns
+        -------
+        list of Recording
+            As the sensor gave them: not conditioned.
+        """
+        from feel321.study.settings.read import open_recordings
+
+        return open_recordings(self.settings, self.folder.path)
+
+    def stimuli(self) -> StimulusSet:
+        """Read the stimulus set.
+
+        Returns
+        -------
+        StimulusSet
+            As it was built.
+        """
+        from feel321.stimuli.sets.manifest import read_stimuli
+
+        return read_stimuli(self.folder.stimuli)
+
+    def plan(self, participant: str, *, blind: bool = True) -> DataFrame:
+        """Read the plan of a participant.
+
+        Parameters
+        ----------
+        participant : str
+            The participant's code.
+        blind : bool
+            Whether stimuli keep their codes; if False, they are named.
+
+        Returns
+        -------
+        DataFrame
+            One row per judgement, in the order of the trials.
+        """
+        import pandas as pd
+
+        from feel321.study.session.codes import list_codes
+
+        plan = self._find(participant).plan
+        rows = [
+            {**asdict(trial), **asdict(judgement), "scale": judgement.scale or trial.scale}
+            for trial in plan.trials
+            for judgement in trial.judgements
+        ]
+        frame = pd.DataFrame(rows).drop(columns=["parts", "judgements"])
+        if not blind:
+            codes = {
+                code: name for name, code in list_codes(self.stimuli(), seed=plan.seed).items()
+            }
+            columns = ["stimulus_id", "reference_id"]
+            frame[columns] = frame[columns].replace(codes)
+        return frame
+
+    def journal(self, participant: str) -> DataFrame:
+        """Read the journals of a participant.
+
+        Parameters
+        ----------
+        participant : str
+            The participant's code.
+
+        Returns
+        -------
+        DataFrame
+            One row per record: `session`, `sequence`, `utc`, `event`, `data`. Blind: stimuli have their codes.
+        """
+        import pandas as pd
+
+        rows = [
+            (number, record.sequence, record.utc, record.event, dict(record.data))
+            for number, chain in enumerate(self._find(participant).chains, start=1)
+            for record in chain.records
+        ]
+        return pd.DataFrame(rows, columns=["session", "sequence", "utc", "event", "data"])
+
+    def ratings(self) -> DataFrame:
+        """Derive the ratings from the journals.
+
+        Returns
+        -------
+        DataFrame
+            One row per completed judgement, as `ratings.csv` holds them, which is written anew.
+        """
+        import pandas as pd
+
+        from feel321.study.ratings import write_ratings
+
+        write_ratings(self.folder, self.stimuli())
+        return pd.read_csv(self.folder.ratings)
+
+    def answers(self) -> DataFrame:
+        """Derive the answers to question pages from the journals; personal ones are marked so.
+
+        Returns
+        -------
+        DataFrame
+            One row per answer, as in `answers.csv`, which is written anew; empty where nothing was asked.
+        """
+        import pandas as pd
+
+        from feel321.study.persons.answers import COLUMNS, write_answers
+
+        return pd.DataFrame(write_answers(self.folder), columns=list(COLUMNS))
+
+    def table(self) -> Table:
+        """Join ratings and metrics for the analysis.
+
+        Returns
+        -------
+        Table
+            What every function of `feel321.analysis` takes.
+        """
+        from feel321.study.analyze import read_study_table
+
+        return read_study_table(self.folder)[0]
+
+    def __repr__(self) -> str:
+        """Write what a user would write to open it."""
+        return f"{type(self).__name__}.open({str(self.folder.path)!r})"
+
+    def _warn(self, message: str) -> None:
+        if self.warn is None:
+            warnings.warn(message, stacklevel=4)
+        else:
+            self.warn(message)
+
+    def _find(self, participant: str) -> Dossier:
+        known = {folder.name: folder for folder in self.folder.participants}
+        if participant not in known:
+            raise ValueError(
+                f"participant must be one of {', '.join(known) or 'nobody yet'}; got {participant!r}"
+            )
+        return self.folder.read_person(known[participant])

@@ -18,13 +18,14 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.minutes import find_durations, find_left, observe_pace
 from feel321.study.people import LOCK_FILE
 from feel321.study.session import events
+from feel321.study.session.plan import TOMBSTONE_FILE
 from feel321.study.status import find_catches, find_flags, read_participant
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Clock, Records
+    from feel321.study.session.journal import Clock, Record
     from feel321.study.session.plan import Dossier
 
 EVERY_S = 5.0
@@ -61,7 +62,7 @@ def watch_study(
 
 @dataclass(slots=True)
 class Watch:
-    """Looks at the sessions of a study; known: what was read of each participant, and the stamps of the files then."""
+    """Looks at the sessions of a study; known: what was found of each participant, and of which journals."""
 
     study: StudyFolder
     now: Clock
@@ -81,16 +82,14 @@ class Watch:
         )
 
     def _read(self, folder: Path) -> tuple[object, dict[str, Any], Dossier | None]:
-        """Read a participant's folder, if anything in it has changed."""
-        stamp: list[object] = [is_held(folder / LOCK_FILE)]
-        for path in sorted(folder.glob("*.json*")):
-            with suppress(OSError):
-                found = path.stat()
-                stamp.append((path.name, found.st_size, found.st_mtime_ns))
+        """Look at a participant, unless journals, lock and tombstone are as they were."""
+        stamp = is_held(folder / LOCK_FILE), (folder / TOMBSTONE_FILE).exists()
         known = self.known.get(folder.name)
-        if known is not None and known[0] == stamp:
-            return known
-        entry, dossier = read_participant(folder)
+        with suppress(OSError, ValueError):
+            if known and known[0] == stamp and known[2] is self.study.read_person(folder):
+                return known
+        entry, own = read_participant(self.study, folder)
+        dossier = own[0] if own else None
         row = {
             "participant": entry.participant, "state": entry.state or "unreadable", "simulated": entry.simulated,
             "done": entry.done, "total": entry.done + entry.left,
@@ -115,21 +114,18 @@ def _describe(dossier: Dossier) -> dict[str, Any]:
     """Count what went wrong in a session, without looking at any rating; catch trials have known answers."""
     plan, records = dossier.plan, dossier.records
     played, caught = list(records.find(events.PartPlayed)), find_catches(plan, records)
+    # The experimenter was called, and the page of that call still stands.
+    calls = [one.event for one in records if _is_call(one)]
     return {
         "underruns": sum(one.underruns for one in played),
         "errors": sum(bool(one.error) for one in played),
         "lost": sum(bool(events.find_loss(one.delivered, plan.flow)) for one in played),
         "catches": f"{sum(caught)} of {len(caught)}",
         "flags": list(find_flags(dossier.chains[-1])),
-        **({"state": STATES[0]} if _is_called(records) else {}),
+        **({"state": STATES[0]} if calls[-1:] == [events.DeviceFailed.event] else {}),
     }
 
 
-def _is_called(records: Records) -> bool:
-    """Check whether the experimenter was called and the page of that call still stands."""
-    for record in reversed(records):
-        if record.event == events.PageRead.event and record.data.get("key") == "call_us":
-            return False
-        if record.event == events.DeviceFailed.event:
-            return True
-    return False
+def _is_call(record: Record) -> bool:
+    is_page = record.event == events.PageRead.event and record.data.get("key") == "call_us"
+    return is_page or record.event == events.DeviceFailed.event

@@ -1,4 +1,4 @@
-"""Modules, classes and functions stay small enough to be read at one go."""
+"""Modules and functions stay small enough to be read at one go."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 MODULE_LINES = 600
-CLASS_LINES = 200
 FUNCTION_LINES, FUNCTION_P90, FUNCTION_MEDIAN = 50, 30, 20
 NESTING = 3
 IMPORT_SHARE = 0.1
@@ -65,12 +64,6 @@ def function_lengths(path: str, text: str) -> Iterator[tuple[str, int]]:
             yield f"{path}:{node.lineno} {node.name}", len(code.intersection(line_range(node)))
 
 
-def class_lengths(path: str, tree: ast.Module) -> Iterator[tuple[str, int]]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ClassDef):
-            yield f"{path}:{node.lineno} {node.name}", len(line_range(node))
-
-
 def depth(node: ast.AST, *, chained: bool = False) -> int:
     """How many blocks stand inside one another in `node`; an `elif` (`chained`) is not one deeper."""
     own = int(isinstance(node, BLOCKS) and not chained)
@@ -95,11 +88,6 @@ def above(sizes: list[tuple[str, int]], limit: int) -> list[tuple[str, int]]:
 def test_modules(sources: Any) -> None:
     lengths = [(source.path, len(source.text.splitlines())) for source in sources]
     assert above(lengths, MODULE_LINES) == []
-
-
-def test_classes(sources: Any) -> None:
-    lengths = [size for source in sources for size in class_lengths(source.path, source.tree)]
-    assert above(lengths, CLASS_LINES) == []
 
 
 def test_functions(sources: Any) -> None:
@@ -157,11 +145,6 @@ def test_depth_counts_blocks_not_branches(body: str, expected: int) -> None:
     assert [found for _, found in function_depths("m.py", ast.parse(f"def f():\n {body}"))] == [
         expected
     ]
-
-
-def test_a_long_class_is_found() -> None:
-    tree = ast.parse("class A:\n" + "    x = 1\n" * CLASS_LINES)
-    assert above(list(class_lengths("m.py", tree)), CLASS_LINES) == [("m.py:1 A", CLASS_LINES + 1)]
 
 
 def test_imports_are_counted_wherever_they_stand() -> None:

@@ -25,21 +25,6 @@ if TYPE_CHECKING:
     from feel321.study.session.plan import Design, Plan
 
     Present = Callable[..., list[Any]]
-    Forge = Callable[[Path, list[Any]], None]
-
-
-@pytest.fixture
-def forge() -> Forge:
-    """Write records as a journal whose digests are right."""
-
-    def write(path: Path, records: list[Any]) -> None:
-        lines, tip = [], START
-        for sequence, record in enumerate(records):
-            lines.append(write_line(replace(record, sequence=sequence), tip))
-            tip = digest(lines[-1].rstrip(b"\n"))
-        path.write_bytes(b"".join(lines))
-
-    return write
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -280,104 +265,91 @@ def test_who_withdrew_gives_no_rows_whatever_lies_beside_the_tombstone(
     assert write_ratings(StudyFolder(tmp_path), stimuli) == 0
 
 
-@pytest.mark.parametrize("dropped", ["played", "shown"])
-def test_a_rating_of_what_was_not_played_is_refused(
-    present: Present,
-    scripted: type,
-    stimuli: StimulusSet,
-    tmp_path: Path,
-    forge: Forge,
-    dropped: str,
-) -> None:
-    records = present(scripted())
+@pytest.fixture
+def held(present: Present, scripted: type, tmp_path: Path) -> tuple[Path, list[Any]]:
+    """The folder of a participant who has finished, and the records."""
+    return tmp_path / "sessions" / "p01", present(scripted())
+
+
+def play_nothing(records: list[Any]) -> None:
+    del records[next(place for place, record in enumerate(records) if record.event == "played")]
+
+
+def show_again(records: list[Any]) -> None:
     place = next(place for place, record in enumerate(records) if record.event == "played")
-    if dropped == "played":
-        del records[place]
-    else:
-        records.insert(place + 1, records[place - 1])  # Shown once more, and not played since.
-    forge(tmp_path / "sessions" / "p01" / "session-01.jsonl", records)
-    with pytest.raises(
-        ValueError, match=r"session-01\.jsonl, line \d+: trial 1 is rated, but test was not played"
-    ):
-        write_ratings(StudyFolder(tmp_path), stimuli)
+    records.insert(place + 1, records[place - 1])  # and not played since
 
 
-@pytest.mark.parametrize("change", [{"values": {}}, {"values": None}, {"trial": 99}, {"trial": []}])
-def test_a_rating_of_another_make_is_refused_in_words(
-    present: Present,
-    scripted: type,
-    stimuli: StimulusSet,
-    tmp_path: Path,
-    forge: Forge,
-    change: dict[str, Any],
+def change_last(**change: Any) -> Callable[[list[Any]], None]:
+    def spoil(records: list[Any]) -> None:
+        last = max(place for place, record in enumerate(records) if record.event == "rated")
+        records[last] = replace(records[last], data=records[last].data | change)
+
+    return spoil
+
+
+ANOTHER_MAKE = r"session-01\.jsonl(, line \d+: is not a|: holds what feel321 does not write)"
+NOT_PLAYED = r"session-01\.jsonl, line \d+: trial 1 is rated, but test was not played"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (play_nothing, NOT_PLAYED),
+        (show_again, NOT_PLAYED),
+        (change_last(values={}), ANOTHER_MAKE),
+        (change_last(values=None), ANOTHER_MAKE),
+        (change_last(trial=99), ANOTHER_MAKE),
+        (change_last(trial=[]), ANOTHER_MAKE),
+    ],
+)
+def test_a_forged_rating_is_refused_in_words(
+    held: tuple[Path, list[Any]], stimuli: StimulusSet, tmp_path: Path, spoil: Any, message: str
 ) -> None:
-    records = present(scripted())
-    last = max(place for place, record in enumerate(records) if record.event == "rated")
-    records[last] = replace(records[last], data=records[last].data | change)
-    forge(tmp_path / "sessions" / "p01" / "session-01.jsonl", records)
-    with pytest.raises(
-        ValueError,
-        match=r"session-01\.jsonl(, line \d+: is not a|: holds what feel321 does not write)",
-    ) as caught:
+    folder, records = held
+    spoil(records)
+    lines, tip = [], START
+    for sequence, record in enumerate(records):
+        lines.append(write_line(replace(record, sequence=sequence), tip))
+        tip = digest(lines[-1].rstrip(b"\n"))
+    (folder / "session-01.jsonl").write_bytes(b"".join(lines))
+    with pytest.raises(ValueError, match=message) as caught:
         write_ratings(StudyFolder(tmp_path), stimuli)
     assert "\n" not in str(caught.value)
 
 
-def test_a_journal_of_another_stimulus_set_is_refused(
-    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
+def test_what_belongs_elsewhere_is_refused(
+    held: tuple[Path, list[Any]], design: Design, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
-    present(scripted())
-    with pytest.raises(
-        ValueError, match="was planned with stimulus set 555555555555, the study holds 666666666666"
-    ):
-        write_ratings(StudyFolder(tmp_path), replace(stimuli, sha256="6" * 64))
-
-
-def test_a_journal_beside_another_plan_is_refused(
-    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    present(scripted())
-    path = tmp_path / "sessions" / "p01" / "plan.json"
-    path.unlink()
-    create_plan(path, make_plan(design, stimuli, "p01", number=2, simulated=True))
-    with pytest.raises(
-        ValueError, match=r"session-01\.jsonl: was begun with another plan than the one beside it"
-    ):
-        write_ratings(StudyFolder(tmp_path), stimuli)
-
-
-@pytest.mark.parametrize(
-    "name", ["session-01.old.jsonl", "session-01 (copy).jsonl", "session-01a.jsonl"]
-)
-def test_copies_of_a_journal_under_other_names_do_not_count(
-    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path, name: str
-) -> None:
-    present(scripted())
-    folder = tmp_path / "sessions" / "p01"
-    shutil.copy(folder / "session-01.jsonl", folder / name)
-    assert write_ratings(StudyFolder(tmp_path), stimuli) == 20
-
-
-def test_a_copied_folder_is_refused_unless_its_name_is_no_participants(
-    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    present(scripted())
-    for name in ("p01 backup", "@eaDir", "p01-copy"):
-        assert write_ratings(StudyFolder(tmp_path), stimuli) == 20
-        shutil.copytree(tmp_path / "sessions" / "p01", tmp_path / "sessions" / name)
+    folder, _ = held
+    study, journal, plan = (
+        StudyFolder(tmp_path),
+        folder / "session-01.jsonl",
+        folder / "plan.json",
+    )
+    another = "was planned with stimulus set 555555555555, the study holds 666666666666"
+    with pytest.raises(ValueError, match=another):
+        write_ratings(study, replace(stimuli, sha256="6" * 64))
+    for name in ("session-01.old.jsonl", "session-01 (copy).jsonl", "session-01a.jsonl"):
+        shutil.copy(journal, folder / name)  # copies under other names do not count
+    for name in ("p01 backup", "@eaDir"):  # nor do folders whose names are no participant's
+        shutil.copytree(folder, study.sessions / name)
+    assert write_ratings(study, stimuli) == 20
+    shutil.copytree(folder, study.sessions / "p01-copy")
     with pytest.raises(
         ValueError, match=r"p01-copy/plan\.json: is the plan of 'p01', it was copied here; move"
     ):
-        write_ratings(StudyFolder(tmp_path), stimuli)
-
-
-def test_a_journal_that_lies_elsewhere_than_it_was_written_is_refused(
-    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    present(scripted())
-    folder = tmp_path / "sessions" / "p01"
-    shutil.copy(folder / "session-01.jsonl", folder / "session-02.jsonl")
+        write_ratings(study, stimuli)
+    shutil.rmtree(study.sessions / "p01-copy")
+    shutil.copy(journal, folder / "session-02.jsonl")
     with pytest.raises(
         ValueError, match=r"session-02\.jsonl: is session 1 of 'p01', it was copied here; move"
     ):
-        write_ratings(StudyFolder(tmp_path), stimuli)
+        write_ratings(study, stimuli)
+    (folder / "session-02.jsonl").unlink()
+    plan.unlink()
+    create_plan(plan, make_plan(design, stimuli, "p01", number=2, simulated=True))
+    with pytest.raises(
+        ValueError, match=r"session-01\.jsonl: was begun with another plan than the one beside it"
+    ):
+        write_ratings(study, stimuli)

@@ -177,19 +177,30 @@ def test_status_is_blind(begun: StudyFolder, stimuli: StimulusSet) -> None:
     assert not [stimulus.reducer for stimulus in stimuli.stimuli if stimulus.reducer in shown]
 
 
-def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
+Hold = Any
+"""Holds sessions by a design of so many participants, and measures their balance."""
+
+
+@pytest.fixture
+def hold(
     present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+) -> Hold:
+    def run(n: int, stimuli: StimulusSet = stimuli, **change: Any) -> Any:
+        own = replace(design, **change)
+        for number in range(1, n + 1):
+            plan = make_plan(own, stimuli, f"n{number:02}", number=number, simulated=True)
+            present(scripted(), plan=plan, stimuli=stimuli)
+        return read_status(StudyFolder(tmp_path)).balance
+
+    return run
+
+
+def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
+    hold: Hold, tmp_path: Path
 ) -> None:
-    study = StudyFolder(tmp_path)
-    assert read_status(study).balance is None
+    assert hold(0) is None
     assert describe_balance(None) == ["balance: no trial was run yet"]
-    for number in range(1, 11):  # Two recordings take 2 orders, five stimuli 10.
-        present(
-            scripted(),
-            plan=make_plan(design, stimuli, f"n{number:02}", number=number, simulated=True),
-        )
-    realised = read_status(study).balance
-    assert realised is not None
+    realised = hold(10)  # Two recordings take 2 orders, five stimuli 10.
     assert (realised.participants, realised.finished) == (10, 10)
     assert {(e.task, e.what): (e.cycle, e.positions) for e in realised.evenness} == {
         ("realism", "stimuli"): (10, (2, 2)),
@@ -199,81 +210,53 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     }
     assert {(e.position_index, e.carry_over_index) for e in realised.evenness} == {(0.0, 0.0)}
     shutil.rmtree(tmp_path / "sessions" / "n04")
-    lines = describe_balance(read_status(study).balance)
+    lines = describe_balance(read_status(StudyFolder(tmp_path)).balance)
     assert lines[0] == "balance: 9 finished (simulated)"
     assert lines[1].startswith("  realism, stimuli: 1 to 2 at each position, ")
     assert lines[1].endswith("; even over 10, 1 to go")
 
 
-def test_shares_of_the_recordings_promise_no_circle(
-    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
-) -> None:
-    shared = replace(design, recordings_per_participant=1)
-    for number in (1, 2):
-        present(
-            scripted(), plan=make_plan(shared, stimuli, f"n{number}", number=number, simulated=True)
-        )
-    realised = read_status(StudyFolder(tmp_path)).balance
-    assert realised is not None
+def test_shares_of_the_recordings_promise_no_circle(hold: Hold) -> None:
+    realised = hold(2, recordings_per_participant=1)
     assert {entry.cycle for entry in realised.evenness} == {0}
     assert "to go" not in "".join(describe_balance(realised))
 
 
-def test_groups_go_round_their_own_circles(
-    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
-) -> None:
-    grips = replace(design, between={"grip": ("pen", "power")})
-    for number in range(1, 11):
-        present(
-            scripted(), plan=make_plan(grips, stimuli, f"n{number}", number=number, simulated=True)
-        )
-    realised = read_status(StudyFolder(tmp_path)).balance
-    assert realised is not None
+def test_groups_go_round_their_own_circles(hold: Hold) -> None:
+    realised = hold(10, between={"grip": ("pen", "power")})
     assert [entry.cycle for entry in realised.evenness] == [20, 20, 4, 4]
 
 
-def test_counterbalanced_tasks_have_a_circle_of_their_own(
-    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
-) -> None:
-    turned = replace(design, task_order="counterbalanced", order="random")
-    for number in (1, 2, 3):
-        present(
-            scripted(), plan=make_plan(turned, stimuli, f"n{number}", number=number, simulated=True)
-        )
-    lines = describe_balance(read_status(StudyFolder(tmp_path)).balance)
+def test_counterbalanced_tasks_have_a_circle_of_their_own(hold: Hold) -> None:
+    lines = describe_balance(hold(3, task_order="counterbalanced", order="random"))
     assert lines[1] == (
         "  session, tasks: 1 to 2 at each position, 1 to 2 after each other; even over 2, 1 to go"
     )
 
 
 def test_simulated_participants_do_not_fill_the_places_of_real_ones(
-    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+    present: Present,
+    scripted: type,
+    hold: Hold,
+    stimuli: StimulusSet,
+    design: Design,
+    tmp_path: Path,
 ) -> None:
-    for name in ("sim001", "sim002", "real"):
-        present(
-            scripted(), plan=make_plan(design, stimuli, name, number=1, simulated=name != "real")
-        )
+    hold(2)
+    present(scripted(), plan=make_plan(design, stimuli, "real", number=1, simulated=False))
     realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     assert (realised.simulated, realised.participants) == (False, 1)
 
 
 def test_pages_of_two_arms_can_never_meet_and_are_not_missed(
-    present: Present, scripted: type, tmp_path: Path, stimuli: StimulusSet, design: Design
+    hold: Hold, stimuli: StimulusSet
 ) -> None:
     louder = tuple(
         replace(s, stimulus_id=f"{s.stimulus_id}-loud", level="equal") for s in stimuli.stimuli
     )
     both = replace(stimuli, stimuli=stimuli.stimuli + louder)
-    pages = replace(design, tasks=(make_task("mushra"),))
-    for number in range(1, 11):
-        present(
-            scripted(),
-            plan=make_plan(pages, both, f"n{number}", number=number, simulated=True),
-            stimuli=both,
-        )
-    realised = read_status(StudyFolder(tmp_path)).balance
-    assert realised is not None
+    realised = hold(10, both, tasks=(make_task("mushra"),))
     (slots,) = (entry for entry in realised.evenness if entry.what == "slots")
     assert (slots.position_index, slots.carry_over_index) == (0.0, 0.0)
 

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import write_text
 from feel321.protocols.questions import find_question
 from feel321.study import people as progresses
-from feel321.study.persons.answers import read_answers
-from feel321.study.ratings import read_judgements
-from feel321.study.session.plan import require_own_plan
+from feel321.study.persons.answers import list_answers
+from feel321.study.ratings import list_judgements
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -53,7 +52,9 @@ def gather_people(
     """Gather everybody who judged something and did not withdraw; simulated people only where they are asked for."""
     everybody = [one for one in progresses.list_progress(study) if simulated or not one.simulated]
     rows = {
-        one.participant: read_judgements(study.sessions / one.participant, stimuli)
+        one.participant: list_judgements(
+            study.read_person(study.sessions / one.participant), stimuli
+        )
         for one in everybody
     }
     everybody = [one for one in everybody if rows[one.participant]]
@@ -94,11 +95,10 @@ def name_people(study: StudyFolder, names: Sequence[str], *, keep_ids: bool) -> 
 
 def list_passed_on(study: StudyFolder, participant: str) -> dict[str, str]:
     """List the answers to question pages that may be passed on: nothing personal, nothing typed freely."""
-    folder = study.sessions / participant
-    plan = require_own_plan(folder)
+    own = study.read_person(study.sessions / participant)
     answers = {}
-    for row in read_answers(folder):
-        question = find_question(plan.questions, f"question.{row['question']}")
+    for row in list_answers(own):
+        question = find_question(own.plan.questions, f"question.{row['question']}")
         is_open = row["personal"] == "true" or row["kind"] not in {"choice", "number", "likert"}
         if is_open or question is None or row["rejected"] == "true" or row["answer"] == "":
             continue

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Journal, Records
-    from feel321.study.session.plan import Plan
+    from feel321.study.session.plan import Dossier, Plan
 
     Row = dict[str, Any]
 
@@ -42,7 +42,7 @@ def write_answers(study: StudyFolder) -> list[Row]:
 
     Those of a session that was begun anew are there and marked as rejected; `storage` says where each is kept.
     """
-    rows = [row for folder in study.participants for row in read_answers(folder)]
+    rows = [row for one in study.read_people() for row in list_answers(one)]
     path = study.path / ANSWERS_FILE
     if rows or path.exists():
         write_table(path, COLUMNS, rows, private=True)
@@ -52,10 +52,14 @@ def write_answers(study: StudyFolder) -> list[Row]:
 
 def read_answers(folder: Path) -> Iterator[Row]:
     """Read the answers of one participant; a withdrawn one has none."""
-    if (folder / TOMBSTONE_FILE).exists():
-        return
-    dossier = read_dossier(folder)
-    plan, personal = dossier.plan, read_personal(folder)
+    if not (folder / TOMBSTONE_FILE).exists():
+        yield from list_answers(read_dossier(folder))
+
+
+def list_answers(dossier: Dossier) -> Iterator[Row]:
+    """List the answers of one participant."""
+    plan, folder = dossier.plan, dossier.folder
+    personal = read_personal(folder)
     for number, chain in enumerate(dossier.chains, start=1):
         facts = {
             "session": number,

@@ -22,6 +22,8 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+from pydantic_core import from_json
+
 from feel321.files import create_file, write_bytes
 from feel321.study.session import events
 from feel321.study.session.events import SessionEvent
@@ -131,7 +133,7 @@ def _read_line(line: bytes, previous: str, *, sequence: int) -> Record:
     if not mark or rest != f'{digest(body + b"}")}"}}'.encode():
         raise ValueError("was changed after it was written (its SHA-256 does not match)")
     try:  # A digest that is right does not prove that feel321 wrote the line.
-        entry = json.loads(body + b"}")
+        entry = from_json(body + b"}")
         is_record = {name: type(value) for name, value in entry.items()} == _FIELDS
         is_record = is_record and datetime.fromisoformat(entry["utc"]).tzinfo is not None
     except (AttributeError, ValueError, RecursionError):

@@ -212,7 +212,7 @@ def test_every_age_is_asked_for_in_a_column_of_bands(
         asked | {"answer": answer, "occasion": place} for place, answer in ((1, "10"), (2, "76"))
     ]
     question = SimpleNamespace(when="between", name="age")
-    monkeypatch.setattr(people, "read_answers", lambda _: rows)
+    monkeypatch.setattr(people, "list_answers", lambda _: rows)
     monkeypatch.setattr(people, "find_question", lambda *_: question)
     passed = people.list_passed_on(studied, PLANTED["code"])
     assert passed == {"age_band_1": "10-14", "age_band_2": "75-79"}

@@ -103,7 +103,7 @@ def test_a_row_per_scale(threefold: Plan) -> None:
     from feel321.study.session.events import PartPlayed
 
     played = [PartPlayed(1, 1, part.name, 0.0, 0.25, 0, 0, True, "") for part in trial.parts]
-    rows = list(_judge(trial, rated, played, superseded=False))
+    rows = list(_judge(trial, rated, {part.part: part for part in played}))
     assert [(row["scale"], row["rating"], row["onset_s"]) for row in rows] == [
         ("realism", 0.0, 0.25),
         ("roughness", 10.0, 0.25),

@@ -307,16 +307,6 @@ def test_every_collision_is_named_and_keeps_nobody_else_out(
     assert audit_study(main) == []
 
 
-def test_nothing_that_is_here_is_overwritten(stations: Any) -> None:
-    one, _, main = stations
-    collect(main, one)
-    before = read_files(main)
-    fork(one, "sim001", 5)
-    found = collect(main, one)
-    assert "differ from line 6 on" in found.refused[0]
-    assert read_files(main) == before
-
-
 def test_another_study_is_refused_with_what_differs(stations: Any) -> None:
     one, _, main = stations
     one.settings.write_text(one.settings.read_text().replace("repeats = 2", "repeats = 3"))

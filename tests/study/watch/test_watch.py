@@ -175,7 +175,7 @@ def test_unchanged_journals_are_read_once(
 ) -> None:
     read, reads = watch.read_participant, []
     monkeypatch.setattr(
-        watch, "read_participant", lambda folder: reads.append(folder.name) or read(folder)
+        watch, "read_participant", lambda study, own: reads.append(own.name) or read(study, own)
     )
     looking = Watch(copied, lambda: NOON)
     looking.write_page()
