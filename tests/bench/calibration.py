@@ -85,7 +85,7 @@ def load_bridge() -> object:
 def measure_plain(folder: Path) -> None:
     """Make plain filters of Welch spectra, play through them, and calibrate; in the environment of the server."""
     from feel321.study.actuator import calibrate, response
-    from feel321.study.actuator.calibrate import open_bench
+    from feel321.study.actuator.bench import open_bench
     from feel321.study.actuator.certificate import write_certificate
     from feel321.study.actuator.rig import read_rig
 

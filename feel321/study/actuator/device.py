@@ -71,17 +71,10 @@ def find_devices(rig: Rig) -> tuple[Device, Device]:
     """Find the devices that play on a rig and measure there, and check that they have the channels it names."""
     devices = list_devices()
     device = find_device(devices, rig.device.name, host_api=rig.device.host_api)
-    source, sensor = device, rig.sensor
-    if sensor is not None and sensor.device is not None:
+    source = device
+    if rig.sensor is not None and rig.sensor.device is not None:
         inputs = [one for one in devices if one.n_inputs and one.host_api == device.host_api]
-        found = _match(inputs, sensor.device)
-        if len(found) != 1:
-            reason = f"{len(found)} devices have it in their names" if found else "not found"
-            raise OSError(
-                f"device {sensor.device!r} of [sensor]: {reason}; name one of the inputs of {device.host_api}: "
-                f"{_list_names(inputs)}"
-            )
-        source = found[0]
+        source = _pick(inputs, rig.sensor.device, listed=inputs, which=" of [sensor]")
     check_channels(rig, device, source)
     return device, source
 
@@ -95,24 +88,23 @@ def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = 
         raise OSError(
             f"device {name!r} may be another one tomorrow; name one of {_list_names(outputs)}"
         )
-    through = f" through {host_api}" if host_api else ""
     allowed = [one for one in outputs if not host_api or one.host_api.lower() == host_api.lower()]
-    found = _match(allowed, name)
+    return _pick(allowed, name, listed=outputs, which=f" through {host_api}" if host_api else "")
+
+
+def _pick(devices: Sequence[Device], name: str, *, listed: Sequence[Device], which: str) -> Device:
+    """Pick the device of a name, or the only one that has it as a part of its own."""
+    part = name.strip().lower()
+    found = [one for one in devices if one.name == name]
+    found = found or [one for one in devices if part and part in one.name.lower()]
     if not found:
-        raise OSError(f"device {name!r}{through} not found; name one of {_list_names(outputs)}")
+        raise OSError(f"device {name!r}{which} not found; name one of {_list_names(listed)}")
     if len(found) > 1:
         raise OSError(
-            f"device {name!r}{through} is ambiguous: {len(found)} devices have it in their names: "
-            f"{_list_names(found)}; name one in full, and its host_api in rig.toml"
+            f"device {name!r}{which} is ambiguous: {len(found)} devices have it in their names: {_list_names(found)}; "
+            "name one in full, and its host_api in rig.toml"
         )
     return found[0]
-
-
-def _match(devices: Sequence[Device], name: str) -> list[Device]:
-    """List the devices of a name, or, if there are none, those that have it as a part of theirs."""
-    part = name.strip().lower()
-    named = [one for one in devices if one.name == name]
-    return named or [one for one in devices if part and part in one.name.lower()]
 
 
 def _list_names(devices: Sequence[Device]) -> str:

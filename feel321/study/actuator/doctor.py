@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from scipy import fft, signal
 
-from feel321.study.actuator.calibrate import CLIPPED, MARGIN, Bench, find_allowed, open_bench
+from feel321.study.actuator.bench import CLIPPED, Bench, open_bench
+from feel321.study.actuator.calibrate import MARGIN, find_allowed
 from feel321.study.actuator.certificate import Certificate, CoilCertificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
 from feel321.study.actuator.mixer import Frames

@@ -37,20 +37,16 @@ def make_figure(certificate: Certificate) -> Figure:
         for axes, coil in zip(panels, coils, strict=True):
             _draw_coil(axes, coil, certificate=certificate)
         panels[-1].set_xlabel("Frequency (Hz)")
-        _set_ticks(panels[-1], certificate.band_hz)
+        low, high = certificate.band_hz
+        round_hz = [digit * 10**power for power in range(5) for digit in (1, 2, 5)]
+        shown = [one for one in round_hz if low <= one <= high]
+        panels[-1].set_xticks(shown, [f"{one:g}" for one in shown])
+        panels[-1].set_xticks([], minor=True)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=3, **LEGEND)
         passed = "passed" if certificate.passed else "did not pass"
         style.add_title(figure, f"{certificate.id} ({certificate.method}): {passed}")
     return figure
-
-
-def _set_ticks(axes: Axes, band_hz: tuple[float, float]) -> None:
-    """Write round frequencies, in full."""
-    round_hz = [digit * 10**power for power in range(5) for digit in (1, 2, 5)]
-    shown = [one for one in round_hz if band_hz[0] <= one <= band_hz[1]]
-    axes.set_xticks(shown, [f"{one:g}" for one in shown])
-    axes.set_xticks([], minor=True)
 
 
 def _draw_coil(axes: Axes, coil: CoilCertificate, *, certificate: Certificate) -> None:

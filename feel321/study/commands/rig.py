@@ -132,7 +132,8 @@ def _type_gains(
 def _measure(
     rig: "Rig", _manual: Sequence[str], *, rate_hz: float, made: datetime
 ) -> "Certificate":
-    from feel321.study.actuator.calibrate import SweepStopped, calibrate_rig
+    from feel321.study.actuator.bench import SweepStopped
+    from feel321.study.actuator.calibrate import calibrate_rig
     from feel321.study.actuator.rig import FILE_DEVICE
 
     if rig.device.name == FILE_DEVICE:

@@ -19,9 +19,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from feel321.study.actuator import bench as bench_module
 from feel321.study.actuator import calibrate as module
 from feel321.study.actuator import doctor
-from feel321.study.actuator.calibrate import SweepStopped, calibrate_rig, find_failures
+from feel321.study.actuator.bench import SweepStopped
+from feel321.study.actuator.calibrate import calibrate_rig, find_failures
 from feel321.study.actuator.certificate import (
     Certificate,
     judge_certificates,
@@ -133,6 +135,10 @@ def test_what_was_planted_is_found(certificate: Certificate) -> None:
 def test_the_filters_make_the_coils_flat_and_that_is_verified(certificate: Certificate) -> None:
     assert certificate.failures == ()
     for coil in certificate.coils.values():
+        squares = [term.db**2 for term in coil.budget]
+        assert coil.uncertainty_db == pytest.approx(math.sqrt(sum(squares)))
+        typed = {term.name for term in coil.budget if term.source == "typed"}
+        assert typed == {"sensor"}
         assert coil.before_db > 20
         assert coil.largest_db < 1.5
         assert coil.least_coherence_after > 0.95
@@ -149,16 +155,6 @@ def test_saturation_shows_as_distortion_and_as_bend(certificate: Certificate) ->
     assert right.total_distortion == pytest.approx((top / 2) ** 2 / 12, rel=0.35)
     assert right.linearity_db[-1] == pytest.approx(-8.686 * (top / 2) ** 2 / 4, abs=0.08)
     assert abs(left.linearity_db[-1]) < 0.05
-
-
-def test_the_budget_is_the_root_of_the_sum_of_squares(certificate: Certificate) -> None:
-    for coil in certificate.coils.values():
-        assert coil.uncertainty_db == pytest.approx(
-            math.sqrt(sum(term.db**2 for term in coil.budget))
-        )
-        assert {term.name: term.source for term in coil.budget if term.source != "measured"} == {
-            "sensor": "typed"
-        }
 
 
 def test_no_sweep_passes_limits_or_sensor(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -361,19 +357,6 @@ def test_a_resonance_in_the_ramp_of_a_sweep_counts_against_the_limits(rig: Rig) 
     assert 10.0 < np.abs(move(safe)).max() < 20.0
 
 
-def test_rest_is_what_the_sensor_measures_while_nothing_plays(rig: Rig) -> None:
-    rest = module.measure_rest(rig, rate_hz=RATE_HZ)
-    assert rest.shape == (3,)
-    assert 0 < np.abs(rest).max() < 0.001
-
-
-def test_tones_are_of_whole_periods() -> None:
-    tones = doctor.find_tones((20.0, 1000.0))
-    assert np.allclose(tones % 4, 0)
-    assert 15 <= len(tones) <= 18
-    assert (tones[0], tones[-1] > 800) == (20.0, True)
-
-
 def test_no_drift_is_found_where_there_is_none(rig: Rig, certificate: Certificate) -> None:
     for one in doctor.measure_drift(rig, certificate):
         assert abs(one.median_db) < 0.2  # a coil that saturates is not the same at another level
@@ -447,17 +430,17 @@ def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:
     sent = make_sweep(sweep)
     noise = np.random.default_rng(1).standard_normal((3, len(sent)))
     whole = np.outer([1.0, 0.5, 0.0], sent) + 0.01 * noise
-    assert module.find_slip(whole, sweep) == 0
+    assert bench_module.find_slip(whole, sweep) == 0
     for place in (6000, sweep.period, sweep.period + 9000):  # in each sweep, and between them
         cut = np.concatenate([whole[:, :place], whole[:, place + 37 :], np.zeros((3, 37))], axis=1)
-        assert module.find_slip(cut, sweep) == pytest.approx(37, rel=0.3)
-    assert module.find_slip(0.01 * noise, sweep) == 0
-    played = iter([cut, cut, whole, *[cut] * module.N_TRIES])
+        assert bench_module.find_slip(cut, sweep) == pytest.approx(37, rel=0.3)
+    assert bench_module.find_slip(0.01 * noise, sweep) == 0
+    played = iter([cut, cut, whole, *[cut] * bench_module.N_TRIES])
     bench: Any = SimpleNamespace(play=lambda *_: next(played))
-    bench.insist = partial(module.Bench.insist, bench)
-    assert module.Bench.play_sweep(bench, sent, sweep, 1) is whole
+    bench.insist = partial(bench_module.Bench.insist, bench)
+    assert bench_module.Bench.play_sweep(bench, sent, sweep, 1) is whole
     with pytest.raises(OSError, match=r"are \d+ samples out of step, 4 times in a row"):
-        module.Bench.play_sweep(bench, sent, sweep, 1)
+        bench_module.Bench.play_sweep(bench, sent, sweep, 1)
 
 
 def test_nothing_in_the_figure_runs_off_its_edges(certificate: Certificate) -> None:

@@ -103,13 +103,7 @@ def bridged(pulse: Any, fault: Path) -> Iterator[None]:
             control(pulse, "unload-module", module)
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        pytest.param(("none", "stream moved"), id="moved"),
-        pytest.param(tuple(FAULTS), id="all", marks=pytest.mark.soak),
-    ],
-)
+@pytest.mark.soak
 @pytest.mark.parametrize("pulse", [2], indirect=True)
 def test_each_fault_of_the_path_is_named(
     pulse: Any,
@@ -117,7 +111,6 @@ def test_each_fault_of_the_path_is_named(
     insist: Callable[..., Any],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    names: tuple[str, ...],
 ) -> None:
     monkeypatch.setenv("PULSE_SINK", "stylus")
     monkeypatch.setenv("PULSE_SOURCE", "sensor.monitor")
@@ -151,8 +144,7 @@ def test_each_fault_of_the_path_is_named(
             measured, _ = read_wav(tmp_path / "delivered" / f"{number:04}.wav")
             return played, check.measure(one.stimulus_id, np.atleast_2d(measured))
 
-        for name in names:
-            told = FAULTS[name]
+        for name, told in FAULTS.items():
             part.write_text(name, encoding="utf-8")
             part.replace(fault)  # in one step: the bridge reads it all the time
             time.sleep(0.3)  # what is on its way arrives

@@ -222,14 +222,6 @@ def test_what_is_started_stops_what_plays() -> None:
     assert second.is_complete
 
 
-def test_only_the_last_of_many_starts_is_heard() -> None:
-    mixer, sounds = make_mixer()
-    cues = [mixer.start(name, gap_s=0) for name in "abab"]
-    assert_array_equal(fill(mixer, 3000, [100], 2), sounds["b"])
-    assert [cue.is_over for cue in cues] == [True] * 4
-    assert [cue.is_complete for cue in cues] == [False, False, False, True]
-
-
 def test_masking_makes_the_onset_wait_where_the_gap_is_short() -> None:
     mixer, sounds = make_mixer(masking=MASKED)
     cue = mixer.start("a", gap_s=0)
@@ -237,17 +229,6 @@ def test_masking_makes_the_onset_wait_where_the_gap_is_short() -> None:
     assert cue.onset_frame == 400
     assert_array_equal(out[400:3400, :2], sounds["a"][:, :2])
     assert not out[:400, :2].any()
-
-
-def test_masking_outlasts_a_stop() -> None:
-    mixer, _ = make_mixer(masking=MASKED)
-    mixer.start("a", gap_s=0)
-    fill(mixer, 1000, [100], 4)
-    mixer.stop()
-    out = fill(mixer, 1000, [100], 4)
-    assert not out[100:, :2].any()
-    assert out[100:300, 2].any()
-    assert not out[600:, 2].any()
 
 
 @settings(deadline=None)
