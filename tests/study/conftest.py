@@ -20,7 +20,7 @@ from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playba
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
 
     from feel321.protocols.questions import Question
     from feel321.protocols.trial import Page, Part, Scale, Trial
@@ -92,14 +92,6 @@ def smallest(tmp_path: Path) -> StudyFolder:
     study.settings.write_text(SMALLEST_STUDY, encoding="utf-8")
     build_study(study)
     return study
-
-
-@pytest.fixture(autouse=True, scope="session")
-def foreground() -> Iterator[None]:
-    """Draw in this process: tests run side by side as it is."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("feel321.analysis.report.folder.BACKGROUND", False)
-        yield
 
 
 @pytest.fixture(scope="session")
