@@ -72,11 +72,8 @@ def _is_option(argument: "Argument") -> bool:
 
 
 def _name_place(argument: "Argument") -> str:
-    name = argument.name if "[" in argument.name else argument.name.upper()
-    several = "..." if argument.field_info.kind is argument.field_info.VAR_POSITIONAL else ""
-    if argument.required or "[" in name or argument.name == "FROM":
-        return f"{name}{several if '[' not in name else ''}"
-    return f"[{name}{several}]"
+    is_several = argument.field_info.kind is argument.field_info.VAR_POSITIONAL
+    return argument.name if is_several or argument.required else f"[{argument.name}]"
 
 
 def _name_option(argument: "Argument") -> str:

@@ -242,7 +242,7 @@ def note(
 
 
 def collect(
-    *sources: Annotated[File, Parameter(name="FROM")],
+    *sources: Annotated[File, Parameter(name="FROM...")],
     folder: Annotated[File, Parameter(name="--into", metavar="STUDY")] = Path(),
     as_json: Json = False,
 ) -> int:

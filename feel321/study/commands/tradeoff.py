@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def tradeoff(  # noqa: PLR0913 - one per option
-    *places: Annotated[File, Parameter(name="STUDY|RECORDING")],
+    *places: Annotated[File, Parameter(name="[STUDY | RECORDING...]")],
     scenes: bool = False,
     thorough: bool = False,
     online: bool = False,
