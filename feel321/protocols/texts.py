@@ -178,6 +178,7 @@ def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Read an own file, and the texts of the language that it changes."""
     try:
         own = tomllib.loads(intake.read_small(path))
+        dict(_flatten(own))  # tables in tables without end exceed the recursion here
     except (ValueError, RecursionError) as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: not valid TOML ({error}); fix it there") from None
     language = own.pop("language", MODEL)

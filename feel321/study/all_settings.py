@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_orig
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from feel321.study.actuator.rig import Rig
+from feel321.study.settings.fields import list_tables
 from feel321.study.settings.paper import Condition
 from feel321.study.settings.schema import Settings
 
@@ -85,34 +86,33 @@ def write_list(file: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+FORMS = {tuple: "list", list: "list", dict: "named"}
+BRACKETS = {"list": ("[[", "]]")}
+
+
 def _walk(model: type[BaseModel], where: str, form: str) -> Iterator[tuple[str, str, FieldInfo]]:
     """Give table, key and field of every key, tables within tables included."""
     for key, field in model.model_fields.items():
         if field.exclude:  # no key of the file
             continue
-        inner, inner_form = _find_tables(field.annotation)
+        inner = list_tables(field.annotation)
         if not inner:
-            brackets = {"": ("", ""), "list": ("[[", "]]")}.get(form, ("[", "]"))
-            yield f"{brackets[0]}{where}{brackets[1]}", key, field
+            opening, closing = BRACKETS.get(form, ("[", "]")) if form else ("", "")
+            yield f"{opening}{where}{closing}", key, field
         elif issubclass(inner[0], Condition):  # a value and its source, alike for every condition
             yield f"[{where}]", key, inner[0].model_fields["value"]
         else:
+            inner_form = _find_form(field.annotation)
             below = ".".join(filter(None, (where, key, "NAME" if inner_form == "named" else "")))
             for each in inner:
                 yield from _walk(each, below, inner_form or "table")
 
 
-def _find_tables(annotation: object) -> tuple[list[type[BaseModel]], str]:
-    """Find the tables that a field holds: one, a list of them, or named ones."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation], ""
-    origin, inside = get_origin(annotation), get_args(annotation)
-    if origin is Annotated:
-        return _find_tables(inside[0])
-    found = [table for each in inside if each is not type(None) for table in _find_tables(each)[0]]
-    if origin in {tuple, list}:
-        return found, "list"
-    return found, "named" if origin is dict else _find_tables(inside[0])[1] if inside else ""
+def _find_form(annotation: object) -> str:
+    """Find out whether a field holds a list of tables or named ones; empty if it is a single one."""
+    inside = get_args(annotation)
+    found = FORMS.get(get_origin(annotation), "")  # type: ignore[arg-type]  # None is no form
+    return found or (_find_form(inside[0]) if inside else "")
 
 
 def describe(field: FieldInfo) -> str:

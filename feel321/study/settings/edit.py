@@ -32,14 +32,12 @@ def change_settings(text: str, changes: Mapping[str, object]) -> str:
         *tables, key = name.split(".")
         place: Any = document
         for table in tables:
-            is_missing = table not in place
-            if is_missing and value is not None:
+            if value is not None and table not in place:
                 place[table] = tomlkit.table()
-            place = {} if is_missing and value is None else place[table]
+            place = place.get(table, {})
             if not isinstance(place, dict):
-                raise ValueError(
-                    f"{name}: {'.'.join(tables)} is not a table of settings; edit study.toml"
-                )
+                where = ".".join(tables)
+                raise ValueError(f"{name}: {where} is not a table of settings; edit study.toml")  # noqa: TRY004 - of the file
         _put(place, key, None if value is None else _as_toml(name, value))
     return tomlkit.dumps(document)
 

@@ -81,7 +81,7 @@ def test_every_texture_of_park_is_felt_in_three_orientations() -> None:
 
 def test_new_offers_the_bundled_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["new", "--help"]) == 0
-    assert f"[{'|'.join(list_bundled())}]" in capsys.readouterr().out
+    assert f"[one of {', '.join(list_bundled())}]" in " ".join(capsys.readouterr().out.split())
     assert main(["new", str(tmp_path / "s"), "--study", "lee2022"]) == 0
     assert StudyFolder(tmp_path / "s").settings.read_text(encoding="utf-8") == read_bundled(
         "lee2022"

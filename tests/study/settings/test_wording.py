@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+import time
 from typing import TYPE_CHECKING
 
 import pytest
@@ -9,6 +11,8 @@ from feel321.study.session.ports import REFUSALS
 from feel321.study.settings.read import find_language, read_settings, read_study_texts
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from feel321.study.folder import StudyFolder
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n[session]\n'
@@ -17,6 +21,26 @@ SHORTEST = '[[recordings]]\nscene = "bumps"\n[session]\n'
 @pytest.mark.parametrize("language", ["en", "de"])
 def test_every_refusal_has_its_text(language: str) -> None:
     assert tuple(read_texts(language)["refusals"]) == REFUSALS
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "[pages]\n" + "".join(f"welcom{n}.title = 'a'\n" for n in range(1500)),
+            "pages.welcome.title",
+        ),
+        (".".join("a" * 9000) + " = 1\n", "not valid TOML"),
+    ],
+)
+def test_a_file_of_unknown_texts_is_refused_at_once(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    (tmp_path / "texts.toml").write_text(text, encoding="utf-8")
+    begun = time.process_time()
+    with pytest.raises(ValueError, match=re.escape(message)):
+        read_texts(tmp_path / "texts.toml")
+    assert time.process_time() - begun < 5
 
 
 def test_consent_is_the_labs_own_where_it_has_one(study: StudyFolder) -> None:
