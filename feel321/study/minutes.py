@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING
 from feel321.protocols.agenda import SECONDS, Agenda
 from feel321.protocols.blocks import name_tone
 from feel321.protocols.trial import Page
-from feel321.study.observer.model import UNHURRIED
-from feel321.study.observer.simulated import STROKE_S
+from feel321.study.observer.model import STROKE_S, UNHURRIED
 from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
 from feel321.study.session.pace import find_gap
 from feel321.study.session.plan import make_trials, replay

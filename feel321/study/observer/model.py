@@ -79,6 +79,7 @@ UNHURRIED, HASTY = (0.7, 0.4), (-0.7, 0.3)
 """Mean and standard deviation of the logarithm of a response time in s: medians of 2.0 s and 0.5 s."""
 
 SPECTRAL = ("spectral_match_bounded", "spectral_match")  # that participants may feel by
+STROKE_S = 3.0  # duration of a stroke over the real surface
 HALF = 0.5  # of the favourites of straight-liners, who then choose the first
 NODES = 15  # of the quadrature over gains and over sizes of the noise
 

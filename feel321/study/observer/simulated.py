@@ -18,6 +18,7 @@ from feel321.study.observer.model import (
     RANDOM_CLICKER,
     REAL,
     STRAIGHT_LINER,
+    STROKE_S,
     Experience,
     Location,
     ObserverModel,
@@ -47,8 +48,6 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.observer.percepts import Percept
     from feel321.study.session.journal import Record
-
-STROKE_S = 3.0  # duration of a stroke over the real surface
 
 SIMULATED_TEXT = "simulated"
 """The answer of simulated participants to a question that asks for a text."""
