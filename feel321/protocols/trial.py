@@ -36,13 +36,6 @@ THRESHOLD = "threshold"
 FLAGS = ("underrun", "clipped", "device_error", "not_delivered", "too_fast", "not_felt")
 """What can be wrong with an attempt at a trial."""
 
-PAGES = (
-    "welcome", "consent", "threshold_next", "threshold_done", "matching_done", "instructions", "training", "expected",
-    "unexpected", "training_passed", "training_again", "training_failed", "practice", "main", "break", "rest", "pause",
-    "ready", "call_us", "timed_out", "warm_up", "end",
-)  # fmt: skip
-"""Keys of all pages; that of `instructions` is followed by a dot and the protocol."""
-
 ASIDE = ("ready", "call_us", "timed_out")
 """Pages that no plan holds: they wait for the participant after an interruption or an answer that did not come in time,
 or for the experimenter after a failure of the device, and change nothing about what comes next."""

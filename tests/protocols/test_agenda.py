@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from feel321.protocols.agenda import Agenda
-from feel321.protocols.trial import PAGES, Flow, Judgement, Page, Part, Trial
+from feel321.protocols.texts import read_texts
+from feel321.protocols.trial import Flow, Judgement, Page, Part, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -95,7 +96,7 @@ def test_tasks_are_introduced_rehearsed_and_have_one_rest_between_or_half_way(
     assert walk(agenda) == ["welcome", "consent", *steps, "end"]
     assert (agenda.done, agenda.total) == (n_main, n_main)
     keys = {step for step in steps if isinstance(step, str) and "." not in step}
-    assert keys <= {*PAGES}
+    assert keys <= read_texts()["pages"].keys()
 
 
 def test_a_trial_of_another_round_has_all_its_attempts_again() -> None:

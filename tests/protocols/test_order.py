@@ -218,13 +218,6 @@ def test_no_two_recordings_or_repeats_of_one_participant_share_an_order(
             assert blocks[this] != blocks[that], (this, that)
 
 
-def test_two_conditions_change_their_order_from_repeat_to_repeat_where_other_recordings_stand_between() -> (
-    None
-):
-    blocks = list_blocks(order(list_items(3, 2), repeats=2))
-    assert all(blocks["realism", 1, str(r)] == blocks["realism", 2, str(r)][::-1] for r in range(3))
-
-
 @given(st.integers(0, 40), st.integers(2, 5))
 def test_either_of_a_pair_comes_first_equally_often_over_participants_and_over_repeats(
     start: int, n: int

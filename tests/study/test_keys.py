@@ -76,7 +76,7 @@ def test_keys_are_no_part_of_what_a_stimulus_becomes(tmp_path: Path) -> None:
 def test_the_screen_names_the_keys_that_are_there(language: str) -> None:
     tables = read_texts(language)
     usual = make_screen_texts(tables)
-    changed = {"feel", "loop"}
+    changed = {"feel", "loop", "confirm_typed"}
     assert {k: v for k, v in usual.keys.items() if k not in changed} == {
         k: v for k, v in tables["keys"].items() if k not in changed
     }
@@ -88,6 +88,7 @@ def test_the_screen_names_the_keys_that_are_there(language: str) -> None:
     own = make_screen_texts(tables, keys)
     does = {name: line.partition("  ")[2] for name, line in tables["keys"].items()}
     assert own.keys["confirm"] == f"B  {does['confirm']}"
+    assert own.keys["confirm_typed"] == tables["keys"]["confirm"]  # where B types a letter
     assert own.keys["move"] == f"Comma →  {does['move']}"
     assert own.keys["feel"] == f"Tab Q–W  {does['feel']}"
     twice = tables["keys"]["pause"].partition("  ")[0].partition(" ")[2]

@@ -19,7 +19,6 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import read_texts
 from feel321.protocols.trial import (
     MATCHING,
-    PAGES,
     THRESHOLD,
     Judgement,
     Page,
@@ -107,11 +106,7 @@ def make_views(
     """Every page, and every kind of trial in every state, with the longest notices."""
     place = Place(12, 80)
     views = {}
-    keys = [
-        *(key for key in PAGES if key != "instructions"),
-        *(f"instructions.{name}" for name in (*PROTOCOLS, THRESHOLD, MATCHING)),
-    ]
-    for number, key in enumerate(keys):
+    for number, key in enumerate(texts["pages"]):
         by = "experimenter" if key in {"training_failed", "call_us"} else "participant"
         left_s = 27 if key in {"break", "rest", "threshold_next", "matching_done"} else 0
         notice = texts["prompts"]["end_next"] if key == "pause" else ""
