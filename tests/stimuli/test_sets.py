@@ -436,13 +436,18 @@ def test_a_damaged_memory_costs_only_work(scenes: list[Recording], tmp_path: Pat
         memory.write_bytes(damage)
         build_stimuli(scenes[:1], tmp_path, recipe=recipe)
         assert contents(tmp_path) == good
-    parts = tmp_path / PARTS
-    parts.mkdir()
-    memory.rename(parts / BUILT)
-    for draft in list_drafts(scenes[0], recipe):  # lost by a power cut
-        (parts / f"{draft.key}.npy").write_bytes(b"")
-    for path in [*tmp_path.glob("*.wav"), *tmp_path.glob("manifest.*")]:
+    for path in [*tmp_path.glob("*.wav"), *tmp_path.glob("manifest.*"), memory]:
         path.unlink()
+
+    def stop(_done: int, _total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build_stimuli(scenes[:1], tmp_path, recipe=recipe, progress=stop)
+    (first, *others) = tmp_path.glob(f"{PARTS}*/*.npy")
+    np.save(first, np.zeros(100, np.float32))  # what a power cut left
+    for path in others:
+        path.write_bytes(b"")
     build_stimuli(scenes[:1], tmp_path, recipe=recipe)
     assert contents(tmp_path) == good
 
@@ -455,7 +460,7 @@ def test_an_earlier_manifest_cannot_reach_outside_its_folder(
     folder = tmp_path / "set"
     recipe = Recipe(reducers=("dft321",), anchors=False, reference="none")
     build_stimuli(scenes[:1], folder, recipe=recipe)
-    for name in ("manifest.json", "manifest.csv"):
+    for name in (BUILT, "manifest.json", "manifest.csv"):
         text = (folder / name).read_text()
         (folder / name).write_text(text.replace("bumps__dft321__as_is.wav", "../precious.txt"))
     (problem,) = check_stimuli(folder)
