@@ -22,7 +22,7 @@ from feel321.stimuli.synthesis import make_scene
 from feel321.study.actuator.calibrate import calibrate_rig
 from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 from feel321.study.actuator.output import open_output
-from feel321.study.actuator.render import render_set
+from feel321.study.actuator.render import render_stimulus
 from feel321.study.actuator.rig import read_rig
 from feel321.study.session.events import find_loss
 
@@ -107,7 +107,10 @@ def measure() -> Iterator[Figure]:
         for one in (None, certificate):
             choices = {"full_scale_m_s2": FULL_SCALE, "certificate": one}
             check = DeliveryCheck(stimuli, rig, reduced=reduced, **choices)
-            sounds = render_set(stimuli, rig, **choices)
+            sounds = {
+                one.stimulus_id: render_stimulus(one, stimuli.folder, rig, **choices)
+                for one in stimuli
+            }
             print("calibrated" if one else "uncalibrated")
             own = one.apply(rig) if one else rig
             worst = report(

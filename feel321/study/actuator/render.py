@@ -161,22 +161,6 @@ def _read_tracks(stimulus: Stimulus, folder: Path) -> Vector:
     return tracks
 
 
-def render_set(
-    stimuli: StimulusSet,
-    rig: Rig,
-    *,
-    full_scale_m_s2: float,
-    certificate: Certificate | None = None,
-) -> dict[str, Frames]:
-    """Render every stimulus of a set, so that no file is read while a session runs."""
-    return {
-        stimulus.stimulus_id: render_stimulus(
-            stimulus, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2, certificate=certificate
-        )
-        for stimulus in stimuli.stimuli
-    }
-
-
 # Tones of threshold measurements, rendered once per frequency for 1 m/s² RMS at the hand and scaled as they are played.
 
 RAMP_S = 0.02
