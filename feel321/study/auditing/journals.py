@@ -20,7 +20,9 @@ def guard(place: Path, findings: Iterable[str]) -> Iterator[str]:
     try:
         yield from findings
     except (OSError, ValueError) as error:
-        yield str(error) if str(place) in str(error) else f"{place}: {error}"
+        named = getattr(error, "filename", None)  # the system's own words name it last
+        text = f"{named}: {getattr(error, 'strerror', '')}" if named else str(error)
+        yield text if str(place) in text else f"{place}: {text}"
     except MALFORMED as error:
         text = f"holds what feel321 does not write ({type(error).__name__}: {error})"
         yield f"{place}: {text}; restore it from a copy"

@@ -179,9 +179,7 @@ class _Tape:
             raise ValueError(f"{told.event} part {told.part!r} twice at the same time")
         self._played.add(key)
         self._attempt.follow(told)
-        known: dict[str, Any] = {
-            one.name: getattr(told, one.name) for one in fields(ports.Playback) if one.name != "act"
-        }
+        known: dict[str, Any] = {one.name: getattr(told, one.name) for one in fields(ports.Played)}
         return ports.Playback(**known, act=self._find_pause())
 
     def prompt(self, part: Part) -> ports.Playback:

@@ -8,9 +8,8 @@ Every event is in the journal before the next one may happen.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import takewhile
-from math import isfinite
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
@@ -360,7 +359,10 @@ class _Attempt(events.Attempt):
                 stimulus = own.get(part.name) or self._setup.stimuli[part.stimulus_id]
                 playback = presenter.play(part, stimulus, gap_s=gap_s, **due)
                 due = {}
-            played = kind(*self.key, part.name, **_describe_playback(playback))
+            felt: dict[str, Any] = {
+                one.name: getattr(playback, one.name) for one in fields(ports.Played)
+            }
+            played = kind(*self.key, part.name, **felt)
             self._setup.journal.write(played)
             self.follow(played)
             self._time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
@@ -479,23 +481,6 @@ class _Attempt(events.Attempt):
         self._setup.journal.write(events.ActRefused(*self.key, reason, names, act.time_s))
         self._setup.presenter.refuse(reason, tuple(names))
         return False
-
-
-def _describe_playback(playback: ports.Playback) -> dict[str, Any]:
-    """Describe a playback as JSON can hold it: devices report numbers of many kinds, and some that are none."""
-    onset_s, measured = playback.onset_s, playback.measured.items()
-    return {
-        "requested_s": float(playback.requested_s),
-        "onset_s": float(onset_s) if onset_s is not None and isfinite(onset_s) else None,
-        "underruns": int(playback.underruns),
-        "clipped": int(playback.clipped),
-        "completed": bool(playback.completed),
-        "error": playback.error,
-        "measured": {name: float(value) for name, value in measured if isfinite(value)},
-        "dac_source": playback.dac_source,
-        "delivered": {k: float(v) for k, v in playback.delivered.items() if isfinite(v)},
-        "delivered_sha256": playback.delivered_sha256,
-    }
 
 
 def _stop_or_pause(act: object) -> None:

@@ -10,6 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 from feel321.protocols.trial import MATCHING
+from feel321.study.session.ports import Played
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -226,43 +227,34 @@ class TonePresented(AttemptEvent, event="tone"):
     level_db: float | None
 
 
-class PartPlayed(AttemptEvent, event="played"):
-    """A stimulus was played; see `Playback`."""
+class PartEvent(AttemptEvent):
+    """Something that happened to a part of a trial."""
 
     part: str
-    requested_s: float
-    onset_s: float | None
-    underruns: int
-    clipped: int
-    completed: bool
-    error: str
-    measured: dict[str, float] = field(default_factory=dict)
-    dac_source: str = ""
-    delivered: dict[str, float] = field(default_factory=dict)
-    delivered_sha256: str = ""
+
+
+class PartPlayed(Played, PartEvent, event="played"):
+    """A stimulus was played; see `Playback`."""
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields; what only some devices give is left out where it is empty."""
-        names = ("measured", "dac_source", "delivered", "delivered_sha256")
-        optional = {name: getattr(self, name) for name in names}
-        return {k: v for k, v in super().to_data().items() if optional.get(k, True)}
+        optional = {"measured", "dac_source", "delivered", "delivered_sha256"}
+        return {k: v for k, v in super().to_data().items() if v or k not in optional}
 
 
 class SurfaceStroked(PartPlayed, event="prompted"):
     """The participant was asked to stroke the real surface."""
 
 
-class PartReplayed(AttemptEvent, event="replayed"):
+class PartReplayed(PartEvent, event="replayed"):
     """The participant wants to feel a part again; all parts where it is empty."""
 
-    part: str
     time_s: float
 
 
-class MarkerMoved(AttemptEvent, event="moved"):
+class MarkerMoved(PartEvent, event="moved"):
     """A marker came to rest."""
 
-    part: str
     value: float
     time_s: float
 

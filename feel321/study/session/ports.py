@@ -7,13 +7,14 @@ it stopped when a session is resumed.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import TYPE_CHECKING, Protocol
 
 from feel321.protocols.blocks import name_tone
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from feel321.protocols.questions import Question
@@ -134,8 +135,39 @@ class Scaled:
         return float(10 ** (self.gain_db / 20))
 
 
-@dataclass(frozen=True, slots=True)
-class Playback:
+@dataclass(frozen=True)
+class Played:
+    """How a part was felt: what the device reports, the engine passes on and the journal keeps; see `Playback`."""
+
+    requested_s: float
+    onset_s: float | None
+    underruns: int = 0
+    clipped: int = 0
+    completed: bool = True
+    error: str = ""
+    measured: Mapping[str, float] = field(default_factory=dict)
+    dac_source: str = ""
+    delivered: Mapping[str, float] = field(default_factory=dict)
+    delivered_sha256: str = ""
+
+    def __post_init__(self) -> None:
+        """Take numbers of the many kinds that devices report, and none of those that are none."""
+        onset_s = self.onset_s
+        whole = {
+            "requested_s": float(self.requested_s),
+            "onset_s": float(onset_s) if onset_s is not None and isfinite(onset_s) else None,
+            "underruns": int(self.underruns),
+            "clipped": int(self.clipped),
+            "completed": bool(self.completed),
+            "measured": {k: float(v) for k, v in self.measured.items() if isfinite(v)},
+            "delivered": {k: float(v) for k, v in self.delivered.items() if isfinite(v)},
+        }
+        for name, value in whole.items():
+            object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True)
+class Playback(Played):
     """The playback of a stimulus, or a stroke over the real surface.
 
     Parameters
@@ -152,8 +184,6 @@ class Playback:
         Whether it was felt to its end: the participant may have stopped it.
     error : str
         Message of the device; empty if all went well.
-    act : Pause, Abort or None
-        Act of the participant that ended it before its time, beyond stopping it.
     measured : mapping of str to float
         Measurements of the device, such as its own time of the onset; empty where it measures nothing.
     dac_source : str
@@ -164,19 +194,11 @@ class Playback:
         it, without if a certificate predicts it; empty if neither did.
     delivered_sha256 : str
         Digest of the file of what was measured or rendered; empty if there is none.
+    act : Pause, Abort or None
+        Act of the participant that ended it before its time, beyond stopping it.
     """
 
-    requested_s: float
-    onset_s: float | None
-    underruns: int = 0
-    clipped: int = 0
-    completed: bool = True
-    error: str = ""
     act: Pause | Abort | None = None
-    measured: Mapping[str, float] = field(default_factory=dict)
-    dac_source: str = ""
-    delivered: Mapping[str, float] = field(default_factory=dict)
-    delivered_sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,7 @@ from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import (
     START,
+    Anchor,
     Record,
     digest,
     read_anchor,
@@ -60,7 +61,12 @@ def cheat(
     name: str, knows: str = EDITS, *, is_data: bool = True, is_real: bool = False
 ) -> Callable[[Callable[[StudyFolder], None]], Callable[[StudyFolder], None]]:
     def register(act: Callable[[StudyFolder], None]) -> Callable[[StudyFolder], None]:
-        CHEATS[name] = Cheat(name, act, knows, is_data, is_real)
+        def do(study: StudyFolder) -> None:
+            act(study)
+            if knows == TABLES:
+                take_as_it_is(study)
+
+        CHEATS[name] = Cheat(name, do, knows, is_data, is_real)
         return act
 
     return register
@@ -134,12 +140,14 @@ def reseal(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
     path.write_bytes(text + b',\n "sha256": "' + digest(text + b"\n}").encode() + b'"\n}\n')
 
 
+def edit_header(study: StudyFolder, name: str = "sim001", **changes: Any) -> None:
+    edit_record(journal(study, name), "begun", lambda data: {**data, **changes}, number=0)
+
+
 def follow_plan(study: StudyFolder, name: str = "sim001") -> None:
     """Make a journal's header name the plan beside it as it is now."""
     sha256 = json.loads((folder(study, name) / "plan.json").read_bytes())["sha256"]
-    edit_record(
-        journal(study, name), "begun", lambda data: {**data, "plan_sha256": sha256}, number=0
-    )
+    edit_header(study, name, plan_sha256=sha256)
 
 
 def edit_table(path: Path, change: Callable[[list[list[str]]], object]) -> None:
@@ -187,7 +195,6 @@ def _(study: StudyFolder) -> None:
 @cheat("a rating is edited, chain and tables made anew", TABLES)
 def _(study: StudyFolder) -> None:
     edit_record(journal(study), "rated", better)
-    take_as_it_is(study)
 
 
 @cheat("all ratings of a participant are reversed", TABLES)
@@ -199,7 +206,6 @@ def _(study: StudyFolder) -> None:
             turned = {part: 100.0 - value for part, value in values.items()}
             records[place] = replace(record, data={**record.data, "values": turned})
     chain(journal(study), records)
-    take_as_it_is(study)
 
 
 @cheat("a response time is edited", TABLES)
@@ -209,19 +215,16 @@ def _(study: StudyFolder) -> None:
         "rated",
         lambda data: {**data, "response_time_s": data["response_time_s"] + 1.5},
     )
-    take_as_it_is(study)
 
 
 @cheat("a rating is marked as rejected", TABLES)
 def _(study: StudyFolder) -> None:
     edit_record(journal(study), "rated", lambda data: {**data, "rejected": True})
-    take_as_it_is(study)
 
 
 @cheat("underruns of a playback are taken out", TABLES, is_data=False)
 def _(study: StudyFolder) -> None:
     edit_record(journal(study), "played", lambda data: {**data, "dac_source": "device"})
-    take_as_it_is(study)
 
 
 @cheat("two answers are exchanged", TABLES)
@@ -235,7 +238,6 @@ def _(study: StudyFolder) -> None:
     records[one] = replace(records[one], data={**records[one].data, "values": second})
     records[other] = replace(records[other], data={**records[other].data, "values": first})
     chain(path, records)
-    take_as_it_is(study)
 
 
 @cheat("an answer to a question is edited", TABLES)
@@ -251,57 +253,36 @@ def _(study: StudyFolder) -> None:
     chain(journal(study), [
         replace(r, data={**r.data, "sha256": row["sha256"]}) if r.data.get("sha256") == old else r for r in records
     ])  # fmt: skip
-    take_as_it_is(study)
 
 
 @cheat("an answer of the threshold block is edited", TABLES)
 def _(study: StudyFolder) -> None:
     def turn(data: dict[str, Any]) -> dict[str, Any]:
         other = {"first": "second", "second": "first"}
-        return {
-            **data,
-            "values": {
-                part: other.get(str(value), value) for part, value in data["values"].items()
-            },
-        }
+        values = data["values"].items()
+        return {**data, "values": {part: other.get(str(value), value) for part, value in values}}
 
     edit_record(journal(study), "rated", turn, number=0)
-    take_as_it_is(study)
+
+
+def shift_times(path: Path, first: int) -> None:
+    """Set the time of day two hours ahead from a record on."""
+    records = list(read_journal(path).records)
+    for place, record in enumerate(records[first:], start=first):
+        late = datetime.fromisoformat(record.utc) + timedelta(hours=2)
+        records[place] = replace(record, utc=late.isoformat(timespec="milliseconds"))
+    chain(path, records)
 
 
 @cheat("the time of day of a record is edited, not the time of the session", TABLES)
 def _(study: StudyFolder) -> None:
-    path = journal(study)
-    records = list(read_journal(path).records)
-    late = [
-        replace(
-            r,
-            utc=(datetime.fromisoformat(r.utc) + timedelta(hours=2)).isoformat(
-                timespec="milliseconds"
-            ),
-        )
-        for r in records[-3:]
-    ]
-    chain(path, [*records[:-3], *late])
-    take_as_it_is(study)
+    shift_times(journal(study), len(read_journal(journal(study)).records) - 3)
 
 
 @cheat("the time of day is edited in a session with people", TABLES, is_real=True)
 def _(study: StudyFolder) -> None:
-    path = journal(study, "p01")
-    records = list(read_journal(path).records)
-    place = next(n for n, r in enumerate(records) if r.event == "rated")
-    late = [
-        replace(
-            r,
-            utc=(datetime.fromisoformat(r.utc) + timedelta(hours=2)).isoformat(
-                timespec="milliseconds"
-            ),
-        )
-        for r in records[place:]
-    ]
-    chain(path, [*records[:place], *late])
-    take_as_it_is(study)
+    records = read_journal(journal(study, "p01")).records
+    shift_times(journal(study, "p01"), next(n for n, r in enumerate(records) if r.event == "rated"))
 
 
 @cheat("the records of a journal are put into another order", TABLES)
@@ -310,7 +291,6 @@ def _(study: StudyFolder) -> None:
     records = list(read_journal(path).records)
     records[-4], records[-3] = records[-3], records[-4]
     chain(path, records)
-    take_as_it_is(study)
 
 
 @cheat("an attempt that was spoiled is invented", TABLES)
@@ -327,13 +307,11 @@ def _(study: StudyFolder) -> None:
         },
     )
     chain(path, [*records[:place], spoiled, *records[place:]])
-    take_as_it_is(study)
 
 
 @cheat("the flags of an answer are taken out", TABLES)
 def _(study: StudyFolder) -> None:
     edit_record(journal(study), "rated", lambda data: {**data, "flags": ["underrun"]})
-    take_as_it_is(study)
 
 
 @cheat("an experimenter's note is put in", TABLES)
@@ -341,7 +319,6 @@ def _(study: StudyFolder) -> None:
     path = journal(study)
     records = list(read_journal(path).records)
     chain(path, [*records, replace(records[-1], event="note", data={"text": "was tired"})])
-    take_as_it_is(study)
 
 
 # Ends of journals, sessions and participants.
@@ -364,13 +341,11 @@ def _(study: StudyFolder) -> None:
 def _(study: StudyFolder) -> None:
     lines = journal(study).read_bytes().splitlines(keepends=True)
     journal(study).write_bytes(b"".join(lines[:-6]) + lines[-6][:20])
-    take_as_it_is(study)
 
 
 @cheat("a journal is emptied", TABLES)
 def _(study: StudyFolder) -> None:
     journal(study).write_bytes(b"")
-    take_as_it_is(study)
 
 
 @cheat("a journal is removed")
@@ -386,7 +361,6 @@ def _(study: StudyFolder) -> None:
 @cheat("a participant is removed everywhere", TABLES)
 def _(study: StudyFolder) -> None:
     shutil.rmtree(folder(study, "sim002"))
-    take_as_it_is(study)
 
 
 @cheat("sessions/ is removed (rm -rf sessions)")
@@ -420,7 +394,6 @@ def _(study: StudyFolder) -> None:
     one, other = (journal(study, name).read_bytes() for name in ("sim001", "sim002"))
     journal(study, "sim001").write_bytes(other)
     journal(study, "sim002").write_bytes(one)
-    take_as_it_is(study)
 
 
 def copy_as(study: StudyFolder, old: str, new: str, number: int) -> None:
@@ -429,7 +402,7 @@ def copy_as(study: StudyFolder, old: str, new: str, number: int) -> None:
     reseal(
         folder(study, new) / "plan.json", lambda plan: plan.update(participant=new, number=number)
     )
-    edit_record(journal(study, new), "begun", lambda data: {**data, "participant": new}, number=0)
+    edit_header(study, new, participant=new)
     follow_plan(study, new)
 
 
@@ -441,14 +414,12 @@ def _(study: StudyFolder) -> None:
 @cheat("a session is copied under another code, with all digests", TABLES)
 def _(study: StudyFolder) -> None:
     copy_as(study, "sim002", "sim009", 9)
-    take_as_it_is(study)
 
 
 @cheat("a participant is taken for another (renamed)", TABLES)
 def _(study: StudyFolder) -> None:
     copy_as(study, "sim002", "sim009", 2)
     shutil.rmtree(folder(study, "sim002"))
-    take_as_it_is(study)
 
 
 @cheat("a participant's folder is a link", is_data=False)
@@ -475,40 +446,29 @@ def _(study: StudyFolder) -> None:
     target = folder(study) / "session-02.jsonl"
     shutil.copy(journal(study), target)
     edit_record(target, "begun", lambda data: {**data, "session": 2}, number=0)
-    take_as_it_is(study)
+
+
+def change_presenter(study: StudyFolder, name: str, **changes: Any) -> None:
+    header = read_journal(journal(study, name)).records[0].data
+    edit_header(study, name, presenter={**header["presenter"], **changes})
 
 
 @cheat("a rehearsal is taken for a session", TABLES, is_real=True)
 def _(study: StudyFolder) -> None:
-    edit_record(
-        journal(study, "p01"),
-        "begun",
-        lambda data: {**data, "presenter": {**data["presenter"], "rehearsal": True}},
-        number=0,
-    )
-    take_as_it_is(study)
+    change_presenter(study, "p01", rehearsal=True)
 
 
-def pass_as_real(study: StudyFolder, *, keeps_observer: bool) -> None:
-    def turn(data: dict[str, Any]) -> dict[str, Any]:
-        presenter = {**data["presenter"], "simulated": False}
-        if not keeps_observer:
-            presenter = {"simulated": False, "rehearsal": False, "rig": None}
-        return {**data, "presenter": presenter}
-
+def pass_as_real(study: StudyFolder, **presenter: Any) -> None:
     reseal(folder(study) / "plan.json", lambda plan: plan.update(simulated=False))
-    edit_record(journal(study), "begun", turn, number=0)
+    change_presenter(study, "sim001", simulated=False)
+    if presenter:
+        edit_header(study, presenter=presenter)
     follow_plan(study)
 
 
 @cheat("`simulated` is false in the header", DIGESTS)
 def _(study: StudyFolder) -> None:
-    edit_record(
-        journal(study),
-        "begun",
-        lambda data: {**data, "presenter": {**data["presenter"], "simulated": False}},
-        number=0,
-    )
+    change_presenter(study, "sim001", simulated=False)
 
 
 @cheat("`simulated` is false in the plan", DIGESTS)
@@ -518,14 +478,12 @@ def _(study: StudyFolder) -> None:
 
 @cheat("a simulated participant is passed as real, everywhere", TABLES)
 def _(study: StudyFolder) -> None:
-    pass_as_real(study, keeps_observer=True)
-    take_as_it_is(study)
+    pass_as_real(study)
 
 
 @cheat("a simulated participant is passed as real, without a trace of the observer", TABLES)
 def _(study: StudyFolder) -> None:
-    pass_as_real(study, keeps_observer=False)
-    take_as_it_is(study)
+    pass_as_real(study, simulated=False, rehearsal=False, rig=None)
 
 
 @cheat("the whole study is made anew with another seed", TABLES)
@@ -538,13 +496,8 @@ def _(study: StudyFolder) -> None:
 
 @cheat("the versions in a header are edited", TABLES, is_data=False)
 def _(study: StudyFolder) -> None:
-    edit_record(
-        journal(study),
-        "begun",
-        lambda data: {**data, "versions": {**data["versions"], "feel321": "9.9"}},
-        number=0,
-    )
-    take_as_it_is(study)
+    versions = read_journal(journal(study)).records[0].data["versions"]
+    edit_header(study, versions={**versions, "feel321": "9.9"})
 
 
 # Plans, tombstones.
@@ -552,26 +505,20 @@ def _(study: StudyFolder) -> None:
 
 @cheat("the order of a plan is changed, and the plan sealed", TABLES)
 def _(study: StudyFolder) -> None:
-    def turn(plan: dict[str, Any]) -> None:
-        plan["order"] = "random"
-
-    reseal(folder(study) / "plan.json", turn)
+    reseal(folder(study) / "plan.json", lambda plan: plan.update(order="random"))
     follow_plan(study)
-    take_as_it_is(study)
 
 
 @cheat("the rules of a plan (fastest answer) are changed, and the plan sealed", TABLES)
 def _(study: StudyFolder) -> None:
     reseal(folder(study) / "plan.json", lambda plan: plan["flow"].update(min_response_s=0.01))
     follow_plan(study)
-    take_as_it_is(study)
 
 
 @cheat("the group of a participant is changed", TABLES)
 def _(study: StudyFolder) -> None:
     reseal(folder(study) / "plan.json", lambda plan: plan.update(number=plan["number"] + 5))
     follow_plan(study)
-    take_as_it_is(study)
 
 
 @cheat("a bad rater is withdrawn, by the verb", TABLES, is_data=False)
@@ -583,30 +530,23 @@ def _(study: StudyFolder) -> None:
 def _(study: StudyFolder) -> None:
     records = list(read_journal(journal(study)).records)
     chain(journal(study), [*records, replace(records[-1], event="released", data={})])
-    take_as_it_is(study)
+
+
+def forge_tombstone(study: StudyFolder, *journals: Anchor) -> None:
+    shutil.rmtree(folder(study, "sim002"))
+    folder(study, "sim002").mkdir()
+    stone = Tombstone("sim002", 2, True, now().isoformat(), "asked for it", journals, "removed")
+    write_tombstone(folder(study, "sim002"), stone)
 
 
 @cheat("a tombstone is forged", TABLES)
 def _(study: StudyFolder) -> None:
-    own = folder(study, "sim002")
-    shutil.rmtree(own)
-    own.mkdir()
-    write_tombstone(
-        own, Tombstone("sim002", 2, True, now().isoformat(), "asked for it", (), "removed")
-    )
-    take_as_it_is(study)
+    forge_tombstone(study)
 
 
 @cheat("a tombstone is forged with the digests of the journals", TABLES)
 def _(study: StudyFolder) -> None:
-    own = folder(study, "sim002")
-    seen = read_anchor(journal(study, "sim002"))
-    shutil.rmtree(own)
-    own.mkdir()
-    write_tombstone(
-        own, Tombstone("sim002", 2, True, now().isoformat(), "asked for it", (seen,), "removed")
-    )
-    take_as_it_is(study)
+    forge_tombstone(study, read_anchor(journal(study, "sim002")))
 
 
 @cheat("a tombstone is removed")
@@ -738,14 +678,8 @@ def _(study: StudyFolder) -> None:
     sha256 = read_stimuli(study.stimuli).sha256
     for own in study.participants:
         reseal(own / "plan.json", lambda plan: plan.update(stimuli_sha256=sha256))
-        edit_record(
-            own / "session-01.jsonl",
-            "begun",
-            lambda data: {**data, "stimuli_sha256": sha256},
-            number=0,
-        )
+        edit_header(study, own.name, stimuli_sha256=sha256)
         follow_plan(study, own.name)
-    take_as_it_is(study)
 
 
 @cheat("limits of the analysis in study.toml are changed afterwards")
@@ -788,7 +722,6 @@ def _(study: StudyFolder) -> None:
     edit_record(
         journal(study, "p01"), "played", lambda data: {**data, "delivered_sha256": sha256}, number=0
     )
-    take_as_it_is(study)
 
 
 @cheat("times of files are changed", is_data=False)
