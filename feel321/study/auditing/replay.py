@@ -78,11 +78,9 @@ class _Paper(Journal):
 
     @property
     def is_left(self) -> bool:
-        """Whether there are further records."""
         return len(self.records) < len(self.truth)
 
     def take(self) -> None:
-        """Take the next record as it is."""
         self.records.append(self.truth[len(self.records)])
 
     def look(self) -> events.SessionEvent:
@@ -143,7 +141,6 @@ class _Tape:
         raise ValueError(f"holds {told.event!r} where {due} is due")
 
     def show_page(self, page: Page, place: ports.Place) -> ports.Confirm:  # noqa: ARG002 - the port
-        """Leave a page when it was left."""
         self._page = f"page {page.key!r}"
         if page.key == "pause":
             return ports.Confirm(self._expect(events.TrialContinued, self._page).time_s, {})
@@ -163,16 +160,13 @@ class _Tape:
         return ports.Confirm(told.time_s, answer, told.stood_s)
 
     def keep(self, *_: object) -> str:
-        """Return the digest of an answer that was kept apart."""
         return str(getattr(self._paper.look(), "sha256", ""))
 
     def show_trial(self, trial: Trial, scale: Scale, place: ports.Place) -> None:  # noqa: ARG002 - the port
-        """Begin an attempt."""
         self._page, self._attempt = "", events.Attempt(trial, place.attempt)
         self._played.clear()
 
     def play(self, part: Part, *_: object, **__: object) -> ports.Playback:
-        """Play as it was played, each time once."""
         told = self._expect(events.PartPlayed, f"part {part.name!r}")
         key = told.part, told.requested_s, told.onset_s
         if key in self._played:
@@ -183,7 +177,6 @@ class _Tape:
         return ports.Playback(**known, act=self._find_pause())
 
     def prompt(self, part: Part) -> ports.Playback:
-        """Stroke the surface as it was stroked."""
         return self.play(part)
 
     def _find_pause(self) -> ports.Pause | None:
@@ -203,7 +196,6 @@ class _Tape:
         return coming
 
     def wait(self, limit_s: float | None = None) -> ports.Act:
-        """Act as the participant did."""
         act: ports.Act | None = None
         match told := self._paper.look():
             case events.PartPlayed() | events.PartReplayed():

@@ -360,17 +360,16 @@ class Attempt:
         """Numbers of trial and attempt."""
         return self.trial.number, self.number
 
-    def take(self, played: PartPlayed) -> None:
-        """Take a part as felt; what was felt to its end stays felt, though it be cut short when it is felt again."""
-        before = self.parts.get(played.part)
-        if before is None or not before.completed or played.completed or played.error:
-            self.parts[played.part] = played
-
     def follow(self, event: AttemptEvent) -> None:
-        """Take an event; a marker that changes how strong a part is makes that part unfelt."""
+        """Take an event; a marker that changes how strong a part is makes that part unfelt.
+
+        What was felt to its end stays felt, though it be cut short when it is felt again.
+        """
         match event:
             case PartPlayed():
-                self.take(event)
+                before = self.parts.get(event.part)
+                if before is None or not before.completed or event.completed or event.error:
+                    self.parts[event.part] = event
             case MarkerMoved() if self.trial.protocol == MATCHING:
                 self.parts.pop(event.part, None)
             case TrialPaused():

@@ -34,19 +34,12 @@ ACCEPTABLE = ("presenter.rig", "calibration")
 def compare_headers(
     begun: events.SessionBegun, header: Mapping[str, Any], *, accepted: Iterable[events.RigAccepted]
 ) -> list[str]:
-    """List in what a session as it was left differs from the header that it would have today."""
-    return find_differences(_describe_as_left(begun, accepted), header, ignore=UNCOMPARED)
-
-
-def _describe_as_left(
-    begun: events.SessionBegun, accepted: Iterable[events.RigAccepted]
-) -> dict[str, Any]:
-    """Describe a session as it was begun, but with the rig that it went on with."""
-    data = begun.to_data()
+    """List in what a session, with the rig that it went on with, differs from the header that it would have today."""
+    left = begun.to_data()
     for event in accepted:
-        presenter = data.get("presenter", {}) | {"rig": event.rig}
-        data |= {"presenter": presenter, "calibration": event.calibration}
-    return data
+        presenter = left.get("presenter", {}) | {"rig": event.rig}
+        left |= {"presenter": presenter, "calibration": event.calibration}
+    return find_differences(left, header, ignore=UNCOMPARED)
 
 
 def describe_refusal(
