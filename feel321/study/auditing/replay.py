@@ -173,7 +173,7 @@ class _Tape:
             raise ValueError(f"{told.event} part {told.part!r} twice at the same time")
         self._played.add(key)
         self._attempt.follow(told)
-        known: dict[str, Any] = {one.name: getattr(told, one.name) for one in fields(ports.Played)}
+        known: dict[str, Any] = {one.name: getattr(told, one.name) for one in fields(events.Played)}
         return ports.Playback(**known, act=self._find_pause())
 
     def prompt(self, part: Part) -> ports.Playback:

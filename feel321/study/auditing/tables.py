@@ -34,7 +34,7 @@ Row = Mapping[str, str]
 
 
 @dataclass(slots=True)
-class Table:
+class DerivedTable:
     """A table that journals give; key: columns that name a row, read: makes the rows of a participant's folder.
 
     lagging: columns that change as a session goes on; skipped: participants whose files cannot be read; people: how
@@ -58,10 +58,12 @@ class Table:
             self.skipped.add(folder.name)
 
 
-def list_tables(study: StudyFolder) -> list[Table]:
+def list_tables(study: StudyFolder) -> list[DerivedTable]:
     """List the tables that are there; ratings may come from elsewhere where nobody takes part."""
     people: list[Progress] = []
-    roster = Table(study.path / ROSTER_FILE, (), ("participant",), partial(_note_progress, people))
+    roster = DerivedTable(
+        study.path / ROSTER_FILE, (), ("participant",), partial(_note_progress, people)
+    )
     roster.people = people
     tables = [roster]
     with suppress(OSError, ValueError):  # of a set that is among the findings
@@ -78,9 +80,11 @@ def list_tables(study: StudyFolder) -> list[Table]:
         asked = ("participant", "session", "question", "occasion")
         answered, matched = study.path / answers.ANSWERS_FILE, study.path / matches.MATCHES_FILE
         tables += [
-            Table(study.ratings, RATING_COLUMNS, rated, partial(read_judgements, stimuli=stimuli)),
-            Table(answered, answers.COLUMNS, asked, answers.read_answers),
-            Table(
+            DerivedTable(
+                study.ratings, RATING_COLUMNS, rated, partial(read_judgements, stimuli=stimuli)
+            ),
+            DerivedTable(answered, answers.COLUMNS, asked, answers.read_answers),
+            DerivedTable(
                 matched,
                 matches.COLUMNS,
                 ("participant", "trial", "stimulus_id"),
@@ -101,7 +105,9 @@ def _note_progress(people: list[Progress], folder: Path) -> Iterable[dict[str, A
     return ()
 
 
-def compare_tables(study: StudyFolder, tables: Sequence[Table]) -> tuple[list[str], list[str]]:
+def compare_tables(
+    study: StudyFolder, tables: Sequence[DerivedTable]
+) -> tuple[list[str], list[str]]:
     """Compare all tables and the report with the journals; returns findings and remarks."""
     findings: list[str] = []
     remarks: list[str] = []
@@ -121,7 +127,7 @@ class _Comparison:
     """A table against what the journals give."""
 
     study: StudyFolder
-    table: Table
+    table: DerivedTable
     findings: list[str]
     remarks: list[str]
 

@@ -360,7 +360,7 @@ class _Attempt(events.Attempt):
                 playback = presenter.play(part, stimulus, gap_s=gap_s, **due)
                 due = {}
             felt: dict[str, Any] = {
-                one.name: getattr(playback, one.name) for one in fields(ports.Played)
+                one.name: getattr(playback, one.name) for one in fields(events.Played)
             }
             played = kind(*self.key, part.name, **felt)
             self._setup.journal.write(played)

@@ -5,15 +5,16 @@ The name of an event stands here and nowhere else. A new event is a class here, 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
+from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 from feel321.protocols.trial import MATCHING
-from feel321.study.session.ports import Played
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
 
     from feel321.protocols.trial import Flow, Trial
 
@@ -225,6 +226,37 @@ class TonePresented(AttemptEvent, event="tone"):
     frequency_hz: float
     interval: int
     level_db: float | None
+
+
+@dataclass(frozen=True)
+class Played:
+    """How a part was felt: what the device reports, the engine passes on and the journal keeps; see `Playback`."""
+
+    requested_s: float
+    onset_s: float | None
+    underruns: int = 0
+    clipped: int = 0
+    completed: bool = True
+    error: str = ""
+    measured: Mapping[str, float] = field(default_factory=dict)
+    dac_source: str = ""
+    delivered: Mapping[str, float] = field(default_factory=dict)
+    delivered_sha256: str = ""
+
+    def __post_init__(self) -> None:
+        """Take numbers of the many kinds that devices report, and none of those that are none."""
+        onset_s = self.onset_s
+        whole = {
+            "requested_s": float(self.requested_s),
+            "onset_s": float(onset_s) if onset_s is not None and isfinite(onset_s) else None,
+            "underruns": int(self.underruns),
+            "clipped": int(self.clipped),
+            "completed": bool(self.completed),
+            "measured": {k: float(v) for k, v in self.measured.items() if isfinite(v)},
+            "delivered": {k: float(v) for k, v in self.delivered.items() if isfinite(v)},
+        }
+        for name, value in whole.items():
+            object.__setattr__(self, name, value)
 
 
 class PartEvent(AttemptEvent):

@@ -8,11 +8,11 @@ it stopped when a session is resumed.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from math import isfinite
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from feel321.protocols.blocks import name_tone
+from feel321.study.session.events import Played
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -133,37 +133,6 @@ class Scaled:
             1 for 0 dB.
         """
         return float(10 ** (self.gain_db / 20))
-
-
-@dataclass(frozen=True)
-class Played:
-    """How a part was felt: what the device reports, the engine passes on and the journal keeps; see `Playback`."""
-
-    requested_s: float
-    onset_s: float | None
-    underruns: int = 0
-    clipped: int = 0
-    completed: bool = True
-    error: str = ""
-    measured: Mapping[str, float] = field(default_factory=dict)
-    dac_source: str = ""
-    delivered: Mapping[str, float] = field(default_factory=dict)
-    delivered_sha256: str = ""
-
-    def __post_init__(self) -> None:
-        """Take numbers of the many kinds that devices report, and none of those that are none."""
-        onset_s = self.onset_s
-        whole = {
-            "requested_s": float(self.requested_s),
-            "onset_s": float(onset_s) if onset_s is not None and isfinite(onset_s) else None,
-            "underruns": int(self.underruns),
-            "clipped": int(self.clipped),
-            "completed": bool(self.completed),
-            "measured": {k: float(v) for k, v in self.measured.items() if isfinite(v)},
-            "delivered": {k: float(v) for k, v in self.delivered.items() if isfinite(v)},
-        }
-        for name, value in whole.items():
-            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True)
