@@ -8,8 +8,8 @@ table that counts how often the item of the row beat the item of the column.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,14 +19,13 @@ from feel321.doors import as_rng, check_name
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
     from pandas import DataFrame
 
     from feel321.types import Rng
 
     Names = NDArray[np.str_]
+    Codes = NDArray[np.intp]
 
 TRIAL = ("first", "second", "winner")
 TIES = ("refuse", "half")
@@ -39,7 +38,7 @@ ORDER = "order"
 EXTREME = 12.0
 """A log odds of a pair beyond this is an estimate running away: one win in 160 000."""
 
-STEPS = 30
+STEPS = 60
 CLOSE = 1e-9
 RIDGE, LOOSE = 1e-10, 1e-9
 
@@ -91,13 +90,12 @@ class BradleyTerry(Result):
         return self.fixed.rename_axis("item").reset_index()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Duels:
+class Duels(NamedTuple):
     """Wins by pair: items, the first and the second of each row (n_rows,), and the wins of both (n_rows, 2)."""
 
     items: tuple[str, ...]
-    first: NDArray[np.intp]
-    second: NDArray[np.intp]
+    first: Codes
+    second: Codes
     wins: Values
     n_ties: int
     ordered: bool = True
@@ -146,8 +144,8 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     Notes
     -----
     Model: P(i beats j) = 1 / (1 + exp(-(λ_i - λ_j + o))), comparisons independent; o is the order effect, for
-    i presented first. It is a binomial regression without intercept on ±1 contrasts, fitted by statsmodels'
-    GLM. Estimates are finite exactly if, however the items are parted in two, each part won against the other
+    i presented first. It is a binomial regression without intercept on ±1 contrasts, fitted by Newton's
+    method. Estimates are finite exactly if, however the items are parted in two, each part won against the other
     (Ford 1957), which is checked before fitting. Half wins for ties keep the estimates sensible, but errors
     are then those of as many decided comparisons.
 
@@ -177,11 +175,17 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     pca321     -1.04  0.43
     sax321     -1.83  0.48
     """
-    if by_rater:
-        rater = "participant" if by_rater is True else by_rater
-        options = {"reference": reference, "order_effect": order_effect, "prior": prior}
-        return _fit_by_rater(pairs, rater, options, draws=draws, rng=as_rng(rng))
-    duels = count_duels(pairs, ties=ties)
+    rater = "participant" if by_rater is True else str(by_rater or "")
+    people = None
+    if rater:
+        check_draws(draws, usual=1000)
+        check_columns(pairs, [rater], "trials")
+        people, raters = read_groups(pairs[rater], n=len(pairs), what="row", of=rater, sort=False)
+        if len(raters) < 2:  # noqa: PLR2004 - a spread needs two
+            raise ValueError("trials must be of two raters or more, got one; leave by_rater out")
+        pairs, ties = pairs.drop(columns=rater), "half"
+    rows, kept = _read_rows(pairs, ties=ties)
+    duels = _merge(rows) if "winner" in pairs else rows
     if not 0 <= prior < np.inf:
         raise ValueError(f"prior must be 0 or more, got {prior}; 0.5 is usual")
     # Items are names, even where a table holds numbers.
@@ -190,47 +194,74 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     wins = duels.wins + prior
     _check_separation(duels, wins)
     design, names = _build_design(duels, duels.items.index(base), order_effect=order_effect)
-    fit = _fit_glm(wins, design, names=names)
+    beta, curvature, astray = _fit_many(wins[None], design)
+    if astray[0]:
+        worst = names[int(np.abs(beta[0]).argmax())]
+        raise ValueError(
+            f"pairs must have no separation, but the estimate of '{worst}' runs away; use prior=0.5"
+        )
+    errors = np.sqrt(np.linalg.inv(curvature[0]).diagonal())
     notes = [f"{duels.n_ties} ties count half a win for each."] if duels.n_ties else []
     if prior:
         notes.append(
             f"{prior:g} wins are added to both sides of every row; abilities are shrunken."
         )
+    source, freedom = "95 % Wald interval, comparisons taken for independent", np.inf
+    if people is not None:
+        drawn = _draw_abilities(
+            rows, people[kept], base=base, order_effect=order_effect, draws=draws, rng=as_rng(rng)
+        )
+        freedom, source = people.max(), "95 % bootstrap interval over raters"
+        errors, more = _find_errors(drawn, int(freedom) + 1)
+        notes += more
+    deviance, likelihood = _judge_fit(wins, design @ beta[0])
     return BradleyTerry(
-        fixed=_tabulate(fit.params, fit.bse, names=names, reference=base), deviance=float(fit.deviance),
-        df=int(fit.df_resid), log_likelihood=float(fit.llf), reference=base,
-        n_comparisons=float(duels.wins.sum()), n_ties=duels.n_ties,
-        uncertainty="95 % Wald interval, comparisons taken for independent", notes=tuple(notes),
+        fixed=_tabulate(beta[0], errors, names=names, reference=base, freedom=float(freedom)), deviance=deviance,
+        df=len(wins) - len(names), log_likelihood=likelihood, reference=base, n_comparisons=float(duels.wins.sum()),
+        n_ties=duels.n_ties, uncertainty=source, notes=tuple(notes),
     )  # fmt: skip
 
 
-def _fit_by_rater(
-    trials: DataFrame, rater: str, options: dict[str, Any], *, draws: int, rng: np.random.Generator
-) -> BradleyTerry:
+def _judge_fit(wins: Values, odds: Values) -> tuple[float, float]:
+    """Compute the deviance against the model that fits every row, and the binomial log likelihood."""
+    from scipy.special import gammaln, log_expit, xlogy
+
+    logs = np.stack([log_expit(odds), log_expit(-odds)], axis=1)
+    met = wins.sum(axis=1, keepdims=True)
+    deviance = 2 * float((xlogy(wins, wins / met) - wins * logs).sum())
+    ways = gammaln(met + 1).sum() - gammaln(wins + 1).sum()
+    return max(deviance, 0.0), float(ways + (wins * logs).sum())
+
+
+def _draw_abilities(
+    rows: Duels,
+    people: Codes,
+    *,
+    base: str,
+    order_effect: bool,
+    draws: int,
+    rng: np.random.Generator,
+) -> Values:
+    """Fit every draw of raters, in the order of the table's rows without the reference."""
+    count, size = int(people.max()) + 1, len(rows.items)
+    everyone = np.zeros((count, size * size, 2))
+    np.add.at(everyone, (people, rows.first * size + rows.second), rows.wins)
+    met = np.flatnonzero(everyone.sum(axis=(0, 2)))
+    everyone = everyone[:, met]
+    duels = Duels(rows.items, met // size, met % size, everyone.sum(axis=0), 0, rows.ordered)
+    design, _ = _build_design(duels, rows.items.index(base), order_effect=order_effect)
+    weights = draw_counts(count, draws, rng=rng)
+    beta, _, astray = _fit_many(np.einsum("dr,rps->dps", weights, everyone), design)
+    beta[astray] = np.nan
+    return beta
+
+
+def _find_errors(drawn: Values, n_raters: int) -> tuple[Values, list[str]]:
+    """Compute standard errors from draws, with what is to be said of them."""
     from scipy.stats import t
 
-    check_draws(draws, usual=1000)
-    check_columns(trials, [rater], "trials")
-    people, names = read_groups(trials[rater], n=len(trials), what="row", of=rater, sort=False)
-    if (n_raters := len(names)) < 2:  # noqa: PLR2004 - a spread needs two
-        raise ValueError("trials must be of two raters or more, got one; leave by_rater out")
-    judgements = trials.drop(columns=rater)
-    result = bradley_terry(judgements, ties="half", **options)
-    order_effect = options["order_effect"]
-    each = [judgements[people == person] for person in range(n_raters)]
-    drawn = _draw_abilities(each, result, order_effect=order_effect, draws=draws, rng=rng)
     margins = np.array([bootstrap_margin(column, n_raters) for column in drawn.T])
-    fixed = result.fixed.copy()
-    rows = fixed["se"] > 0
-    estimate, error = (
-        fixed.loc[rows, "estimate"],
-        margins / t.ppf((1 + CONFIDENCE) / 2, n_raters - 1),
-    )
-    fixed.loc[rows, "se"], fixed.loc[rows, "z"] = error, estimate / error
-    fixed.loc[rows, "p"] = 2 * t.sf(np.abs(estimate / error), n_raters - 1)
-    fixed.loc[rows, "low"], fixed.loc[rows, "high"] = estimate - margins, estimate + margins
-    lost = int(np.isnan(drawn).any(axis=1).sum())
-    notes = list(result.notes)
+    lost, draws, notes = int(np.isnan(drawn).any(axis=1).sum()), len(drawn), list[str]()
     if lost:
         notes.append(
             f"In {lost} of {draws} draws an item always won or lost, or met no other; they are left out."
@@ -239,9 +270,7 @@ def _fit_by_rater(
         few = "too many draws have no estimate; ask for more comparisons per rater"
         alike = "all draws gave the same, so that nothing shows how raters differ"
         notes.append(f"No interval: {few if lost > MOST_UNDEFINED * draws else alike}.")
-    return replace(
-        result, fixed=fixed, notes=tuple(notes), uncertainty="95 % bootstrap interval over raters"
-    )
+    return margins / t.ppf((1 + CONFIDENCE) / 2, n_raters - 1), notes
 
 
 def _check_separation(duels: Duels, wins: Values) -> None:
@@ -297,63 +326,8 @@ def _build_design(duels: Duels, base: int, *, order_effect: bool) -> tuple[Value
     return design, [*names, ORDER]
 
 
-def _fit_glm(wins: Values, design: Values, *, names: list[str]) -> Any:  # noqa: ANN401 - statsmodels has no types
-    import warnings
-
-    import statsmodels.api as sm
-    from statsmodels.tools.sm_exceptions import PerfectSeparationWarning
-
-    # A model that fits every row has no degrees of freedom left, by which statsmodels then divides.
-    with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-        # A model that fits every row is no separation.
-        warnings.simplefilter("ignore", PerfectSeparationWarning)
-        fit = sm.GLM(wins, design, family=sm.families.Binomial()).fit(tol=1e-12, maxiter=200)
-    # Of a pair that met: along a chain of pairs, abilities may be far apart and yet well known.
-    if np.abs(design @ fit.params).max() > EXTREME:
-        worst = names[int(np.abs(fit.params).argmax())]
-        raise ValueError(
-            f"pairs must have no separation, but the estimate of '{worst}' runs away; use prior=0.5"
-        )
-    return fit
-
-
-def _tabulate(
-    estimates: ArrayLike, errors: ArrayLike, *, names: list[str], reference: str
-) -> DataFrame:
-    from pandas import DataFrame
-    from scipy.stats import norm
-
-    fixed = DataFrame({"estimate": estimates, "se": errors}, index=names)
-    margin = float(norm.ppf((1 + CONFIDENCE) / 2)) * fixed["se"]
-    fixed["z"] = fixed["estimate"] / fixed["se"]
-    fixed["p"] = 2 * norm.sf(np.abs(fixed["z"]))
-    fixed["low"], fixed["high"] = fixed["estimate"] - margin, fixed["estimate"] + margin
-    fixed.loc[reference] = [0.0, 0.0, np.nan, np.nan, 0.0, 0.0]
-    return fixed.loc[sorted(fixed.index, key=lambda name: (name == ORDER, name))]
-
-
-def _draw_abilities(
-    each: list[DataFrame], result: BradleyTerry, *, order_effect: bool, draws: int, rng: np.random.Generator,
-) -> Values:  # fmt: skip
-    """Fit every draw of raters, in the order of the table's rows without the reference."""
-    items = tuple(name for name in result.fixed.index if name != ORDER)
-    rows = []
-    for judgements in each:
-        duels = count_duels(judgements, ties="half")
-        place = np.array([items.index(item) for item in duels.items])
-        tally = np.zeros((len(items), len(items), 2))
-        np.add.at(tally, (place[duels.first], place[duels.second]), duels.wins)
-        rows.append(tally.reshape(-1, 2))
-    everyone = np.stack(rows)
-    met = np.flatnonzero(everyone.sum(axis=(0, 2)))
-    duels = Duels(items, met // len(items), met % len(items), everyone.sum(axis=0)[met], 0)
-    design, _ = _build_design(duels, items.index(result.reference), order_effect=order_effect)
-    weights = draw_counts(len(rows), draws, rng=rng)
-    return _fit_many(np.einsum("dr,rps->dps", weights, everyone[:, met]), design)
-
-
-def _fit_many(wins: Values, design: Values) -> Values:
-    """Newton's method on all draws at once; NaN where the estimate runs away."""
+def _fit_many(wins: Values, design: Values) -> tuple[Values, Values, NDArray[np.bool_]]:
+    """Run Newton's method on all draws at once: estimates, curvatures, and which run away."""
     first, met = wins[..., 0], wins.sum(axis=-1)
     beta = np.zeros((len(wins), design.shape[1]))
     ridge = RIDGE * np.eye(design.shape[1])  # a draw without a pair must not stop the others
@@ -368,12 +342,39 @@ def _fit_many(wins: Values, design: Values) -> Values:
     astray = (np.abs(np.where(met > 0, beta @ design.T, 0)) > EXTREME).any(axis=1)
     # Items that nothing in a draw ties to the reference would stay at 0: the ridge alone holds them.
     loose = np.linalg.eigvalsh(curvature)[:, 0] < LOOSE
-    beta[astray | loose | (np.abs(step) > CLOSE**0.5).any(axis=1)] = np.nan
-    return beta
+    return beta, curvature, astray | loose | (np.abs(step) > CLOSE**0.5).any(axis=1)
+
+
+def _tabulate(
+    estimates: Values, errors: Values, *, names: list[str], reference: str, freedom: float
+) -> DataFrame:
+    from pandas import DataFrame
+    from scipy.stats import t
+
+    fixed = DataFrame({"estimate": estimates, "se": errors}, index=names)
+    margin = float(t.ppf((1 + CONFIDENCE) / 2, freedom)) * fixed["se"]
+    fixed["z"] = fixed["estimate"] / fixed["se"]
+    fixed["p"] = 2 * t.sf(np.abs(fixed["z"]), freedom)
+    fixed["low"], fixed["high"] = fixed["estimate"] - margin, fixed["estimate"] + margin
+    fixed.loc[reference] = [0.0, 0.0, np.nan, np.nan, 0.0, 0.0]
+    return fixed.loc[sorted(fixed.index, key=lambda name: (name == ORDER, name))]
 
 
 def count_duels(pairs: DataFrame, *, ties: str = "refuse") -> Duels:
-    """Read paired comparisons, as trials or as counts."""
+    """Read paired comparisons, trials of the same pair in the same order together."""
+    rows, _ = _read_rows(pairs, ties=ties)
+    return _merge(rows) if "winner" in pairs else rows
+
+
+def _merge(duels: Duels) -> Duels:
+    size = len(duels.items)
+    both, row = np.unique(duels.first * size + duels.second, return_inverse=True)
+    wins = np.stack([np.bincount(row, duels.wins[:, side]) for side in (0, 1)], axis=1)
+    return duels._replace(first=both // size, second=both % size, wins=wins.astype(np.float64))
+
+
+def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Duels, NDArray[np.bool_]]:
+    """Read paired comparisons as they are, and which rows held one."""
     from pandas import DataFrame
 
     if not isinstance(pairs, DataFrame):
@@ -383,77 +384,63 @@ def count_duels(pairs: DataFrame, *, ties: str = "refuse") -> Duels:
     check_name(ties, TIES, "ties")
     if pairs.empty:
         raise ValueError("pairs must hold a comparison or more, got no row")
-    first, second, wins, n_ties = _read_pairs(pairs, ties=ties)
-    if (first == second).any():
+    names, wins, n_ties, ordered = _read_form(pairs, ties)
+    same = names[:, 0] == names[:, 1]
+    if same.any():
         raise ValueError(
-            f"pairs must be of two items, got '{first[first == second][0]}' against itself; leave such rows out"
+            f"pairs must be of two items, got '{names[same][0, 0]}' against itself; leave such rows out"
         )
     met = wins.sum(axis=1) > 0  # a pair that never met says nothing
     if not met.any():
         raise ValueError("pairs must hold a comparison or more, got no win in any row")
-    items, numbers = np.unique(np.concatenate([first[met], second[met]]), return_inverse=True)
-    (one, other), wins = np.split(numbers, 2), wins[met]
-    if "winner" in pairs:
-        both, row = np.unique(one * len(items) + other, return_inverse=True)
-        one, other = both // len(items), both % len(items)
-        wins = np.stack([np.bincount(row, wins[:, side]) for side in (0, 1)], axis=1)
-    ordered = "loser" not in pairs and not _is_square(pairs)
-    return Duels(tuple(items.tolist()), one, other, wins.astype(np.float64), n_ties, ordered)
+    items, codes = np.unique(names[met], return_inverse=True)
+    one, other = codes.reshape(-1, 2).T
+    return Duels(tuple(items.tolist()), one, other, wins[met], n_ties, ordered), met
 
 
-def _read_pairs(pairs: DataFrame, *, ties: str) -> tuple[Names, Names, Values, int]:
-    """Read whichever form it is: names of the first and the second, their wins, and the number of ties."""
-    if _is_square(pairs):
-        return *_read_square(pairs), 0
+def _read_form(pairs: DataFrame, ties: str) -> tuple[Names, Values, int, bool]:
+    """Read names and wins, (n_rows, 2) each, the number of ties, and whether the order is known."""
+    numbers = pairs.select_dtypes("number").shape == pairs.shape
+    if numbers and list(map(str, pairs.index)) == list(map(str, pairs.columns)):
+        items = pairs.columns.astype(str).to_numpy(dtype=np.str_)
+        counts = _read_counts(pairs.where(pairs.notna(), 0))
+        if np.diag(counts).any() or len(set(items)) < len(items):
+            raise ValueError(
+                "pairs must be 0 on the diagonal of a square table, got an item twice or against itself"
+            )
+        one, other = np.triu_indices(len(items), 1)
+        wins = np.stack([counts[one, other], counts[other, one]], axis=1)
+        return np.stack([items[one], items[other]], axis=1), wins, 0, False
     if "winner" in pairs and "loser" in pairs:
-        sides = np.stack(list(_read_names(pairs, ("winner", "loser"))), axis=1)
+        sides = _read_names(pairs, ("winner", "loser"))
         names = np.sort(sides, axis=1)
-        return names[:, 0], names[:, 1], (names == sides[:, :1]).astype(np.float64), 0
+        return names, (names == sides[:, :1]).astype(np.float64), 0, False
     if "winner" in pairs:
         check_columns(pairs, TRIAL, "pairs")
-        first, second = _read_names(pairs, TRIAL[:2])
-        return first, second, *_read_winners(pairs, first, second, ties=ties)
+        names = _read_names(pairs, TRIAL[:2])
+        return names, *_read_winners(pairs, names, ties), True
     if pairs.shape[1] < COUNTED:
         got = ", ".join(map(str, pairs.columns))
         raise ValueError(
             f"pairs must have the columns {', '.join(TRIAL)}, or two names and two counts, got {got}"
         )
-    first, second = _read_names(pairs, pairs.columns[:2])
-    return first, second, _read_counts(pairs.iloc[:, 2:COUNTED]), 0
+    return _read_names(pairs, pairs.columns[:2]), _read_counts(pairs.iloc[:, 2:COUNTED]), 0, True
 
 
-def _is_square(pairs: DataFrame) -> bool:
-    numbers = pairs.select_dtypes("number").shape == pairs.shape
-    return numbers and list(map(str, pairs.index)) == list(map(str, pairs.columns))
-
-
-def _read_square(pairs: DataFrame) -> tuple[Names, Names, Values]:
-    names = pairs.columns.astype(str).to_numpy(dtype=np.str_)
-    counts = _read_counts(pairs.where(pairs.notna(), 0))
-    if np.diag(counts).any() or len(set(names)) < len(names):
-        raise ValueError(
-            "pairs must be 0 on the diagonal of a square table, got an item twice or against itself"
-        )
-    one, other = np.triu_indices(len(names), 1)
-    return names[one], names[other], np.stack([counts[one, other], counts[other, one]], axis=1)
-
-
-def _read_names(pairs: DataFrame, columns: Any) -> Iterator[Names]:  # noqa: ANN401 - labels of any kind
+def _read_names(pairs: DataFrame, columns: Any) -> Names:  # noqa: ANN401 - labels of any kind
     for column in columns:
         if missing := int(pairs[column].isna().sum()):
             raise ValueError(
                 f"pairs must name an item in column '{column}', got {missing} rows without a name; name or leave "
                 "them out"
             )
-        yield pairs[column].astype(str).to_numpy(dtype=np.str_)
+    return np.stack([pairs[one].astype(str).to_numpy(dtype=np.str_) for one in columns], axis=1)
 
 
-def _read_winners(
-    pairs: DataFrame, first: Names, second: Names, *, ties: str
-) -> tuple[Values, int]:
+def _read_winners(pairs: DataFrame, names: Names, ties: str) -> tuple[Values, int]:
     named = pairs["winner"].astype(object).where(pairs["winner"].notna(), "tie")
     winner = named.astype(str).to_numpy(dtype=np.str_)
-    wins = np.stack([winner == first, winner == second], axis=1).astype(np.float64)
+    wins = (names == winner[:, None]).astype(np.float64)
     undecided = ~wins.any(axis=1)
     if (strangers := winner[undecided & (winner != "tie")]).size:
         raise ValueError(
