@@ -7,8 +7,9 @@ The package `krippendorff` makes a table of targets x values x values: gigabytes
 value is another one. The sums below are linear in the number of ratings.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple, overload
 
@@ -61,29 +62,20 @@ class Alpha(Result):
     notes: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Ratings:
-    """Ratings that can be paired: the distinct values, each rating's value and target, and each target's row."""
+class _Ratings(NamedTuple):
+    """Ratings that can be paired: the distinct values, each one's value and target, and each target's row and size."""
 
     distinct: Values
     value: NDArray[np.intp]
     target: NDArray[np.intp]
     row: NDArray[np.intp]
+    sizes: Values
     n_rows: int
 
-    @property
-    def n_targets(self) -> int:
-        """Number of targets that can be agreed on."""
-        return len(self.row)
-
-    def count(self, weights: Values) -> Values:
+    def tally(self, weights: Values) -> Values:
         """Count how often each distinct value occurs, targets counting as often as their weights say."""
         found = np.bincount(self.value, weights[self.target], minlength=len(self.distinct))
         return found.astype(np.float64)
-
-    def sizes(self) -> Values:
-        """Count the ratings of each target."""
-        return np.bincount(self.target, minlength=self.n_targets).astype(np.float64)
 
 
 @overload
@@ -164,52 +156,32 @@ def krippendorff_alpha(
     (0.849, True)
     """
     if draws:
-        return bootstrap_alpha(table, groups=groups, level=level, draws=draws, rng=rng)
+        check_draws(draws)
     ratings = _pair_up(table, level)
-    return LEVELS[level](ratings, np.ones(ratings.n_targets))
-
-
-def bootstrap_alpha(
-    table: Table | ArrayLike,
-    *,
-    groups: ArrayLike | None = None,
-    level: str = "interval",
-    draws: int = 2000,
-    rng: Rng = 0,
-) -> Alpha:
-    """Krippendorff's alpha with a bootstrap interval over targets, or over groups of them."""
-    check_draws(draws)
-    ratings = _pair_up(table, level)
-    if groups is None:
-        group, n_groups = np.arange(ratings.n_targets), ratings.n_targets
-    else:
+    n_targets, find = len(ratings.row), LEVELS[level]
+    value = find(ratings, np.ones(n_targets))
+    if not draws:
+        return value
+    group, n_groups = np.arange(n_targets), n_targets
+    if groups is not None:
         numbers, _ = read_groups(groups, n=ratings.n_rows, what="target")
         distinct, group = np.unique(numbers[ratings.row], return_inverse=True)
         n_groups = len(distinct)
-    value = LEVELS[level](ratings, np.ones(ratings.n_targets))
     counts = draw_counts(n_groups, draws, rng=as_rng(rng))
-    drawn = np.array([LEVELS[level](ratings, row[group]) for row in counts])
-    margin, defined = bootstrap_margin(drawn, n_groups), int(np.isfinite(drawn).sum())
-    return Alpha(
-        value,
-        value - margin,
-        min(value + margin, 1.0) if np.isfinite(margin) else margin,
-        level,
-        defined,
-        ratings.n_targets,
-        n_groups,
-        len(ratings.value),
-        notes=tuple(_explain(ratings, value, margin, undefined=draws - defined)),
-    )
-
-
-def _explain(ratings: _Ratings, value: float, margin: float, *, undefined: int) -> Iterator[str]:
-    if ratings.n_targets < ratings.n_rows:
-        yield f"{ratings.n_rows - ratings.n_targets} targets with fewer than two ratings have nothing to agree on."
+    drawn = np.array([find(ratings, row[group]) for row in counts])
+    margin, defined, notes = bootstrap_margin(drawn, n_groups), int(np.isfinite(drawn).sum()), []
+    if n_targets < ratings.n_rows:
+        few = ratings.n_rows - n_targets
+        notes.append(f"{few} targets with fewer than two ratings have nothing to agree on.")
     if np.isnan(value):
-        yield "No alpha: all ratings are the same."
+        notes.append("No alpha: all ratings are the same.")
     elif np.isnan(margin):
-        yield f"No interval: one group only, all draws alike, or alpha undefined in too many ({undefined})."
+        why = f"all draws alike, or alpha undefined in too many ({draws - defined})"
+        notes.append(f"No interval: one group only, {why}.")
+    high = min(value + margin, 1.0) if np.isfinite(margin) else margin
+    return Alpha(
+        value, value - margin, high, level, defined, n_targets, n_groups, len(ratings.value), tuple(notes)
+    )  # fmt: skip
 
 
 def _pair_up(table: Table | ArrayLike, level: str) -> _Ratings:
@@ -225,7 +197,8 @@ def _pair_up(table: Table | ArrayLike, level: str) -> _Ratings:
     pairable = ratings[row]
     target, rater = np.nonzero(np.isfinite(pairable))
     distinct, value = np.unique(pairable[target, rater], return_inverse=True)
-    return _Ratings(distinct, value, target, row, len(ratings))
+    sizes = np.bincount(target).astype(np.float64)
+    return _Ratings(distinct, value, target, row, sizes, len(ratings))
 
 
 def _read_cells(table: object, level: str) -> Values:
@@ -246,32 +219,23 @@ def _read_cells(table: object, level: str) -> Values:
 
 
 def _alpha_nominal(ratings: _Ratings, weights: Values) -> float:
-    sizes, counts = ratings.sizes(), ratings.count(weights)
+    sizes, counts = ratings.sizes, ratings.tally(weights)
     cells = ratings.target * len(ratings.distinct) + ratings.value
     cell, often = np.unique(cells, return_counts=True)
-    same = np.bincount(
-        cell // len(ratings.distinct), often.astype(np.float64) ** 2, minlength=ratings.n_targets
-    )
+    same = np.bincount(cell // len(ratings.distinct), often.astype(np.float64) ** 2)
     n = counts.sum()
     observed = weights @ ((sizes**2 - same) / (sizes - 1)) / n
     return _compare(observed, (n**2 - (counts**2).sum()) / (n * (n - 1)))
 
 
-def _alpha_interval(ratings: _Ratings, weights: Values) -> float:
-    return _alpha_of_squares(ratings, ratings.distinct, weights)
+def _alpha_of_squares(ratings: _Ratings, weights: Values, *, ranks: bool = False) -> float:
+    """Alpha for a distance that is a squared difference: sums over pairs are sums of squares about means.
 
-
-def _alpha_ordinal(ratings: _Ratings, weights: Values) -> float:
-    # The ordinal distance counts the ratings between two values, half of those at the ends included: the
-    # difference of their mid-ranks.
-    counts = ratings.count(weights)
-    return _alpha_of_squares(ratings, np.cumsum(counts) - counts / 2, weights)
-
-
-def _alpha_of_squares(ratings: _Ratings, scale: Values, weights: Values) -> float:
-    """Alpha for a distance that is a squared difference: sums over pairs are sums of squares about means."""
-    sizes, counts = ratings.sizes(), ratings.count(weights)
-    n = counts.sum()
+    The ordinal distance counts the ratings between two values, half of those at the ends included: the difference of
+    their mid-ranks.
+    """
+    sizes, counts = ratings.sizes, ratings.tally(weights)
+    scale, n = np.cumsum(counts) - counts / 2 if ranks else ratings.distinct, counts.sum()
     centred = scale - counts @ scale / n
     total = counts @ centred**2
     if total <= FLAT * (counts @ scale**2):
@@ -283,16 +247,14 @@ def _alpha_of_squares(ratings: _Ratings, scale: Values, weights: Values) -> floa
 
 
 def _alpha_ratio(ratings: _Ratings, weights: Values) -> float:
-    sizes, counts = ratings.sizes(), ratings.count(weights)
+    sizes, counts = ratings.sizes, ratings.tally(weights)
     n, order = counts.sum(), np.argsort(ratings.target, kind="stable")
     of_target = np.split(ratings.distinct[ratings.value[order]], np.cumsum(sizes.astype(int))[:-1])
     inside = np.array([_proportions(values, values).sum() for values in of_target])
     step, between = max(1, CHUNK // len(ratings.distinct)), 0.0
     for at in range(0, len(counts), step):
-        some = slice(at, at + step)
-        between += float(
-            counts[some] @ _proportions(ratings.distinct[some], ratings.distinct) @ counts
-        )
+        part = _proportions(ratings.distinct[at : at + step], ratings.distinct)
+        between += float(counts[at : at + step] @ part @ counts)
     return _compare(weights @ (inside / (sizes - 1)) / n, between / (n * (n - 1)))
 
 
@@ -308,8 +270,8 @@ def _compare(observed: float, expected: float) -> float:
 
 LEVELS: Mapping[str, Callable[[_Ratings, Values], float]] = MappingProxyType({
     "nominal": _alpha_nominal,
-    "ordinal": _alpha_ordinal,
-    "interval": _alpha_interval,
+    "ordinal": partial(_alpha_of_squares, ranks=True),
+    "interval": _alpha_of_squares,
     "ratio": _alpha_ratio,
 })
 """The one list of levels of measurement: name -> alpha of ratings and targets' weights."""
@@ -363,15 +325,6 @@ class Intraclass(Result):
     n_raters: int
 
 
-class _MeanSquares(NamedTuple):
-    targets: float
-    raters: float
-    error: float
-    within: float
-    n: int
-    k: int
-
-
 def intraclass(table: Table | ArrayLike) -> Intraclass:
     """Intraclass correlations of a complete table.
 
@@ -419,29 +372,38 @@ def intraclass(table: Table | ArrayLike) -> Intraclass:
     ratings = read_array(as_votes(table), what="table", axes=("targets", "raters"))
     if min(ratings.shape) < SMALLEST:
         raise ValueError(f"table must be at least 2 targets by 2 raters, got shape {ratings.shape}")
-    ms = _mean_squares(ratings)
-    n, k = ms.n, ms.k
-    found = {
-        "1": (ms.targets - ms.within, (k - 1) * ms.within, 0.0),
-        "a": (ms.targets - ms.error, (k - 1) * ms.error, (ms.raters - ms.error) / n),
-        "c": (ms.targets - ms.error, (k - 1) * ms.error, 0.0),
-    }
-    values = {}
-    for form, (signal, noise, bias) in found.items():
-        values[f"icc_{form}_1"] = _ratio(signal, ms.targets + noise + k * bias)
+    n, k = ratings.shape
+    of_targets, of_raters = (ratings.mean(axis=axis, keepdims=True) for axis in (1, 0))
+    rounding = FLAT * float((ratings**2).sum())
+
+    def square(deviations: Values, freedom: int) -> float:
+        total = float((deviations**2).sum())
+        return total / freedom if total > rounding else 0.0
+
+    grand = ratings.mean()
+    targets = k * square(of_targets - grand, n - 1)
+    raters = n * square(of_raters - grand, k - 1)
+    error = square(ratings - of_targets - of_raters + grand, (n - 1) * (k - 1))
+    within = square(ratings - of_targets, n * (k - 1))
+    values: dict[str, float] = {}
+    for form, noise, bias in (
+        ("1", within, 0.0),
+        ("a", error, (raters - error) / n),
+        ("c", error, 0.0),
+    ):
+        values[f"icc_{form}_1"] = _ratio(targets - noise, targets + (k - 1) * noise + k * bias)
         # Where targets differ so little that their mean's variance comes out negative, the ratio would pass 1.
-        values[f"icc_{form}_k"] = _ratio(signal, max(ms.targets + bias, 0.0))
-    limits = {
-        "1": _limits(ms.targets, ms.within, (n - 1, n * (k - 1))),
-        "c": _limits(ms.targets, ms.error, (n - 1, (n - 1) * (k - 1))),
-    }
-    agreed = _agreement_interval(ms, values["icc_a_1"])
-    for place, end in enumerate(("low", "high")):
-        for form, pair in limits.items():
-            values[f"icc_{form}_1_{end}"] = (pair[place] - 1) / (pair[place] + k - 1)
-            values[f"icc_{form}_k_{end}"] = 1 - 1 / pair[place]
-        values[f"icc_a_1_{end}"] = agreed[place]
-        values[f"icc_a_k_{end}"] = _step_up(agreed[place], k)
+        values[f"icc_{form}_k"] = _ratio(targets - noise, max(targets + bias, 0.0))
+    for form, noise, freedom in (("1", within, n * (k - 1)), ("c", error, (n - 1) * (k - 1))):
+        for end, limit in zip(
+            ("low", "high"), _limits(targets, noise, (n - 1, freedom)), strict=True
+        ):
+            values[f"icc_{form}_1_{end}"] = (limit - 1) / (limit + k - 1)
+            values[f"icc_{form}_k_{end}"] = 1 - 1 / limit
+    agreed = _agreement_interval((targets, raters, error), values["icc_a_1"], (n, k))
+    for end, limit in zip(("low", "high"), agreed, strict=True):
+        values[f"icc_a_1_{end}"] = limit
+        values[f"icc_a_k_{end}"] = _step_up(limit, k)
     return Intraclass(**values, n_targets=n, n_raters=k)
 
 
@@ -474,28 +436,6 @@ def noise_ceiling(table: Table | ArrayLike) -> float:
     return _root(intraclass(table).icc_c_k)
 
 
-def _mean_squares(ratings: Values) -> _MeanSquares:
-    n, k = ratings.shape
-    of_targets = ratings.mean(axis=1, keepdims=True)
-    of_raters = ratings.mean(axis=0, keepdims=True)
-    grand = ratings.mean()
-    residual = ratings - of_targets - of_raters + grand
-    rounding = FLAT * float((ratings**2).sum())
-
-    def square(deviations: Values) -> float:
-        total = float((deviations**2).sum())
-        return total if total > rounding else 0.0
-
-    return _MeanSquares(
-        targets=k * square(of_targets - grand) / (n - 1),
-        raters=n * square(of_raters - grand) / (k - 1),
-        error=square(residual) / ((n - 1) * (k - 1)),
-        within=square(ratings - of_targets) / (n * (k - 1)),
-        n=n,
-        k=k,
-    )
-
-
 def _limits(between: float, noise: float, freedom: tuple[int, int]) -> tuple[float, float]:
     """Interval of the ratio of expected mean squares."""
     from scipy.stats import f
@@ -512,21 +452,24 @@ def _step_up(limit: float, k: int) -> float:
     return float("-inf") if below <= 0 else k * limit / below
 
 
-def _agreement_interval(ms: _MeanSquares, value: float) -> tuple[float, float]:
+def _agreement_interval(
+    squares: tuple[float, float, float], value: float, shape: tuple[int, int]
+) -> tuple[float, float]:
+    """Interval of ICC(A,1) from the mean squares of targets, raters and error."""
     from scipy.stats import f
 
-    if not ms.error:
+    (targets, raters, error), (n, k) = squares, shape
+    if not error:
         return float("nan"), float("nan")
-    n, k = ms.n, ms.k
-    rater_weight = k * value * ms.raters / ms.error
+    rater_weight = k * value * raters / error
     error_weight = n * (1 + (k - 1) * value) - k * value
     spread = (n - 1) * rater_weight**2 + error_weight**2
     df = (k - 1) * (n - 1) * (rater_weight + error_weight) ** 2 / spread
-    rest = k * ms.raters + (k * n - k - n) * ms.error
+    rest = k * raters + (k * n - k - n) * error
     upper, lower = float(f.ppf(UPPER, n - 1, df)), float(f.ppf(UPPER, df, n - 1))
     return (
-        _ratio(n * (ms.targets - upper * ms.error), upper * rest + n * ms.targets),
-        _ratio(n * (lower * ms.targets - ms.error), rest + n * lower * ms.targets),
+        _ratio(n * (targets - upper * error), upper * rest + n * targets),
+        _ratio(n * (lower * targets - error), rest + n * lower * targets),
     )
 
 

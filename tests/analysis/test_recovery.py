@@ -20,7 +20,7 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from feel321.analysis.agreement import bootstrap_alpha, intraclass, krippendorff_alpha
+from feel321.analysis.agreement import intraclass, krippendorff_alpha
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
@@ -268,7 +268,7 @@ def judge_classics(
     icc = intraclass(study.table)
     for name, wanted in {**truth.reliability, **step_up(truth.reliability, plant.people)}.items():
         yield name, getattr(icc, f"{name}_low") <= wanted <= getattr(icc, f"{name}_high")
-    alpha = bootstrap_alpha(study.table, groups=study.recordings, draws=DRAWS, rng=rng)
+    alpha = krippendorff_alpha(study.table, groups=study.recordings, draws=DRAWS, rng=rng)
     yield "alpha, other people too", alpha.low <= truth.reliability["icc_a_1"] <= alpha.high
 
 
@@ -284,7 +284,7 @@ def step_up(single: dict[str, float], k: int) -> dict[str, float]:
 def judge_alpha(plant: Plant, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
     people = make_people(plant, rng)
     study = simulate(plant, rng, people=people)
-    found = bootstrap_alpha(study.table, groups=study.recordings, draws=DRAWS, rng=rng)
+    found = krippendorff_alpha(study.table, groups=study.recordings, draws=DRAWS, rng=rng)
     wanted = krippendorff_alpha(simulate(replace(plant, recordings=300), rng, people=people).table)
     yield "alpha, these people", found.low <= wanted <= found.high
 

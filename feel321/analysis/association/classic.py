@@ -1,7 +1,6 @@
 """Classic tests, for comparison with the literature: two correlations that share a variable, and repeated measures."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,21 +53,6 @@ class Dependent(Result):
     zou_low: float
     zou_high: float
     notes: tuple[str, ...] = ()
-
-
-class _Triple(NamedTuple):
-    """The correlations of j with k and with h, of k with h, and the number of cases."""
-
-    first: float
-    second: float
-    between: float
-    n: int
-
-    @property
-    def determinant(self) -> float:
-        """Of the three variables' correlation matrix; negative where no three variables correlate so."""
-        squares = self.first**2 + self.second**2 + self.between**2
-        return 1 - squares + 2 * self.first * self.second * self.between
 
 
 def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependent:  # noqa: PLR0917 - the order of cocor
@@ -129,71 +113,60 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependen
     """
     from scipy.stats import t
 
-    given = _Triple(float(r_jk), float(r_jh), float(r_kh), int(n) if np.isfinite(n) else 0)
-    _check_triple(given, n)
-    williams = _williams(given)
-    steiger = meng = zou_low = zou_high = float("nan")
-    notes = []
-    if max(abs(given.first), abs(given.second)) < PERFECT:
-        steiger, meng = _steiger(given), _meng(given)
-        zou_low, zou_high = _zou(given)
+    r1, r2, r12 = float(r_jk), float(r_jh), float(r_kh)
+    # Of the three variables' correlation matrix; negative where no three variables correlate so.
+    determinant = 1 - r1**2 - r2**2 - r12**2 + 2 * r1 * r2 * r12
+    _check_triple((r1, r2, r12), n, determinant)
+    n, mean, nan = int(n), (r1 + r2) / 2, float("nan")
+    spread = 2 * (n - 1) / (n - 3) * max(determinant, 0.0) + mean**2 * (1 - r12) ** 3
+    williams, notes = nan, list[str]()
+    if spread > 1 - PERFECT:
+        williams = float((r1 - r2) * np.sqrt((n - 1) * (1 + r12) / spread))
+    steiger = meng = low = high = nan
+    if max(abs(r1), abs(r2)) < PERFECT:
+        steiger, meng = _compare_z(r1, r2, r12, n)
+        low, high = _find_zou(r1, r2, r12, n)
     else:
         notes.append("A perfect correlation has no Fisher's z: no Steiger, Meng or Zou.")
     if np.isnan(williams):
         notes.append("Williams' t is not defined: the three variables determine each other.")
     return Dependent(
-        given.first - given.second, williams, given.n - 3, float(2 * t.sf(abs(williams), given.n - 3)),
-        steiger, find_p(steiger), meng, find_p(meng), zou_low, zou_high, tuple(notes),
+        r1 - r2, williams, n - 3, float(2 * t.sf(abs(williams), n - 3)), steiger, find_p(steiger), meng, find_p(meng),
+        low, high, tuple(notes),
     )  # fmt: skip
 
 
-def _check_triple(given: _Triple, n: float) -> None:
-    for name, value in (("r_jk", given.first), ("r_jh", given.second), ("r_kh", given.between)):
+def _check_triple(given: tuple[float, float, float], n: float, determinant: float) -> None:
+    for name, value in zip(("r_jk", "r_jh", "r_kh"), given, strict=True):
         if not abs(value) <= 1:
             raise ValueError(f"{name} must be -1 to 1, got {value}")
-    if n != given.n or given.n < FEWEST:
+    first, second, between = given
+    if not n >= FEWEST or n != np.floor(n) or np.isinf(n):
         raise ValueError(f"n must be a whole number of cases, {FEWEST} or more, got {n}")
-    if given.between >= PERFECT:
+    if between >= PERFECT:
         raise ValueError(
-            f"r_kh must be below 1, got {given.between}: the two variables compared are one; leave one out"
+            f"r_kh must be below 1, got {between}: the two variables compared are one; leave one out"
         )
-    if given.determinant < PERFECT - 1:
+    if determinant < PERFECT - 1:
         raise ValueError(
-            f"r_kh must be possible with r_jk {given.first} and r_jh {given.second}, got {given.between}: no three "
-            f"variables correlate like that (determinant {given.determinant:.3g}); take all three from the same cases"
+            f"r_kh must be possible with r_jk {first} and r_jh {second}, got {between}: no three "
+            f"variables correlate like that (determinant {determinant:.3g}); take all three from the same cases"
         )
 
 
-def _williams(given: _Triple) -> float:
-    n, mean = given.n, (given.first + given.second) / 2
-    spread = (
-        2 * (n - 1) / (n - 3) * max(given.determinant, 0.0) + mean**2 * (1 - given.between) ** 3
-    )
-    if spread <= 1 - PERFECT:
-        return float("nan")
-    return float((given.first - given.second) * np.sqrt((n - 1) * (1 + given.between) / spread))
-
-
-def _subtract_z(given: _Triple) -> float:
-    return float(np.arctanh(given.first) - np.arctanh(given.second))
-
-
-def _steiger(given: _Triple) -> float:
-    r12, square = given.between, ((given.first + given.second) / 2) ** 2
+def _compare_z(r1: float, r2: float, r12: float, n: int) -> tuple[float, float]:  # noqa: PLR0917 - as in the formulas
+    """Compute Steiger's and Meng's z."""
+    apart, square = float(np.arctanh(r1) - np.arctanh(r2)), ((r1 + r2) / 2) ** 2
     covariance = r12 * (1 - 2 * square) - square * (1 - 2 * square - r12**2) / 2
-    spread = 2 - 2 * covariance / (1 - square) ** 2
-    return _subtract_z(given) * float(np.sqrt((given.n - 3) / spread))
+    steiger = apart * float(np.sqrt((n - 3) / (2 - 2 * covariance / (1 - square) ** 2)))
+    q = (r1**2 + r2**2) / 2
+    f = min(1.0, (1 - r12) / (2 * (1 - q)))
+    h = (1 - f * q) / (1 - q)
+    return steiger, apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
 
 
-def _meng(given: _Triple) -> float:
-    square = (given.first**2 + given.second**2) / 2
-    f = min(1.0, (1 - given.between) / (2 * (1 - square)))
-    h = (1 - f * square) / (1 - square)
-    return _subtract_z(given) * float(np.sqrt((given.n - 3) / (2 * (1 - given.between) * h)))
-
-
-def _zou(given: _Triple) -> tuple[float, float]:
-    r1, r2, r12, n = given
+def _find_zou(r1: float, r2: float, r12: float, n: int) -> tuple[float, float]:  # noqa: PLR0917 - as in the formulas
+    """Compute the ends of Zou's interval."""
     (low1, high1), (low2, high2) = (fisher_interval(r, n - 3) for r in (r1, r2))
     c = ((r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3) / ((1 - r1**2) * (1 - r2**2))
 
@@ -280,6 +253,8 @@ def repeated_measures_correlation(
     >>> round(result.r, 3), result.df, round(result.p, 4)
     (0.987, 3, 0.0018)
     """
+    from scipy.stats import t
+
     if is_tidy(x) and isinstance(y, str):
         rows, _ = open_tests(x, (y,))
         x, y, participant = rows[y].to_numpy(), rows["rating"].to_numpy(), rows["participant"]
@@ -290,18 +265,19 @@ def repeated_measures_correlation(
         raise ValueError(
             f"participant must have at least participants + 2 rows, got {n} rows of {n_participants} participants"
         )
-    inside = [_remove_means(values, number) for values in (first, second)]
-    if flat := [name for name, values in zip("xy", inside, strict=True) if not values.any()]:
+    one, other = (_remove_means(values, number) for values in (first, second))
+    if flat := [name for name, values in (("x", one), ("y", other)) if not values.any()]:
         nan, note = float("nan"), f"No correlation: {flat[0]} does not vary within any participant."
         return RepeatedMeasures(nan, df, nan, nan, nan, n, n_participants, (note,))
-    one, other = inside
     r = float(np.clip(one @ other / np.sqrt((one @ one) * (other @ other)), -1, 1))
     low, high = fisher_interval(r, df - 1)
+    p = 0.0 if abs(r) >= PERFECT else float(2 * t.sf(abs(r) * np.sqrt(df / (1 - r**2)), df))
     missing = (
         "No interval: the correlation is perfect, or fewer than 2 degrees of freedom are left."
     )
-    notes = (missing,) if np.isnan(low) else ()
-    return RepeatedMeasures(r, df, _find_p(r, df), low, high, n, n_participants, notes)
+    return RepeatedMeasures(
+        r, df, p, low, high, n, n_participants, (missing,) if np.isnan(low) else ()
+    )
 
 
 def _read_rows(
@@ -325,11 +301,3 @@ def _remove_means(values: Values, number: NDArray[np.intp]) -> Values:
     rest = values - (np.bincount(number, values) / np.bincount(number))[number]
     flat = (rest**2).sum() <= FLAT * (values**2).sum()
     return np.zeros_like(rest) if flat else rest
-
-
-def _find_p(r: float, df: int) -> float:
-    from scipy.stats import t
-
-    if abs(r) >= PERFECT:
-        return 0.0
-    return float(2 * t.sf(abs(r) * np.sqrt(df / (1 - r**2)), df))

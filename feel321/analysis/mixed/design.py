@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
     from pandas import DataFrame
@@ -226,6 +226,8 @@ class Expanded(NamedTuple):
 
 def _expand(text: str, data: DataFrame, what: str) -> Expanded:
     """Write out a sum of columns of numbers without formulaic, which takes a tenth of a fit; all else with it."""
+    if text == "1":
+        return Expanded(("(Intercept)",), np.ones((len(data), 1)))
     first, *rest = text.split(" + ")
     pieces = rest if first in {"0", "1"} else [first, *rest]
     names = [piece.strip("`") for piece in pieces if re.fullmatch(NAME, piece)]
@@ -297,6 +299,8 @@ def _write_python(text: str) -> str:
 def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
     """Build one factor per group, holding all its terms, because their levels are the same."""
     merged: dict[str, Factor] = {}
+    groups = dict.fromkeys(name for bracket in parsed.random for name in bracket.group)
+    known = {name: _number_levels(data, name) for name in groups}
     for bracket in parsed.random:
         name, what = bracket.name, f"the random effects over {bracket.name}"
         parts = _split_effects(bracket.effects) if bracket.independent else [bracket.effects]
@@ -305,7 +309,7 @@ def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
             raise ValueError(
                 f"formula must have an effect such as 1, x or 0 + x in ({bracket.effects} | {name}), got none"
             )
-        before = merged.get(name) or Factor(name, *_read_levels(bracket, data), ())
+        before = merged.get(name) or Factor(name, *_read_levels(bracket, known), ())
         merged[name] = replace(before, terms=(*before.terms, *terms))
     for factor in merged.values():
         _check_factor(factor)
@@ -330,23 +334,30 @@ def _split_effects(effects: str) -> list[str]:
     return [term if term == "1" else f"0 + {term}" for term in terms]
 
 
-def _read_levels(bracket: RandomTerm, data: DataFrame) -> tuple[tuple[str, ...], NDArray[np.intp]]:
-    """Name the observed combinations of a bracket's columns, in their order, and number every row's."""
+def _number_levels(data: DataFrame, name: str) -> tuple[NDArray[np.intp], NDArray[np.object_]]:
+    """Give a number to every row's value of a column, and a name to every number."""
     import pandas as pd
 
-    columns, combined = [], np.zeros(len(data), dtype=np.intp)
-    for name in bracket.group:
-        if name not in data:
-            raise ValueError(
-                f"formula must group by columns of the table ({', '.join(map(str, data.columns))}), got {name!r}"
-            )
-        codes, values = pd.factorize(data[name], sort=True)
-        if (codes < 0).any():
-            raise ValueError(
-                f"data must have a level of {bracket.name} in every row, got rows without; leave them out"
-            )
-        combined = combined * len(values) + codes
-        columns.append((codes, pd.Index(values).astype(str).to_numpy(object)))
+    if name not in data:
+        raise ValueError(
+            f"formula must group by columns of the table ({', '.join(map(str, data.columns))}), got {name!r}"
+        )
+    codes, values = pd.factorize(data[name], sort=True)
+    if (codes < 0).any():
+        raise ValueError(
+            f"data must have a level of {name} in every row, got rows without; leave them out"
+        )
+    return codes, pd.Index(values).astype(str).to_numpy(object)
+
+
+def _read_levels(
+    bracket: RandomTerm, known: Mapping[str, tuple[NDArray[np.intp], NDArray[np.object_]]]
+) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+    """Name the observed combinations of a bracket's columns, in their order, and number every row's."""
+    columns = [known[name] for name in bracket.group]
+    combined = np.zeros(len(columns[0][0]), dtype=np.intp)
+    for codes, names in columns:
+        combined = combined * len(names) + codes
     _, first, index = np.unique(combined, return_index=True, return_inverse=True)
     parts = [names[codes[first]] for codes, names in columns]
     return tuple(":".join(level) for level in zip(*parts, strict=True)), index

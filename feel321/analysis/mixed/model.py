@@ -332,14 +332,24 @@ class Solved(NamedTuple):
 
 
 def solve_design(
-    design: MixedDesign, *, reml: bool = True, penalty: Sequence[str] = (), most_df: float = np.inf
+    design: MixedDesign,
+    *,
+    reml: bool = True,
+    penalty: Sequence[str] = (),
+    most_df: float = np.inf,
+    start: Solved | None = None,
 ) -> Solved:
-    """Minimise a design's deviance."""
+    """Minimise a design's deviance; start: a fit of the same terms to nearly the same data, for speed."""
     profile = optimum.Profile(design, reml=reml, penalty=penalty)
     with optimum.hold_threads(profile.n_random):
-        best = optimum.find_optimum(profile)
+        alike = start is not None and _list_terms(start.profile) == _list_terms(profile)
+        best = optimum.find_optimum(profile, start=start.best.theta if start and alike else None)
         coefficients, _ = optimum.find_coefficients(profile, best)
         return Solved(profile, best, coefficients, find_uncertainty(profile, best, most_df=most_df))
+
+
+def _list_terms(profile: optimum.Profile) -> list[tuple[str, tuple[str, ...]]]:
+    return [(one.name, term.names) for one in profile.design.factors for term in one.terms]
 
 
 def report_fit(formula: str, solved: Solved) -> MixedFit:

@@ -47,6 +47,9 @@ LARGEST = 1e5
 
 PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
 
+NEAR = 0.1
+"""Least spread that a search starts from: at 0 it would rest."""
+
 
 @dataclass(frozen=True)
 class Block:
@@ -402,8 +405,8 @@ def hold_threads(size: int) -> Iterator[None]:
         HELD.release()
 
 
-def find_optimum(profile: Profile) -> State:
-    """Minimise the deviance over theta.
+def find_optimum(profile: Profile, *, start: Samples | None = None) -> State:
+    """Minimise the deviance over theta; start: where a fit to nearly the same data ended.
 
     Notes
     -----
@@ -412,7 +415,10 @@ def find_optimum(profile: Profile) -> State:
     probed at a small positive value, which shows the sign of its derivative in theta², and the search resumed
     where that is lower. The penalty, -2 log (theta s), goes to infinity at 0.
     """
-    best = _descend(profile, profile.diagonal.astype(np.float64))
+    begin = profile.diagonal.astype(np.float64)
+    if start is not None:
+        begin = np.where(profile.diagonal, np.maximum(start, NEAR), start)
+    best = _descend(profile, begin)
     for _ in range(ATTEMPTS):
         resumed = _leave_boundary(profile, best)
         if resumed is None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from feel321.analysis.arrays import read_numbers
-from feel321.analysis.mixed.model import note_zeros
+from feel321.analysis.mixed.model import Solved, note_zeros
 from feel321.analysis.primary.model import IN_MODEL, Primary, Slopes, adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import (
     ITEM,
@@ -67,21 +67,21 @@ class Variant(NamedTuple):
     left: str = ""
     note: str = ""
 
-    def fit(self) -> Fitted:
-        """Fit the slopes."""
+    def fit(self, start: Solved | None = None) -> Fitted:
+        """Fit the slopes; start: a fit to nearly the same cells, for speed."""
         cells = self.make()
-        found = fit_slopes(cells, correlated=self.correlated, reducers=self.reducers)
+        found = fit_slopes(cells, correlated=self.correlated, reducers=self.reducers, start=start)
         table = found.table.reindex(list(cells.metrics))
         return Fitted(
             table, bool(note_zeros(found.solved)), " ".join(found.terms.reductions), found
         )
 
-    def try_to_fit(self, metrics: Sequence[str]) -> Fitted:
+    def try_to_fit(self, metrics: Sequence[str], start: Solved | None = None) -> Fitted:
         """Fit the slopes; NaN and the reason where the rows carry no model."""
         import pandas as pd
 
         try:
-            return self.fit()
+            return self.fit(start)
         except ValueError as error:
             columns = [*ESTIMATED, *STANDARDISED, "tenth", "tenth_low", "tenth_high"]
             index = pd.Index(metrics, name="metric")
@@ -319,8 +319,10 @@ def measure_influence(
             notes.append(f"{what.capitalize()} were not left out in turn: more than {MOST_UNITS}.")
         candidates = leave_out_each(cells, ITEM, find_candidates(cells))
         before = _conclude(whole.slopes, others)
+        solved = None
         for variant in (*leave_out_units(cells), *candidates):
-            fitted = variant.try_to_fit(metrics)
+            fitted = variant.try_to_fit(metrics, solved)
+            solved = fitted.slopes.solved if fitted.slopes else solved
             table = _compare(fitted, whole, before=before, others=others)
             found.append(table.assign(kind=variant.kind, unit=variant.left))
             if variant.kind == REDUCER and fitted.slopes:
