@@ -203,15 +203,6 @@ def test_against_quadratic_programming_in_r(
     assert result.coefficients == pytest.approx(expected[2:], rel=3e-4)
 
 
-def test_an_active_constraint_fits_worse_but_monotonely() -> None:
-    metric = np.linspace(0, 1, 30)
-    votes = (50 + 30 * np.sin(5 * metric))[:, None] + np.array([-3.0, 0, 3])
-    result = p1401(votes, metric)
-    free = np.polynomial.Polynomial.fit(metric, result.mos, 3)(metric)
-    assert ((result.mos - result.mapped) ** 2).sum() > 1.5 * ((result.mos - free) ** 2).sum()
-    assert (np.diff(result.mapped) <= 1e-9).all()
-
-
 def test_out_of_fold_predicts_without_the_group() -> None:
     votes, metric = make_votes()
     groups = np.arange(40) % 5
@@ -232,17 +223,6 @@ def test_of_many_groups_several_are_left_out_together(monkeypatch: pytest.Monkey
     result = p1401(votes, metric, order=1, groups=groups)
     np.testing.assert_array_equal(result.mapped, together.mapped)
     assert "5 groups are left out 3 at a time." in result.notes
-
-
-def test_out_of_fold_flatters_nobody() -> None:
-    inside, outside = [], []
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        votes, metric = rng.normal(50, 10, (24, 5)), rng.uniform(size=24)
-        inside.append(p1401(votes, metric).plcc)
-        outside.append(p1401(votes, metric, groups=np.arange(24) // 4).plcc)
-    assert np.mean(inside) > 0.2
-    assert np.mean(outside) < 0
 
 
 def test_a_left_out_edge_is_not_thrown_off() -> None:
@@ -273,79 +253,31 @@ def test_few_items_are_told_to_take_a_line() -> None:
 GOOD = ([[1, 2], [2, 3], [4, 4], [5, 6], [6, 8]], [1, 2, 3, 4, 5])
 
 
-@pytest.mark.parametrize(
-    ("votes", "metric", "options", "message"),
-    [
-        ([1, 2, 3], [1, 2, 3], {}, "votes must have shape .items, raters., got shape .3,."),
-        ([[1, np.inf]], [1], {}, "votes must be finite, got 1 infinite values, first in row 0"),
-        (
-            [[1, 2], [3, np.nan]],
-            [1, 2],
-            {},
-            "votes must be 2 or more per item, for its confidence interval, got item 1 with 1",
-        ),
-        (GOOD[0], [[1], [2]], {}, "metric must have shape .items,., got shape .2, 1."),
-        (
-            GOOD[0],
-            [1, 2, np.nan, 4, 5],
-            {},
-            "metric must be finite, got 1 missing or infinite values, first in row 2",
-        ),
-        (
-            *GOOD,
-            {"order": 2},
-            "order must be 3 .monotone cubic., 1 .line. or 0 .no mapping., got 2",
-        ),
-        (
-            *GOOD,
-            {"order": 3.0},
-            "order must be 3 .monotone cubic., 1 .line. or 0 .no mapping., got 3.0",
-        ),
-        (
-            *GOOD,
-            {"order": True},
-            "order must be 3 .monotone cubic., 1 .line. or 0 .no mapping., got True",
-        ),
-        ([["a", 1], [2, 3]], [1, 2], {}, "votes must hold numbers, got 'a'"),
-        ([[1, 2], [3]], [1, 2], {}, "votes must hold numbers, got rows of different lengths"),
-        (GOOD[0], [1, "two", 3, 4, 5], {}, "metric must hold numbers, got 'two'"),
-        (GOOD[0], [1, 2], {}, "metric must have one value per item, got 2 values for 5 items"),
-        (GOOD[0][:4], [1, 2, 3, 4], {}, "votes must be of 5 items or more for order 3, got 4"),
-        (
-            GOOD[0],
-            [1, 1, 2, 2, 3],
-            {},
-            "metric must have 4 different values over the items for order 3, got 3",
-        ),
-        (
-            GOOD[0],
-            [7] * 5,
-            {"order": 1},
-            "metric must have 2 different values over the items for order 1, got 1",
-        ),
-        (
-            *GOOD,
-            {"groups": [1, 2]},
-            "groups must hold one group per item, got shape .2,. for 5 items",
-        ),
-        (
-            *GOOD,
-            {"groups": [1, 1, 2, np.nan, np.nan]},
-            "groups must hold one group per item, got 2 items without a group",
-        ),
-        (
-            *GOOD,
-            {"groups": [None, "a", "b", "a", "b"]},
-            "groups must hold one group per item, got 1 items without a group",
-        ),
-        (*GOOD, {"groups": ["a"] * 5}, "groups must be two or more, got the one group a"),
-        (
-            *GOOD,
-            {"groups": list("aabbb")},
-            "metric must have 4 different values over the items outside group a for order 3, got",
-        ),
-    ],
-)
+ORDERS = "order must be 3 .monotone cubic., 1 .line. or 0 .no mapping., got"
+REFUSED = [
+    ([1, 2, 3], [1, 2, 3], {}, "votes must have shape .items, raters., got shape .3,."),
+    ([[1, np.inf]], [1], {}, "votes must be finite, got 1 infinite values, first in row 0"),
+    ([[1, 2], [3, np.nan]], [1, 2], {}, "2 or more per item, .* got item 1 with 1"),
+    (GOOD[0], [[1], [2]], {}, "metric must have shape .items,., got shape .2, 1."),
+    (GOOD[0], [1, 2, np.nan, 4, 5], {}, "metric must be finite, got 1 missing or infinite"),
+    (*GOOD, {"order": 2}, f"{ORDERS} 2"),
+    (*GOOD, {"order": 3.0}, f"{ORDERS} 3.0"),
+    (*GOOD, {"order": True}, f"{ORDERS} True"),
+    ([["a", 1], [2, 3]], [1, 2], {}, "votes must hold numbers, got 'a'"),
+    ([[1, 2], [3]], [1, 2], {}, "votes must hold numbers, got rows of different lengths"),
+    (GOOD[0], [1, "two", 3, 4, 5], {}, "metric must hold numbers, got 'two'"),
+    (GOOD[0], [1, 2], {}, "metric must have one value per item, got 2 values for 5 items"),
+    (GOOD[0][:4], [1, 2, 3, 4], {}, "votes must be of 5 items or more for order 3, got 4"),
+    (GOOD[0], [1, 1, 2, 2, 3], {}, "4 different values over the items for order 3, got 3"),
+    (GOOD[0], [7] * 5, {"order": 1}, "2 different values over the items for order 1, got 1"),
+    (*GOOD, {"groups": [1, 2]}, "one group per item, got shape .2,. for 5 items"),
+    (*GOOD, {"groups": [None, "a", "b", "a", "b"]}, "one group per item, got 1 items without"),
+    (*GOOD, {"groups": ["a"] * 5}, "groups must be two or more, got the one group a"),
+    (*GOOD, {"groups": list("aabbb")}, "4 different values over the items outside group a"),
+]
+
+
+@pytest.mark.parametrize(("votes", "metric", "options", "message"), REFUSED)
 def test_bad_input_is_refused_in_words(
     votes: object, metric: object, options: dict[str, object], message: str
 ) -> None:
@@ -372,14 +304,6 @@ def test_differences_by_their_definitions() -> None:
     assert result.rmse_p == pytest.approx(2 * f.sf(result.rmse_f, 36, 36))
     assert result.rmse_star_limit == pytest.approx(f.ppf(0.95, 40, 40))
     assert result.rmse_star_f == pytest.approx((poor.rmse_star / good.rmse_star) ** 2)
-
-
-def test_order_of_the_metrics_turns_the_signs_only() -> None:
-    good, poor = pair()
-    there, back = compare_p1401(good, poor), compare_p1401(poor, good)
-    assert there.plcc_z == -back.plcc_z > 0
-    assert there.outlier_z == -back.outlier_z
-    assert there.rmse_p == back.rmse_p
 
 
 def test_errors_out_of_fold_have_their_own_freedom() -> None:
