@@ -168,7 +168,8 @@ class Tradeoff(PageResult):
         }  # fmt: skip
         values = {
             "result": self, "choices": list(map(describe_choice, list_rows(self.choices))), "scenes": BATTERY,
-            "reducers": list_reducers(self, tables["points"]), "battery": map_battery(self.verdicts),
+            "frontiers": list_frontiers(tables["points"]), "reducers": list_reducers(self, tables["points"]),
+            "battery": map_battery(self.verdicts),
             "notes": list_notes(self), "fails_db": FAILS_DB, "machine": machine,
             "shortfalls": tabulate_shortfalls(self.verdicts),
         }  # fmt: skip
@@ -312,13 +313,6 @@ def _draw_panel(axes: Axes, points: DataFrame, looks: Mapping[str, style.Look]) 
     for row in list_rows(points):
         place, look = (row["cost_ratio"], row["accuracy"]), looks[row["reducer"]]
         style.plot_marks(axes, place[:1], place[1:], look=look, size=5.5, filled=not row["fails"])
-        if row["on_frontier"]:
-            named: dict[str, Any] = {
-                "fontsize": 6.5,
-                "color": style.GREY,
-                "textcoords": "offset points",
-            }
-            axes.annotate(row["reducer"], place, xytext=(3, 4), **named)
     axes.margins(x=0.12, y=0.1)
     axes.axvline(1.0, color=style.PALE, linewidth=style.THIN, zorder=1)
     low, high = points["cost_ratio"].min() / 2, 2 * points["cost_ratio"].max()
@@ -360,6 +354,15 @@ def describe_choice(one: Mapping[str, Any]) -> dict[str, str]:
         "recording": one["recording"], "answer": answer, "simpler": simpler, "better": better, "close": close,
         "people": said[one["people"]],
     }  # fmt: skip
+
+
+def list_frontiers(points: DataFrame) -> dict[str, str]:
+    """List who is on the frontier, the fastest first: metric -> reducers."""
+    front = points[points["on_frontier"]].sort_values("cost_ratio")
+    return {
+        str(metric): join_words(list(own["reducer"]))
+        for metric, own in front.groupby("metric", sort=False)
+    }
 
 
 def list_reducers(result: Tradeoff, points: DataFrame) -> list[dict[str, Any]]:

@@ -111,40 +111,55 @@ def dft321_filtered(acceleration: ArrayLike, rate_hz: float) -> Samples:
     return admitted.restore(bank.push(admitted.samples))
 
 
+_AT_A_TIME = 8192
+"""Samples whose six bands lie side by side: so few that they stay in the processor's cache."""
+
+
 class FilterBank:
     """The sample by sample form of `dft321_filtered`."""
 
     def __init__(self, batch: tuple[int, ...], rate_hz: float) -> None:
         self._poles = [math.exp(-2 * math.pi * split / rate_hz) for split in SPLITS_HZ]
         tops = (*SPLITS_HZ, math.inf)
-        self._memories = [math.exp(-1 / (max(FASTEST_S, 1 / top) * rate_hz)) for top in tops]
+        memories = [math.exp(-1 / (max(FASTEST_S, 1 / top) * rate_hz)) for top in tops]
+        # Bands that forget alike are filtered in one call.
+        self._memories = {memory: memories.index(memory) for memory in memories}
         self._lows = [np.zeros((*batch, 3, 1)) for _ in SPLITS_HZ]
-        self._energies = [np.zeros((*batch, 2, 1)) for _ in tops]
+        self._energies = {
+            memory: np.zeros((*batch, memories.count(memory), 2, 1)) for memory in memories
+        }
 
     def push(self, samples: Samples) -> Samples:
         """Reduce the next samples, (..., 3, k), to as many of the output, (..., k), without delay."""
+        reduced = np.zeros((*samples.shape[:-2], samples.shape[-1]))
+        for start in range(0, reduced.shape[-1] if samples.size else 0, _AT_A_TIME):
+            place = slice(start, start + _AT_A_TIME)
+            reduced[..., place] = self._push_few(samples[..., place])
+        return reduced
+
+    def _push_few(self, samples: Samples) -> Samples:
         from scipy.signal import lfilter
 
-        reduced = np.zeros((*samples.shape[:-2], samples.shape[-1]))
-        if not samples.size:
-            return reduced
+        *batch, _, k = samples.shape
+        bands = np.empty((*batch, len(SPLITS_HZ) + 1, 3, k))
         below: Samples | float = 0.0
-        for place, memory in enumerate(self._memories):
-            low = samples
-            if place < len(self._poles):
-                pole = self._poles[place]
-                low, self._lows[place] = lfilter(
-                    np.array([1 - pole]), np.array([1.0, -pole]), samples, zi=self._lows[place]
-                )
-            band, below = low - below, low
-            kept = band.sum(axis=-2)
-            powers = np.stack(
-                [np.einsum("...in,...in->...n", band, band), np.square(kept)], axis=-2
+        for place, pole in enumerate(self._poles):
+            low, self._lows[place] = lfilter(
+                np.array([1 - pole]), np.array([1.0, -pole]), samples, zi=self._lows[place]
             )
-            energies, self._energies[place] = lfilter(
-                np.ones(1), np.array([1.0, -memory]), powers, zi=self._energies[place]
+            np.subtract(low, below, out=bands[..., place, :, :])
+            below = low
+        np.subtract(samples, below, out=bands[..., -1, :, :])
+        kept = bands.sum(axis=-2)
+        powers = np.empty((*batch, len(SPLITS_HZ) + 1, 2, k))
+        np.square(bands, out=bands)
+        np.sum(bands, axis=-2, out=powers[..., 0, :])
+        np.square(kept, out=powers[..., 1, :])
+        for memory, first in self._memories.items():
+            state = self._energies[memory]
+            alike = slice(first, first + state.shape[-3])
+            powers[..., alike, :, :], self._energies[memory] = lfilter(
+                np.ones(1), np.array([1.0, -memory]), powers[..., alike, :, :], zi=state
             )
-            del band, powers
-            reduced += kept * match_energy(energies[..., 0, :], energies[..., 1, :])
-            del kept, energies  # or they would lie beside those of the next band
-        return reduced
+        kept *= match_energy(powers[..., 0, :], powers[..., 1, :])
+        return np.asarray(kept.sum(axis=-2))

@@ -22,7 +22,6 @@ from feel321.stimuli.match import temporal_match
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
-from feel321.stimuli.rivals.envelope import modulation_distance
 from feel321.stimuli.rotation import INVARIANTS
 from feel321.stimuli.sets.anchors import felt_level
 from feel321.stimuli.synthesis import make_scene
@@ -72,7 +71,7 @@ def test_numbers_are_those_of_the_public_functions(
         "level_db": to_db(level**2),
         "spectrum_db": -to_db(INVARIANTS["spectral_match"](*given)),
         "motion_db": -to_db(INVARIANTS["temporal_match"](*given) ** 2),
-        "envelope_db": 2 * to_db(1 + modulation_distance(*given)),
+        "envelope_db": 2 * to_db(1 + METRICS["modulation_distance"](*given)),
     }
     found = {measure: read(own, name, "as recorded", measure) for measure in expected}
     assert found == pytest.approx(expected, abs=1e-8)
