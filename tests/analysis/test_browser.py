@@ -128,7 +128,7 @@ def test_flags_stand_in_words_on_their_stimulus_and_in_the_first_sentence(
     planted = {0: {"spectral_match": -2.0}, 1: {"clipped": 7}, 6: {"sensation_level_db": -3.0}}
     rows = [replace(row, **planted.get(i, {})) for i, row in enumerate(built)]
     details = {"recipe": {"threshold": "contactor", "full_scale_m_s2": 100.0}}
-    write_manifest(folder, rows, head=details, tables={})
+    write_manifest(folder, rows, details=details)
     shown = read_rows(write_stimulus_page(folder))  # the set changed, so its page follows
     words = {
         row.stimulus_id: re.findall(r'class="flag">. ([^<]*)<', shown[row.stimulus_id])
@@ -142,7 +142,7 @@ def test_flags_stand_in_words_on_their_stimulus_and_in_the_first_sentence(
     lead = "3 of 20 stimuli are flagged: 1 spectral match below −1, 1 below threshold, 1 clipped."
     assert lead in (folder / "index.html").read_text(encoding="utf-8")
     rows = [replace(row, sensation_level_db=np.nan, spectral_match=0.0) for row in built]
-    write_manifest(folder, rows, head=details, tables={})
+    write_manifest(folder, rows, details=details)
     lead = (
         "None of 20 stimuli is flagged: none is clipped. Level over threshold not known: 20 of 20."
     )
@@ -299,7 +299,7 @@ def test_five_hundred_stimuli_fit_on_a_page(built: StimulusSet, tmp_path: Path) 
         for row in built
     ]  # fmt: skip
     details = {"recipe": {"threshold": "contactor", "full_scale_m_s2": 100.0}}
-    write_manifest(folder, rows, head=details, tables={})
+    write_manifest(folder, rows, details=details)
     page = write_stimulus_page(folder)
     assert page.stat().st_size < 5_000_000
     document, console = open_page(page, tmp_path / "profile")

@@ -202,7 +202,7 @@ def test_recordings_are_open_only_while_they_are_used(tmp_path: Path) -> None:
     assert check_study(study).problems == ()
     build_study(study, page=False)
     opened = [int(line) for line in (tmp_path / "corpus" / "open.txt").read_text().split()]
-    assert len(opened) == 8 + 2 * 8  # by check, and by both rounds of build
+    assert len(opened) == 8 + 8  # by check, and by the first round of build
     assert max(opened) <= 2  # threads of one process
 
 
