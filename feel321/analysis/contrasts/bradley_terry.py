@@ -194,13 +194,7 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     wins = duels.wins + prior
     _check_separation(duels, wins)
     design, names = _build_design(duels, duels.items.index(base), order_effect=order_effect)
-    beta, curvature, astray = _fit_many(wins[None], design)
-    if astray[0]:
-        worst = names[int(np.abs(beta[0]).argmax())]
-        raise ValueError(
-            f"pairs must have no separation, but the estimate of '{worst}' runs away; use prior=0.5"
-        )
-    errors = np.sqrt(np.linalg.inv(curvature[0]).diagonal())
+    beta, errors = _fit_one(wins, design, names)
     notes = [f"{duels.n_ties} ties count half a win for each."] if duels.n_ties else []
     if prior:
         notes.append(
@@ -214,12 +208,23 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
         freedom, source = people.max(), "95 % bootstrap interval over raters"
         errors, more = _find_errors(drawn, int(freedom) + 1)
         notes += more
-    deviance, likelihood = _judge_fit(wins, design @ beta[0])
+    deviance, likelihood = _judge_fit(wins, design @ beta)
     return BradleyTerry(
-        fixed=_tabulate(beta[0], errors, names=names, reference=base, freedom=float(freedom)), deviance=deviance,
+        fixed=_tabulate(beta, errors, names=names, reference=base, freedom=float(freedom)), deviance=deviance,
         df=len(wins) - len(names), log_likelihood=likelihood, reference=base, n_comparisons=float(duels.wins.sum()),
         n_ties=duels.n_ties, uncertainty=source, notes=tuple(notes),
     )  # fmt: skip
+
+
+def _fit_one(wins: Values, design: Values, names: list[str]) -> tuple[Values, Values]:
+    """Estimate log odds and their standard errors, comparisons taken for independent."""
+    beta, curvature, astray = _fit_many(wins[None], design)
+    if astray[0]:
+        worst = names[int(np.abs(beta[0]).argmax())]
+        raise ValueError(
+            f"pairs must have no separation, but the estimate of '{worst}' runs away; use prior=0.5"
+        )
+    return beta[0], np.sqrt(np.linalg.inv(curvature[0]).diagonal())
 
 
 def _judge_fit(wins: Values, odds: Values) -> tuple[float, float]:

@@ -58,8 +58,7 @@ TESTED = ("se", "df", "t", "p", "low", "high")
 CENTRED = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED if name != "t"}}
 """Column of an estimate -> that of the slope which is centred on recordings and on reducers."""
 
-NONE = float("nan")
-IN_MODEL = "in_model"
+NONE, IN_MODEL = float("nan"), "in_model"
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -197,8 +196,7 @@ class Primary(Result):
             "",
         ])
         if folder is not None:
-            place = as_path(folder, "folder")
-            make_folder(place)
+            make_folder(place := as_path(folder, "folder"))
             write_text(place / "model.csv", self.model_frame.to_csv(index=False, na_rep="NA"))
             write_text(place / "model.R", text)
         return text
