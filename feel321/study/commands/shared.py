@@ -14,11 +14,11 @@ from cyclopts import CycloptsError, Parameter, Token
 
 from feel321 import files
 from feel321.doors import announcing, clean_text, follow
-from feel321.jobs import Workers
 from feel321.study.folder import require_study
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
+    from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.build import Facts
     from feel321.study.folder import StudyFolder
@@ -130,8 +130,10 @@ class Crew:
     workers: Annotated[int, within(1, 1024)] = 1
     scheduler: Annotated[str, Parameter(metavar="ADDRESS")] = ""
 
-    def employ(self) -> Workers:
+    def employ(self) -> "Workers":
         """Employ the workers."""
+        from feel321.jobs import Workers
+
         try:
             return Workers(self.workers, self.scheduler)
         except ValueError as error:

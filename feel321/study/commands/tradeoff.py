@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from feel321.jobs import Workers
 from feel321.study.commands import shared
 from feel321.study.commands.shared import ALONE, Crew, File, Json, Number, Out, Seed, within
 from feel321.study.folder import StudyFolder, require_study
@@ -14,6 +13,7 @@ from feel321.study.folder import StudyFolder, require_study
 if TYPE_CHECKING:
     from feel321.analysis.tradeoff.judge import Context
     from feel321.analysis.tradeoff.page import Tradeoff
+    from feel321.jobs import Workers
     from feel321.study.settings.schema import Settings
     from feel321.types import Metric, Reducer
 
@@ -107,7 +107,7 @@ def _compare(  # noqa: PLR0913 - one per choice
     thorough: bool,
     axes: int,
     seed: int | None,
-    workers: Workers,
+    workers: "Workers",
     progress: Callable[[int, int], None],
 ) -> "Tradeoff":
     """Gather recordings, the lab's own methods and ratings; measure, and judge."""
