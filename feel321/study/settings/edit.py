@@ -47,7 +47,8 @@ def _put(table: Any, key: str, item: Item | None) -> None:  # noqa: ANN401 - any
     if item is None:
         table.pop(key, None)
         return
-    before, tail = table.get(key), []
+    before = table.get(key)
+    tail: list[Any] = []
     if isinstance(before, Item):
         item.trivia.comment, item.trivia.comment_ws = (
             before.trivia.comment,
@@ -71,7 +72,8 @@ def _as_toml(name: str, value: object) -> Item:
         raise ValueError(
             f"{name} must be text, a number, true or false, or a list or table of these; got {describe(value)}"
         ) from None
-    return tomlkit.item(json.loads(plain))
+    item: Item = tomlkit.item(json.loads(plain))
+    return item
 
 
 def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
