@@ -2,7 +2,8 @@
 # The stamps in .venv are older than pyproject.toml or constraints.txt exactly when something is to be installed.
 
 PYTHON := .venv/bin/python
-PIP := $(PYTHON) -m pip install --disable-pip-version-check -q -c constraints.txt
+# Bytecode is made when a module is first imported: of all that is installed it would take as long as the installation.
+PIP := $(PYTHON) -m pip install --disable-pip-version-check --no-compile -q -c constraints.txt
 PACKAGE := feel321
 EXTRAS := dev docs rig ide cluster lsl
 comma := ,
