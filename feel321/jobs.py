@@ -158,12 +158,12 @@ def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
         client.wait_for_workers(1, timeout=PATIENCE_S)
     except (OSError, TypeError, ValueError) as error:
         raise OSError(f"{address}: no Dask cluster answers ({error}); {AGAIN}") from None
-    crew, versions = client.get_executor(), _find_versions()  # type: ignore[no-untyped-call]  # likewise
+    crew, versions = client.get_executor(), _find_versions()  # type: ignore[no-untyped-call]  # distributed's types
     try:
         for place, (result, failure) in _keep_busy(
             jobs,
             lambda place, job: crew.submit(_do_there, place, _pack(job), versions),
-            count_threads=lambda: sum(client.nthreads().values()),  # type: ignore[no-untyped-call]  # likewise
+            count_threads=lambda: sum(client.nthreads().values()),  # type: ignore[no-untyped-call]  # distributed's types
         ):
             if failure is not None:
                 raise failure

@@ -314,23 +314,7 @@ def compute_maps(table: Table, choices: Choices) -> Found:
         for group in groups:
             _list_group(group, level, found)
             pictures += _draw(group, level)
-        for row in agreement:
-            keys: Row = {
-                "level": level,
-                "kind": row["kind"],
-                "group": row["first"],
-                "second_group": row["second"],
-            }
-            found["maps_agreement"].append(
-                make_row(
-                    "procrustes",
-                    row["correlation"],
-                    p=row["p"],
-                    n=row["n"],
-                    note=f"{row['permutations']} pairings",
-                    **keys,
-                )
-            )
+        found["maps_agreement"] += [_list_agreement(row, level) for row in agreement]
         try:
             points = maps.gather_points(own, table.stimuli, groups[0], rng=rng)
             attributes = list(maps.regress_points(points, draws=min(choices.draws, 1000), rng=rng))
@@ -343,6 +327,12 @@ def compute_maps(table: Table, choices: Choices) -> Found:
         told.append({"level": level, "agreement": list(_find_least(agreement)), "attributes": attributes,
                      "clear": [row for row in attributes if row["p_holm"] < SIGNIFICANCE]})  # fmt: skip
     return Found(found, {"parts": told} if told else {}, pictures, notes)
+
+
+def _list_agreement(row: Row, level: str) -> Row:
+    keys: Row = {key: row[key] for key in ("kind", "p", "n")}
+    keys |= {"level": level, "group": row["first"], "second_group": row["second"]}
+    return make_row("procrustes", row["correlation"], note=f"{row['permutations']} pairings", **keys)
 
 
 def _list_group(group: maps.GroupMap, level: str, found: dict[str, list[Row]]) -> None:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
@@ -51,7 +52,7 @@ def make_row(quantity: str, value: Any = NONE, **more: Any) -> Row:  # noqa: ANN
     return row | {"n": int(row["n"])}
 
 
-def count_rows(sizes: Mapping[str, float], **keys: Any) -> list[Row]:  # noqa: ANN401 - as above
+def count_rows(sizes: Mapping[str, float], **keys: Any) -> list[Row]:  # noqa: ANN401 - keys are names and numbers
     """Make a row for each count."""
     return [make_row(name, size, **keys) for name, size in sizes.items()]
 
@@ -274,3 +275,40 @@ def name_ratings(scale: str, level: str) -> str:
 def name_subject(scale: str, level: str) -> str:
     """Name a scale and level at the head of a line."""
     return capitalise(format_name(scale)) + (f" (level {format_name(level)})" if level else "")
+
+
+FIELDS = {
+    "quantity": "what the number is",
+    "value": "the number",
+    "low": "lower end of the interval",
+    "high": "upper end of the interval",
+    "p": "probability, adjusted where the quantity says so",
+    "n": "how many judgements, stimuli or participants it rests on",
+    "interval": "kind of interval",
+    "note": "a word in the place of a number, or what is unusual",
+    "status": "confirmatory or exploratory",
+}
+
+
+KINDS = dict.fromkeys(("value", "low", "high", "p"), "number") | {"n": "integer"}
+
+
+def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
+    """Describe every column and every quantity of every table."""
+    import pandas as pd
+
+    forms = {form.name: form for section in sections for form in section.tables}
+    rows = []
+    for name, frame in frames.items():
+        heads = forms[name].keys if name in forms else {}
+        known = {one.quantity: one.meaning for one in forms[name].columns} if name in forms else {}
+        for column in map(str, frame):
+            kind = KINDS.get(column, "text")
+            meaning = FIELDS.get(
+                column, heads.get(column, column.replace("_", " ")).lstrip("?").lower()
+            )
+            rows.append([f"{name}.csv", column, "", kind, meaning])
+        for quantity in frame["quantity"].unique():
+            meaning = known.get(quantity) or quantity.replace("_", " ")
+            rows.append([f"{name}.csv", "value", quantity, "number", meaning])
+    return pd.DataFrame(rows, columns=["file", "column", "quantity", "type", "meaning"])

@@ -36,6 +36,7 @@ from feel321.analysis.report.section import (
     Row,
     Section,
     count_rows,
+    describe_tables,
     name_pictures,
     show_tables,
 )
@@ -569,40 +570,3 @@ def _show(section: Section, results: Results, found: Found) -> dict[str, Any]:
         "tables": list(show_tables(section, found)), "front": section.front,
         "confirmatory": sum(one["status"] == words.CONFIRMATORY for one in verdicts),
     }  # fmt: skip
-
-
-FIELDS = {
-    "quantity": "what the number is",
-    "value": "the number",
-    "low": "lower end of the interval",
-    "high": "upper end of the interval",
-    "p": "probability, adjusted where the quantity says so",
-    "n": "how many judgements, stimuli or participants it rests on",
-    "interval": "kind of interval",
-    "note": "a word in the place of a number, or what is unusual",
-    "status": "confirmatory or exploratory",
-}
-
-
-KINDS = dict.fromkeys(("value", "low", "high", "p"), "number") | {"n": "integer"}
-
-
-def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
-    """Describe every column and every quantity of every table."""
-    import pandas as pd
-
-    forms = {form.name: form for section in sections for form in section.tables}
-    rows = []
-    for name, frame in frames.items():
-        heads = forms[name].keys if name in forms else {}
-        known = {one.quantity: one.meaning for one in forms[name].columns} if name in forms else {}
-        for column in map(str, frame):
-            kind = KINDS.get(column, "text")
-            meaning = FIELDS.get(
-                column, heads.get(column, column.replace("_", " ")).lstrip("?").lower()
-            )
-            rows.append([f"{name}.csv", column, "", kind, meaning])
-        for quantity in frame["quantity"].unique():
-            meaning = known.get(quantity) or quantity.replace("_", " ")
-            rows.append([f"{name}.csv", "value", quantity, "number", meaning])
-    return pd.DataFrame(rows, columns=["file", "column", "quantity", "type", "meaning"])

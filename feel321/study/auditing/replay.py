@@ -140,14 +140,14 @@ class _Tape:
             return told
         raise ValueError(f"holds {told.event!r} where {due} is due")
 
-    def show_page(self, page: Page, place: ports.Place) -> ports.Confirm:  # noqa: ARG002 - the port
+    def show_page(self, page: Page, place: ports.Place) -> ports.Confirm:  # noqa: ARG002 - the form of a presenter
         self._page = f"page {page.key!r}"
         if page.key == "pause":
             return ports.Confirm(self._expect(events.TrialContinued, self._page).time_s, {})
         told = self._expect(events.PageRead, self._page)
         return ports.Confirm(told.time_s, {}, told.stood_s)
 
-    def show_question(self, question: Question, place: ports.Place) -> ports.Confirm:  # noqa: ARG002 - the port
+    def show_question(self, question: Question, place: ports.Place) -> ports.Confirm:  # noqa: ARG002 - the form of a presenter
         """Give the answer that was given; of one that is kept apart, any that could be."""
         self._page = f"question {question.name!r}"
         told = self._expect(events.QuestionAnswered, self._page)
@@ -162,7 +162,7 @@ class _Tape:
     def keep(self, *_: object) -> str:
         return str(getattr(self._paper.look(), "sha256", ""))
 
-    def show_trial(self, trial: Trial, scale: Scale, place: ports.Place) -> None:  # noqa: ARG002 - the port
+    def show_trial(self, trial: Trial, scale: Scale, place: ports.Place) -> None:  # noqa: ARG002 - the form of a presenter
         self._page, self._attempt = "", events.Attempt(trial, place.attempt)
         self._played.clear()
 
@@ -237,7 +237,7 @@ class _Tape:
         given = {part: sure for part in trial.judged if part not in told.parts}
         return ports.Confirm(told.time_s, given)
 
-    def refuse(self, reason: str, parts: Iterable[str]) -> None:  # noqa: ARG002 - the port
+    def refuse(self, reason: str, parts: Iterable[str]) -> None:  # noqa: ARG002 - the form of a presenter
         """Hear that an act is refused: what stands in the journal was taken."""
         if self._page:
             raise ValueError(f"leaves {self._page}, which is not left so ({reason})")

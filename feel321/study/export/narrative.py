@@ -102,9 +102,11 @@ def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bo
     certificates, unknown = find_used(study)
     protocols = [task.protocol for task in make_design(settings, study.path).tasks]
     usual = {name: f"[{name}]" for name in ("metrics", "draws", "seed", "margin")}
-    # The text is Markdown, so nothing is escaped.
-    pages = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)  # noqa: S701
-    template = pages.from_string((files(__package__) / "methods.md").read_text(encoding="utf-8"))
+    pages = Environment(  # noqa: S701 - the text is Markdown, in which nothing is escaped
+        undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True
+    )
+    own = Path(__file__).with_name("methods.md")
+    template = pages.from_string(own.read_bytes().decode("utf-8"))
     return template.render(
         count=_count,
         median=median,
