@@ -332,7 +332,9 @@ def compute_maps(table: Table, choices: Choices) -> Found:
 def _list_agreement(row: Row, level: str) -> Row:
     keys: Row = {key: row[key] for key in ("kind", "p", "n")}
     keys |= {"level": level, "group": row["first"], "second_group": row["second"]}
-    return make_row("procrustes", row["correlation"], note=f"{row['permutations']} pairings", **keys)
+    return make_row(
+        "procrustes", row["correlation"], note=f"{row['permutations']} pairings", **keys
+    )
 
 
 def _list_group(group: maps.GroupMap, level: str, found: dict[str, list[Row]]) -> None:

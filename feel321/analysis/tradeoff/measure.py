@@ -118,7 +118,7 @@ QUICK = Effort(longest_s=2.0, mountings=8, draws=2, rounds=5, takes=0)
 THOROUGH = Effort(longest_s=math.inf, mountings=24, draws=8, rounds=15, takes=8)
 
 
-class Trial(NamedTuple):
+class Scope(NamedTuple):
     """What is tried out on every recording."""
 
     candidates: Sequence[Candidate]
@@ -192,12 +192,12 @@ def measure_tradeoff(  # noqa: PLR0913 - every choice that changes the numbers h
     if not chosen:
         raise ValueError("reducers must be one or more, got none; leave them out to take all")
     candidates = list_candidates(chosen, windows_ms=windows_ms, axes=axes)
-    trial = Trial(
+    scope = Scope(
         candidates, METRICS.choose(metrics), THOROUGH if thorough else QUICK, as_seed(rng)
     )
-    jobs: list[Job] = [(measure_recording, (one, trial), {}) for one in known]
+    jobs: list[Job] = [(measure_recording, (one, scope), {}) for one in known]
     if thorough:
-        jobs += [(_measure_scene, (name, trial), {}) for name in BATTERY]
+        jobs += [(_measure_scene, (name, scope), {}) for name in BATTERY]
     steps, total = count(1), len(jobs) + len(known)
     # Threads of the linear algebra would be timed with the reducers.
     with follow(progress, "tradeoff") as tick, threadpool_limits(limits=1):
@@ -205,7 +205,7 @@ def measure_tradeoff(  # noqa: PLR0913 - every choice that changes the numbers h
             jobs, workers=as_workers(workers), done=lambda: tick(next(steps), total)
         )
         rows = [row for own in found for row in own]
-        rows += _measure_costs(known, trial, tick=lambda: tick(next(steps), total))
+        rows += _measure_costs(known, scope, tick=lambda: tick(next(steps), total))
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
@@ -236,7 +236,7 @@ def make_row(place: Place, measure: str, values: object, *, kind: str = "recordi
     return dict(zip(COLUMNS, row, strict=True))
 
 
-def measure_recording(recording: Recording, trial: Trial) -> list[Row]:
+def measure_recording(recording: Recording, scope: Scope) -> list[Row]:
     """Measure all that takes no time: properties of a recording, and what every reducer makes of it."""
     announce(recording.name)
     about = (recording.name, "", RECORDED)
@@ -248,11 +248,11 @@ def measure_recording(recording: Recording, trial: Trial) -> list[Row]:
     ]
     if felt == 0 or recording.duration_s < SHORTEST_S:
         return rows
-    piece = take_strongest(recording, trial.effort.longest_s)
+    piece = take_strongest(recording, scope.effort.longest_s)
     found = {"used_s": piece.duration_s, **find_properties(piece.acceleration)}
     rows += [make_row(about, *one) for one in found.items()]
-    stage = Stage(piece, trial)
-    for candidate in trial.candidates:
+    stage = Stage(piece, scope)
+    for candidate in scope.candidates:
         needs = find_needs(candidate, n_samples=piece.n_samples, rate_hz=piece.rate_hz)
         rows += [make_row((piece.name, candidate.name, ""), *one) for one in needs.items()]
         for condition, scores in stage.try_out(candidate):
@@ -371,11 +371,11 @@ def to_db(ratio: float) -> float:
 class Stage:
     """A recording and all that is done to it, made once for all reducers."""
 
-    def __init__(self, recording: Recording, trial: Trial) -> None:
+    def __init__(self, recording: Recording, scope: Scope) -> None:
         samples, self._rate_hz = recording.acceleration, recording.rate_hz
-        effort = trial.effort
-        rng = np.random.default_rng([trial.seed, zlib.crc32(recording.name.encode())])
-        self._whole = Reference(samples, self._rate_hz, trial.metrics)
+        effort = scope.effort
+        rng = np.random.default_rng([scope.seed, zlib.crc32(recording.name.encode())])
+        self._whole = Reference(samples, self._rate_hz, scope.metrics)
         middle = samples.shape[-1] // 2
         self._halves = {}
         for name, half in zip(HALVES, np.split(samples[:, : 2 * middle], 2, axis=1), strict=True):
@@ -501,14 +501,14 @@ def _clip(samples: Samples) -> Samples:
     return np.clip(samples, -high, high)
 
 
-def _measure_scene(name: str, trial: Trial) -> list[Row]:
+def _measure_scene(name: str, scope: Scope) -> list[Row]:
     """Measure takes of a scene of the battery: the median over them."""
     import pandas as pd
 
     takes = []
-    for take in range(trial.effort.takes):
-        seed = 1000 * trial.seed + take
-        own = trial._replace(effort=QUICK, seed=seed)
+    for take in range(scope.effort.takes):
+        seed = 1000 * scope.seed + take
+        own = scope._replace(effort=QUICK, seed=seed)
         takes.append(pd.DataFrame(measure_recording(BATTERY[name].make(seed), own)))
     groups = pd.concat(takes).groupby(list(COLUMNS[1:5]), sort=False, as_index=False)
     found = groups[["value", "low", "high"]].median().assign(kind="battery", n=len(takes))
@@ -516,10 +516,10 @@ def _measure_scene(name: str, trial: Trial) -> list[Row]:
 
 
 def _measure_costs(
-    recordings: Sequence[Recording], trial: Trial, *, tick: Callable[[], None]
+    recordings: Sequence[Recording], scope: Scope, *, tick: Callable[[], None]
 ) -> list[Row]:
     """Time reducers on each recording, those of one length and rate together, and streams block by block."""
-    rng, effort = np.random.default_rng(trial.seed), trial.effort
+    rng, effort = np.random.default_rng(scope.seed), scope.effort
     rows: list[Row] = []
     alike: dict[tuple[int, float], list[Recording]] = {}
     for recording in recordings:
@@ -528,7 +528,7 @@ def _measure_costs(
     for pieces in alike.values():
         announce(f"speed on {pieces[0].name}")
         for candidate, times in time_reducers(
-            trial.candidates, pieces[0], rounds=effort.rounds, rng=rng
+            scope.candidates, pieces[0], rounds=effort.rounds, rng=rng
         ):
             for measure, (median, low, high) in times.items():
                 own = {"low": low, "high": high, "n": effort.rounds}
@@ -537,7 +537,7 @@ def _measure_costs(
         for _ in pieces:
             tick()
     announce("speed of streams")
-    for candidate in trial.candidates:
+    for candidate in scope.candidates:
         times_us = time_stream(candidate, rng)
         if times_us is not None:
             median, p99 = np.quantile(times_us, (0.5, 0.99)).tolist()

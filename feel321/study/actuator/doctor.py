@@ -122,10 +122,8 @@ def examine_rig(
     sensor = None  # of which a device that plays nothing says nothing
     if rig.sensor is not None and any(playback.completed for playback in playbacks):
         whole = [one for one in played if one[1] is not None and _is_whole(one[0])]
-        recordings = [
-            np.asarray(one[1], np.float64) for one in whole or played if one[1] is not None
-        ]
-        sensor = check_sensor(rig, recordings, pulse=pulse, rate_hz=rate_hz)
+        heard = [np.asarray(one, np.float64) for _, one in whole or played if one is not None]
+        sensor = check_sensor(rig, heard, pulse=pulse, rate_hz=rate_hz)
     late_ms = [
         1e3 * (one.onset_s - one.requested_s) for one in playbacks if one.onset_s is not None
     ]

@@ -7,7 +7,7 @@ import json
 import math
 from collections import Counter
 from dataclasses import dataclass
-from importlib.resources import files
+from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
@@ -28,7 +28,6 @@ from feel321.study.settings.read import make_design, read_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from feel321.study.actuator.certificate import Certificate
     from feel321.study.folder import StudyFolder
