@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from feel321 import jobs
 from feel321.analysis.mixed.design import MixedDesign, build_design
@@ -174,8 +175,6 @@ def _screen(design: PowerDesign, stimuli: draw.Stimuli, ratings: Samples) -> Sam
     """Leave out whom the rules flag, which see the scale's ends; ratings: (n_attributes, people, n_items, repeats)."""
     if not design.screening:
         return ratings
-    import pandas as pd
-
     tables = [
         draw.tabulate_ratings(stimuli, part, design.metrics).assign(scale=name)
         for name, part in zip(design.attributes, ratings.clip(LOW, HIGH), strict=True)
@@ -289,8 +288,6 @@ def find_power(  # noqa: PLR0913 - a design and a truth; how many studies, who d
     progress: Progress = False,
 ) -> Power:
     """Find the power of a design; keep: a folder from which an interrupted call is continued."""
-    import pandas as pd
-
     if studies < 0:
         raise ValueError(f"studies must be 0 or more, got {studies}; give 1000")
     forms = _list_forms(design, truth)
@@ -337,7 +334,6 @@ def _list_slope(form: ClosedForm, hypothesis: int) -> dict[str, float]:
 
 def _tabulate_shares(found: Studies | None, design: PowerDesign) -> DataFrame:
     """Tabulate the share of studies that find each slope by Holm's method; NaN without any."""
-    import pandas as pd
     from scipy.stats import binomtest, t
 
     count = len(design.hypotheses)

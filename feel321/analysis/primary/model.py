@@ -15,6 +15,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.mixed.design import build_design
 from feel321.analysis.mixed.model import MixedFit, Solved, list_spreads, report_fit, solve_design
@@ -439,8 +440,6 @@ def _name_level(found: Slopes) -> str:
 
 def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
     """List the slopes of all attributes and metrics, with p adjusted for their number by Holm's method."""
-    import pandas as pd
-
     if not models:
         raise ValueError("models must hold one attribute or more, got none")
     tables = [model.slopes.reset_index().assign(attribute=name) for name, model in models.items()]
@@ -492,8 +491,6 @@ def _list_within(terms: Terms) -> list[str]:
 
 
 def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
-    import pandas as pd
-
     # How far apart the quartiles of each metric within recordings are, each stimulus counted once.
     items, lack, rows = cells.table.drop_duplicates(ITEM), _find_lack(cells), {}
     for name, scale in _find_scales(cells, _list_within(terms)).items():
@@ -511,8 +508,6 @@ def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
 
 
 def _tabulate_between(found: Slopes) -> DataFrame:
-    import pandas as pd
-
     lack, names = _find_lack(found.cells), [name for name in found.terms.fixed if name[-2:] == "_b"]
     rows = [_blank(asdict(found.solved.estimate({name: 1.0})), lack=lack) for name in names]
     index = pd.Index([name[:-2] for name in names], name="metric", dtype=object)
@@ -520,8 +515,6 @@ def _tabulate_between(found: Slopes) -> DataFrame:
 
 
 def _tabulate_differences(found: Slopes) -> DataFrame:
-    import pandas as pd
-
     rows, lack = [], _find_lack(found.cells)
     scales = _find_scales(found.cells, _list_within(found.terms))
     for first, second in combinations(scales, 2):
@@ -539,8 +532,6 @@ def _tabulate_differences(found: Slopes) -> DataFrame:
 
 def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]]:
     """Estimate slopes with reducers as fixed effects and metrics centred on recordings and on reducers."""
-    import pandas as pd
-
     within, cells, terms = _list_within(found.terms), found.cells, found.terms
     table = pd.DataFrame(np.nan, index=within, columns=list(CENTRED.values()))
     term = f"(1 | {REDUCER})"

@@ -14,6 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.mixed.model import Solved, note_zeros
@@ -78,8 +79,6 @@ class Variant(NamedTuple):
 
     def try_to_fit(self, metrics: Sequence[str], start: Solved | None = None) -> Fitted:
         """Fit the slopes; NaN and the reason where the rows carry no model."""
-        import pandas as pd
-
         try:
             return self.fit(start)
         except ValueError as error:
@@ -128,8 +127,6 @@ def vary_primary(
     compare across units. Where rows have them: the metrics of what was delivered in place of those intended; the rig as
     a factor (mean ratings of each rig and recording taken out); without the people on each rig.
     """
-    import pandas as pd
-
     rows, notes = select_rows(rows)
     ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
     if ratings.min() < 0 or ratings.max() > top:
@@ -306,8 +303,6 @@ def measure_influence(
     rows: DataFrame, metrics: Sequence[str], whole: Primary, *, others: Sequence[float] = ()
 ) -> Influence:
     """Leave out each recording and reducer, and the stimuli that matter most, one at a time."""
-    import pandas as pd
-
     cells, found, slopes, notes = make_cells(rows, metrics), [], {}, []
     if cells.count(WHO, ITEM) > MOST_CELLS:
         notes.append(
@@ -386,8 +381,6 @@ def _measure_changes(x: Samples, y: Samples, *, share: Samples) -> Samples:
 
 def _conclude(slopes: DataFrame, others: Sequence[float]) -> DataFrame:
     """Adjust the slopes' tests for each other and for those of other attributes, and give the verdicts."""
-    import pandas as pd
-
     p_holm = adjust_holm([*slopes["p"], *others])[: len(slopes)]
     verdicts = [conclude(p) for p in p_holm]
     return pd.DataFrame({"p_holm": p_holm, "verdict": verdicts}, index=slopes.index)
@@ -412,7 +405,6 @@ def _compare(
 
 def _find_exceptions(cells: Cells, slopes: dict[str, Slopes]) -> DataFrame:
     """Find reducers that are rated otherwise than the slopes of all others predict."""
-    import pandas as pd
     from scipy.stats import t as student
 
     columns = ["excess", "t", "df", "p", "exceptional"]
@@ -446,8 +438,6 @@ def measure_excess(cells: Cells, name: str, others: Slopes) -> Excess:
     Satterthwaite. Without the second, four slopes on six reducers named a reducer that had no excess in 53 % of 30
     simulated studies, and the interval held a planted one in 33 %; with it in none, and in 93 %.
     """
-    import pandas as pd
-
     items, within, ratings = _average_items(cells)
     own = _centre(_list_dummies(items, [SCENE]), ratings[:, None])
     table = pd.DataFrame(np.hstack([own, within])).groupby(items[REDUCER].to_numpy()).mean()

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from feel321.analysis.resampling import FEWEST_ITEMS
@@ -65,8 +66,6 @@ class Judgements:
 
     def first_two(self) -> DataFrame:
         """Pair the first and the second rating of every test stimulus rated twice."""
-        import pandas as pd
-
         tests = self.of_kind("test")
         turn = tests.groupby(["participant", "item"], observed=True).cumcount()
         one, two = (tests[turn == number].set_index(["participant", "item"]) for number in (0, 1))
@@ -83,8 +82,6 @@ class Judgements:
 
 def make_judgements(ratings: DataFrame, *, assumed: str = "") -> Judgements:
     """Prepare a tidy table; ratings that name no protocol are taken to be of the one assumed, if any."""
-    import pandas as pd
-
     named = _check_ratings(ratings)
     if "repeat" in ratings:
         # As text 10 comes before 2; what is no number keeps its place in the table, behind all numbers.
@@ -246,8 +243,6 @@ def gauge_raters(
     Lorho, Le Ray & Zacharov (2010), eGauge: a measure of assessor expertise in audio quality evaluations, AES 38th
     International Conference.
     """
-    import pandas as pd
-
     tests, means = judgements.of_kind("test"), judgements.means()
     people = list(tests.groupby("participant", observed=True))
     between = [

@@ -20,6 +20,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.arrays import FLAT, read_numbers
 from feel321.analysis.resampling import FEWEST_ITEMS
@@ -124,8 +125,6 @@ def compare_values(
     count: Series, n: Series, share: Series, *, limit: float | np.ndarray, below: bool = False
 ) -> DataFrame:
     """Compare a value of each participant with its limit; NaN flags nobody."""
-    import pandas as pd
-
     values = share.to_numpy(np.float64)
     limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), share.shape)
     # 3 of 20 is 15 %, not more; a hair of rounding must not decide otherwise.
@@ -191,8 +190,6 @@ def _outliers(judgements: Judgements, limit: float) -> DataFrame:
 
 def _reversed_scale(judgements: Judgements, limit: float) -> DataFrame:
     """Correlate with the mean of the others; NaN for fewer than 8 items and for constant ratings."""
-    import pandas as pd
-
     means = judgements.means()
     n_others = (means.notna().sum() - means.notna()).replace(0, np.nan)
     others = ((means.sum() - means.fillna(0.0)) / n_others).where(means.notna())
@@ -408,8 +405,6 @@ def make_rule(method: Method) -> Rule:
 
 
 def _find(method: Method, judgements: Judgements, limit: float) -> DataFrame:
-    import pandas as pd
-
     ratings, everyone = judgements.given, judgements.participants
     told = call(method, method.load(), ratings.copy())
     if told is None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import read_numbers
@@ -199,8 +200,6 @@ def screen_raters(
     0         ann      1  10    0.1   0.15  False
     1         bob      2  10    0.2   0.15   True
     """
-    import pandas as pd
-
     further = {method.name: measures.make_rule(method) for method in measures.find_rules(own)}
     limits = choose_limits(rules, random=rng is not None)
     limits |= {name: rule.limit for name, rule in further.items()}
@@ -237,8 +236,6 @@ def screen_raters(
 
 def describe_panel(ratings: DataFrame, hit: Iterable[object]) -> DataFrame:
     """Measure the reliability of ratings of test stimuli per scale, with and without the raters that a rule flagged."""
-    import pandas as pd
-
     tests = ratings
     if "role" in ratings:
         tests = ratings[~ratings["role"].isin(["reference", "anchor"])]
@@ -296,8 +293,6 @@ def _describe_excerpts(judgements: Judgements) -> DataFrame:
 
 
 def _describe_items(judgements: Judgements) -> DataFrame:
-    import pandas as pd
-
     tests = judgements.of_kind("test")
     rows = []
     steps = tests.groupby("item")["step"].max()

@@ -209,10 +209,11 @@ def advise_tradeoff(
 
     Examples
     --------
-    >>> from feel321 import analysis, stimuli
+    >>> from feel321 import stimuli
+    >>> from feel321.analysis import advise_tradeoff, measure_tradeoff
     >>> scene = stimuli.make_scene("constrained_drag", duration_s=0.5)
-    >>> analysis.advise_tradeoff(analysis.measure_tradeoff(scene)).choices["answer"].tolist()
-    ['pca321_matched']
+    >>> advise_tradeoff(measure_tradeoff(scene)).choices["answer"].tolist()
+    ['pca321']
     """
     import pandas as pd
 

@@ -104,8 +104,7 @@ def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bo
     pages = Environment(  # noqa: S701 - the text is Markdown, in which nothing is escaped
         undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True
     )
-    own = Path(__file__).with_name("methods.md")
-    template = pages.from_string(own.read_bytes().decode("utf-8"))
+    template = pages.from_string(intake.read_text(Path(__file__).with_name("methods.md")))
     return template.render(
         count=_count,
         median=median,
