@@ -8,7 +8,7 @@ from itertools import count
 import pytest
 
 from feel321.analysis.tradeoff.cost import list_candidates
-from feel321.analysis.tradeoff.measure import QUICK, Trial, measure_recording
+from feel321.analysis.tradeoff.measure import QUICK, Scope, measure_recording
 from feel321.jobs import Job, Workers, gather_results, run_jobs
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import make_scene
@@ -17,7 +17,7 @@ FEW = {name: REDUCERS[name] for name in ("sax321", "dft321", "pca321")}
 
 
 def test_two_processes_give_what_one_gives() -> None:
-    trial = Trial(list_candidates(FEW), {}, QUICK, 1)
+    trial = Scope(list_candidates(FEW), {}, QUICK, 1)
     scenes = [make_scene(name, duration_s=0.3) for name in ("bumps", "hard_taps", "texture_drag")]
     jobs: list[Job] = [(measure_recording, (scene, trial), {}) for scene in scenes]
     steps = count(1)
