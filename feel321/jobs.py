@@ -103,6 +103,8 @@ def run_jobs(
                 count_threads=lambda: threads,
             )
     else:
+        # After a kill joblib tidies up, and need not say so between our lines.
+        os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
         from joblib import Parallel, delayed
 
         numbered = (delayed(_do)(place, job) for place, job in enumerate(jobs))

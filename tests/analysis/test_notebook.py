@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from matplotlib.axes import Axes
+
 
 @pytest.fixture(scope="module")
 def table(study: object) -> results.Table:
@@ -199,6 +201,14 @@ def test_abx_and_dissimilarities_take_a_table(tidy: Callable[..., pd.DataFrame])
         analysis.fit_space(apart.assign(reference_reducer=""))
 
 
+def read_forest(axes: Axes) -> tuple[list[float], list[list[float]]]:
+    """Estimates and intervals of a forest plot, from the top; the line at zero is neither."""
+    lines = [line.get_xdata() for line in axes.get_lines()]
+    dots = [float(where[0]) for where in lines if len(where) == 1]
+    ends = [[float(end) for end in where] for where in lines if len(where) == 2]
+    return dots, [pair for pair in ends if pair != [0.0, 0.0]]
+
+
 def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Table) -> None:
     axes = Figure().subplots(2, 3).ravel()
     analysis.plot_scatter(realism, "temporal_match", ax=axes[0])
@@ -208,18 +218,17 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
     np.testing.assert_allclose(drawn, np.sort(tests.to_numpy(), axis=0))
     analysis.plot_profile(table, ax=axes[1])
     assert len(axes[1].get_yticklabels()) == 12
-    bars = [bar[:, 0] for part in axes[1].collections for bar in part.get_segments()]
+    bars = [line.get_xdata() for line in axes[1].get_lines() if len(line.get_xdata()) == 2]
     ends = analysis.profile_reducers(table)[["low", "high"]].to_numpy()
     np.testing.assert_allclose(np.sort(bars, axis=0), np.sort(ends, axis=0))
     models = analysis.fit_attributes(table.rows, table.metrics)
     analysis.plot_slopes(models, ax=axes[2])
-    assert len(axes[2].get_legend().get_texts()) == 2
+    assert len(axes[2].get_yticklabels()) == 6  # a heading and two metrics per scale
     axes[2].clear()
     analysis.plot_slopes(models["realism"], ax=axes[2])
     slopes = models["realism"].slopes
-    dots, *_ = axes[2].get_lines()
-    assert list(dots.get_xdata()) == list(slopes["tenth"])  # as the axis says: per +0.1
-    bars = [bar[:, 0].tolist() for bar in axes[2].collections[0].get_segments()]
+    dots, bars = read_forest(axes[2])
+    assert dots == list(slopes["tenth"])  # as the axis says: per +0.1
     assert bars == slopes[["tenth_low", "tenth_high"]].to_numpy().tolist()
     scene = stimuli.make_scene("hard_taps", duration_s=0.5)
     for axis, name in zip(axes[3:], ("recording", "spectrum", "spectrogram"), strict=True):
@@ -266,16 +275,16 @@ def test_one_line_plots_what_has_one_obvious_plot(
 ) -> None:
     found = analysis.tabulate_correlations(realism, draws=20)
     axes = analysis.plot(found, ax=Figure().subplots())
-    places = axes.lines[0].get_xdata()
-    np.testing.assert_array_equal(places, found["value"])
-    bars, ceilings = (part.get_segments() for part in axes.collections)
-    np.testing.assert_array_equal([bar[:, 0] for bar in bars], found[["low", "high"]])
+    dots, bars = read_forest(axes)
+    assert dots == list(found["value"])
+    assert bars == found[["low", "high"]].to_numpy().tolist()
+    (ceilings,) = (part.get_segments() for part in axes.collections)
     np.testing.assert_array_equal([bar[0, 0] for bar in ceilings], found["ceiling"])
     labels = [label.get_text() for label in axes.get_yticklabels()]
     assert len(set(labels)) == len(found)
     model = analysis.fit_primary(realism)
-    slopes = analysis.plot(model, ax=Figure().subplots()).lines[0].get_xdata()
-    np.testing.assert_array_equal(slopes, model.slopes["tenth"])
+    dots, _ = read_forest(analysis.plot(model, ax=Figure().subplots()))
+    assert dots == list(model.slopes["tenth"])
     assert analysis.plot(table, ax=Figure().subplots()).get_xlabel() == "Rating"
     one = analysis.correlate(realism, "spectral_match", draws=20, rng=0)
     assert analysis.plot(one, ax=Figure().subplots()).get_yticklabels()[0].get_text() != ""

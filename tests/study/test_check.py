@@ -42,9 +42,12 @@ def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: 
     [
         (
             "Read this. " * 300,
-            "page 'consent': its text must fit on one screen, got 2.5 screens; shorten it",
+            "page 'consent': it must fit on one screen, got 2.5 screens; shorten it",
         ),
-        ("w" * 120, f"page 'consent': got '{'w' * 120}', which fits on no line; break it"),
+        (
+            "w" * 120,
+            f"page 'consent': got '{'w' * 60}...', which is too long for its place; shorten it",
+        ),
     ],
 )
 def test_texts_that_no_screen_has_room_for_are_named(

@@ -149,7 +149,9 @@ def fit_text(text: str, width_cm: float, *, lines: int = 2) -> str:
     parts = (textwrap.wrap(part.replace("_", "_ "), room) or [""] for part in text.split("\n"))
     found = [line.replace("_ ", "_") for part in parts for line in part]
     if len(found) > lines:
-        rest = " ".join(found[lines - 1 :])
+        rest = "".join(
+            line if line.endswith("_") else f"{line} " for line in found[lines - 1 :]
+        ).rstrip()
         kept, tail = (room - 1) // 2, room // 2
         found[lines - 1 :] = [f"{rest[:kept].rstrip()}…{rest[-tail:].lstrip()}"]
     return "\n".join(found)

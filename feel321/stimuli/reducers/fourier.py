@@ -206,10 +206,11 @@ def _merge_together(spectra: Bins, floor: Samples) -> Bins:
         _take_strongest(merged, of_sum, spectra=[*spectra], vanishing=vanishing)
     parts = spectra.view(np.float64)
     np.square(parts, out=parts)
-    parts[0] += parts[1]
-    parts[0] += parts[2]
-    energy = parts[0, 0::2]
-    energy += parts[0, 1::2]
+    of_axes = parts[:, 0::2]  # in the order of `_merge`, so that the last bit is the same
+    of_axes += parts[:, 1::2]
+    energy = of_axes[0]
+    energy += of_axes[1]
+    energy += of_axes[2]
     energy /= of_sum
     merged *= np.sqrt(energy)
     return merged

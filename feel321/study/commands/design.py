@@ -235,7 +235,7 @@ def power(  # noqa: PLR0913 - one per option
     pilot: Annotated[str | None, Parameter(metavar="FILE")] = None,
     manifest: File | None = None,
     screening: Annotated[tuple[str, ...], Parameter(metavar="RULE")] = (),
-    wanted: Annotated[float, within(0.05, 0.995), Parameter(name="--power")] = 0.8,
+    wanted: Annotated[float, within(0.06, 0.995), Parameter(name="--power")] = 0.8,
     studies: Annotated[int, within(0, 1_000_000)] = 1000,
     crew: Crew = ALONE,
     seed: Seed = None,

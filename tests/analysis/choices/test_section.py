@@ -27,7 +27,8 @@ BEST = "spectral_match_bounded"
 
 
 def answer(planted: Any) -> str:
-    return render_words("choices", **compute(planted.read(), QUICK).facts)[0]
+    said = render_words("choices", **compute(planted.read(), QUICK).facts)[0]
+    return said.replace("\u00a0", " ")
 
 
 def test_a_planted_metric_is_named_with_its_share_the_ceiling_and_the_comparison(
