@@ -97,7 +97,7 @@ def test_every_task_has_its_place_in_the_report(lab: StudyFolder) -> None:
         (folder / "details.html").read_text(encoding="utf-8"),
         flags=re.DOTALL,
     )
-    assert not re.search(r"(?<!__)as_is", page)  # but in the names of stimuli
+    assert not re.search(r"(?<!_)as_is", page)  # but in names of stimuli and files
     profiles = pd.read_csv(folder / "tables" / "profiles.csv")
     assert set(profiles["scale"]) == set(PROTOCOLS) - {"triplet", "preference"}
     people = profiles.query("role == 'test' and quantity == 'n_participants'")
