@@ -351,6 +351,8 @@ def describe_choice(one: Mapping[str, Any]) -> dict[str, str]:
         "open": "ratings do not show whether people agree", "worse": "people rate it lower", "": "",
     }  # fmt: skip
     close = f"close call: {one['close']}" if one["close"] else ""
+    if one["close"] == simpler:  # which says already how close
+        close = close and "close call"
     return {
         "recording": one["recording"], "answer": answer, "simpler": simpler, "better": better, "close": close,
         "people": said[one["people"]],
