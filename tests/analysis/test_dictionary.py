@@ -43,8 +43,7 @@ def hold_to_dictionary(folder: Path) -> None:
     """Read every table of a folder, and hold each cell to the type that its column is said to have."""
     said = {(row["file"], row["column"]): row for row in read_strictly(folder / "dictionary.csv")}
     tables = {path.name: read_strictly(path) for path in sorted(folder.glob("*.csv"))}
-    del tables["dictionary.csv"]
-    assert {file for file, _ in said} - {"dictionary.csv"} == set(tables)
+    assert {file for file, _ in said} == set(tables)
     cells = ((file, *cell) for file, rows in tables.items() for row in rows for cell in row.items())
     for file, name, cell in cells:
         told = said[file, name]

@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from feel321.analysis.table.dictionary import DICTIONARY
 from feel321.analysis.words import capitalise, format_estimate, format_name, format_number
 
 if TYPE_CHECKING:
@@ -291,6 +292,14 @@ FIELDS = {
 
 
 KINDS = dict.fromkeys(("value", "low", "high", "p"), "number") | {"n": "integer"}
+DESCRIBED = {
+    "file": "file that the column is in",
+    "column": "name of the column",
+    "quantity": "in the column value: the quantity that is described",
+    "type": "number, integer or text",
+    "meaning": "what the column holds",
+}
+"""The dictionary's own columns."""
 
 
 def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
@@ -311,4 +320,5 @@ def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]
         for quantity in frame["quantity"].unique():
             meaning = known.get(quantity) or quantity.replace("_", " ")
             rows.append([f"{name}.csv", "value", quantity, "number", meaning])
-    return pd.DataFrame(rows, columns=["file", "column", "quantity", "type", "meaning"])
+    rows += [[DICTIONARY, column, "", "text", meaning] for column, meaning in DESCRIBED.items()]
+    return pd.DataFrame(rows, columns=list(DESCRIBED))
