@@ -231,7 +231,7 @@ from feel321.study.folder import StudyFolder
 from feel321.study.persons.withdrawal import withdraw_participant
 import feel321.analysis.report.folder, feel321.stimuli.sets.manifest, filelock
 root = Path(sys.argv[1])
-steps = {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate", "sqlite3.connect"}
+steps = {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate"}
 def now():
     return datetime.now(UTC)
 def die_at(last):
