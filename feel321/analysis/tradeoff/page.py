@@ -350,9 +350,8 @@ def describe_choice(one: Mapping[str, Any]) -> dict[str, str]:
         "best": "people rate it highest", "equivalent": "people agree: equivalent to the highest rated",
         "open": "ratings do not show whether people agree", "worse": "people rate it lower", "": "",
     }  # fmt: skip
-    close = f"close call: {one['close']}" if one["close"] else ""
-    if one["close"] == simpler:  # which says already how close
-        close = close and "close call"
+    # Where the simpler one is the doubt, its column says already how close it is.
+    close = one["close"] and "close call" + f": {one['close']}" * (one["close"] != simpler)
     return {
         "recording": one["recording"], "answer": answer, "simpler": simpler, "better": better, "close": close,
         "people": said[one["people"]],

@@ -13,6 +13,7 @@ import pytest
 from feel321.analysis.tradeoff.measure import measure_tradeoff
 from feel321.analysis.tradeoff.page import (
     advise_tradeoff,
+    describe_choice,
     list_reducers,
     map_battery,
     mark_frontier,
@@ -75,6 +76,17 @@ def test_the_folder_holds_page_numbers_and_tables(result: Tradeoff, tmp_path: Pa
     for one in content["choices"]:
         assert one["closest"] in words
     assert "Ratings were not used" in words
+
+
+def test_a_close_call_says_nothing_twice() -> None:
+    doubt = "pca321 is 1.1 dB behind in level"
+    row = dict.fromkeys(("problem", "simpler_fails", "ties", "better", "barred", "people"), "")
+    row |= {"recording": "oak", "answer": "dft321", "closest": "dft321", "better_db": 0.0}
+    row |= {"simpler": "pca321", "simpler_db": 1.1, "simpler_criterion": "level"}
+    said = describe_choice({**row, "close": doubt})
+    assert (said["simpler"], said["close"]) == (doubt, "close call")
+    assert describe_choice({**row, "close": "soc321"})["close"] == "close call: soc321"
+    assert describe_choice({**row, "close": ""})["close"] == ""
 
 
 def test_people_appear_where_they_were_asked(result: Tradeoff, tmp_path: Path) -> None:
