@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from feel321.analysis import browser, write_stimulus_page
+from feel321.analysis import browser
+from feel321.analysis.browser import write_stimulus_page
 from feel321.stimuli import acceleration_threshold, build_stimuli, make_scene, sensation_level_db
 from feel321.stimuli.sets.manifest import check_stimuli, read_stimuli, write_manifest
 

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
+from feel321.analysis import export
 from feel321.analysis.export import LABELS, name_metrics
 from feel321.analysis.primary.rcode import RESERVED
 
@@ -63,7 +64,7 @@ def table() -> analysis.Table:
 
 @pytest.fixture(scope="module")
 def folder(table: analysis.Table, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return analysis.export_r(table, tmp_path_factory.mktemp("export") / "for r")
+    return export.export_r(table, tmp_path_factory.mktemp("export") / "for r")
 
 
 def test_every_file_is_plain(folder: Path) -> None:
@@ -161,7 +162,7 @@ def test_a_name_that_r_takes_for_a_missing_value_is_refused(
 ) -> None:
     rows = table.rows.replace({"participant": {"001": "NA"}})
     with pytest.raises(ValueError, match=r"judgements.csv: participant must not be 'NA'"):
-        analysis.export_r(analysis.Table(rows, table.metrics, ()), tmp_path / "new")
+        export.export_r(analysis.Table(rows, table.metrics, ()), tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
 
@@ -182,7 +183,7 @@ def test_names_that_look_alike_take_nothing_from_each_other(
     rows["scale"] = (
         rows["scale"].astype(str).replace({"realism": "h\u00e4rte", "force": "H\u00f6rte"})
     )
-    folder = analysis.export_r(analysis.Table(rows, ("m", "m_w"), ()), tmp_path)
+    folder = export.export_r(analysis.Table(rows, ("m", "m_w"), ()), tmp_path)
     found = pd.read_csv(folder / "judgements.csv")
     for name in ("m", "m_w_2"):
         np.testing.assert_allclose(found[f"{name}_w"], found[name] - found[f"{name}_b"], atol=1e-9)
@@ -198,7 +199,7 @@ def test_without_a_model_the_files_are_whole_and_the_script_says_why(
     table: analysis.Table, folder: Path, tmp_path: Path
 ) -> None:
     rows = table.rows[table.rows["reducer"] == "my321_0"]
-    place = analysis.export_r(analysis.Table(rows, table.metrics, ()), tmp_path / "new")
+    place = export.export_r(analysis.Table(rows, table.metrics, ()), tmp_path / "new")
     slopes = pd.read_csv(place / "slopes.csv")
     assert (len(slopes), list(slopes)) == (0, list(pd.read_csv(folder / "slopes.csv")))
     script = (place / "model.R").read_text(encoding="utf-8")
@@ -212,21 +213,21 @@ def test_only_an_earlier_export_is_replaced(table: analysis.Table, tmp_path: Pat
     both, one = (
         analysis.Table(rows, table.metrics, ()) for rows in (some, some[some["scale"] == "force"])
     )
-    place = analysis.export_r(both, tmp_path / "for-r")
+    place = export.export_r(both, tmp_path / "for-r")
     (place / "slopes_r.csv").touch()
     (place / "my.R").write_text("mine")
-    analysis.export_r(one, place)
+    export.export_r(one, place)
     kept = {path.name for path in place.iterdir()}
     assert kept & {"wide_force.csv", "wide_realism.csv", "slopes_r.csv", "my.R"} == {
         "wide_force.csv", "my.R",
     }  # fmt: skip
     (place / "study.toml").touch()
     with pytest.raises(FileExistsError, match=r"for-r: is a study; give a new folder"):
-        analysis.export_r(one, place)
+        export.export_r(one, place)
     other = tmp_path / "other"
     other.mkdir()
     (other / "README.txt").write_text("mine")
     for path, why in ((other, "holds files that are not"), (other / "README.txt", "is a file")):
         with pytest.raises(FileExistsError, match=why):
-            analysis.export_r(one, path)
+            export.export_r(one, path)
     assert [path.read_text() for path in other.iterdir()] == ["mine"]

@@ -12,6 +12,8 @@ import pytest
 from statsmodels.stats.multitest import multipletests
 
 from feel321 import analysis
+from feel321.analysis import space, standard
+from feel321.analysis.contrasts import compare
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.table.items import Table
 
@@ -58,23 +60,22 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "repeated": analysis.repeated_measures_correlation(rows, "sm"),
         "dependent": analysis.compare_dependent(1.0, 0.2, 0.2, 20),
         "intraclass": analysis.intraclass(rows),
-        "alpha": analysis.krippendorff_alpha(rows, draws=20),
         "p1401": analysis.p1401(rows, "sm"),
-        "p1401_difference": analysis.compare_p1401(*(analysis.p1401(rows, one) for one in METRICS)),
+        "p1401_difference": standard.compare_p1401(*(analysis.p1401(rows, one) for one in METRICS)),
         "equivalence": analysis.equivalence(1, 1, 9, low=-3, high=3),
-        "non_inferiority": analysis.non_inferiority(1, 1, 9, margin=-3),
+        "non_inferiority": compare.non_inferiority(1, 1, 9, margin=-3),
         "discrimination": analysis.discriminate(24, 24),
         "bradley_terry": analysis.bradley_terry(
             pd.DataFrame({"winner": list("aabbcc"), "loser": list("bcacab")})
         ),
         "space": analysis.fit_space(maps, draws=3),
-        "alignment": analysis.align_spaces(maps[0], maps[1], permutations=9),
+        "alignment": space.align_spaces(maps[0], maps[1], permutations=9),
     }
 
 
 NAMES = [
     "primary", "primaries", "fit", "contrast", "screening", "association", "difference",
-    "reducers", "repeated", "dependent", "intraclass", "alpha", "p1401", "p1401_difference", "equivalence",
+    "reducers", "repeated", "dependent", "intraclass", "p1401", "p1401_difference", "equivalence",
     "non_inferiority", "discrimination", "bradley_terry", "space", "alignment",
 ]  # fmt: skip
 

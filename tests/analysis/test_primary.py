@@ -322,7 +322,9 @@ def test_shapes_refused(rows: pd.DataFrame) -> None:
         fit_primary(rows.iloc[:0], METRICS)
     with pytest.raises(TypeError, match=r"metrics must be a list of names.*write \['sm'\]"):
         fit_primary(rows, "sm")
-    with pytest.raises(ValueError, match="rows, 'sm' must hold numbers, got 'high'"):
+    with pytest.raises(
+        ValueError, match="rows, 'sm' must hold numbers: could not convert string to float: 'high'"
+    ):
         fit_primary(rows.assign(sm="high"), METRICS)
     with pytest.raises(
         ValueError, match="rows must be of one scale, got the scales realism, similarity; select"

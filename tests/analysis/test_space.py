@@ -252,19 +252,18 @@ def test_impossible_requests_are_refused() -> None:
         align_spaces(place, np.full((4, 2), 33.3), rng=rng)
     with pytest.raises(
         ValueError,
-        match="positions must be of 4 stimuli or more for a regression in 2 dimensions, got 3",
+        match="positions must be of 4 stimuli or more, in 2 independent dimensions, got 3",
     ):
         regress_attributes(place[:3], {})
     with pytest.raises(ValueError, match="attribute 'a' must be 4 finite numbers"):
         regress_attributes(place, {"a": [1, 2]})
     with pytest.raises(ValueError, match="attribute 'a' must differ between stimuli"):
         regress_attributes(place, {"a": [33.3] * 4})
-    with pytest.raises(
-        ValueError,
-        match="positions must have independent dimensions, got 2, one of which follows from the others",
-    ):
+    with pytest.raises(ValueError, match="or a dimension that follows from the others"):
         regress_attributes(place, {"a": [1, 2, 3, 5]})
-    with pytest.raises(ValueError, match="positions must hold numbers, got 'x'"):
+    with pytest.raises(
+        ValueError, match="positions must hold numbers: could not convert string to float: 'x'"
+    ):
         regress_attributes([["x", 1], [2, 3], [4, 5], [5, 9]], {"a": [1, 2, 3, 5]})
     with pytest.raises(ValueError, match="dissimilarities must be of two participants or more"):
         bootstrap_space(GOOD, rng=rng)

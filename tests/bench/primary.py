@@ -22,7 +22,7 @@ import pandas as pd
 from scipy.stats import t as student
 
 from feel321.analysis.mixed.design import build_design
-from feel321.analysis.mixed.model import Estimate, Solved, list_spreads, solve_design
+from feel321.analysis.mixed.model import Solved, list_spreads, solve_design
 from feel321.analysis.mixed.optimum import find_sigma
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import Terms, centre_twice, make_cells, plan_terms
@@ -129,7 +129,7 @@ class Quick:
         ])
         self.terms = [self.design.names.index(name) for name in within]
 
-    def fit(self, ratings: np.ndarray) -> list[Estimate]:
+    def fit(self, ratings: np.ndarray) -> list[Any]:
         response = np.empty(ratings[..., 0].size)
         response[self.rows] = ratings.mean(axis=-1)
         solved = solve_design(replace(self.design, response=response), penalty=self.penalty)
@@ -240,7 +240,7 @@ def plan_study(
     return replace(study, square=float((own**2).sum()), reducer_square=float((alike**2).sum()))
 
 
-def find_share(slope: float, slopes: list[Estimate], level: float) -> float:
+def find_share(slope: float, slopes: list[Any], level: float) -> float:
     """Share of studies that find a slope."""
     return float(
         np.mean([

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design, read_new_rows
-from feel321.records import Result
+from feel321.records import Result, Statistic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -19,11 +19,8 @@ if TYPE_CHECKING:
 
     from feel321.types import Samples
 
-STEP = 1e-4
-"""Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
-
-FLAT = 1e-8
-"""Curvature below this carries no information: a spread at its boundary."""
+NEAR = 1e-6
+"""A step of a spread after which second derivatives are computed anew, for the sake of the degrees of freedom."""
 
 BOUND = 1 - 1e-6
 """A correlation beyond this is one of ±1 but for rounding."""
@@ -45,71 +42,29 @@ class Uncertainty(Result):
     most_df: float = np.inf
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Estimate(Result):
-    """A number with its t test against 0.
-
-    Parameters
-    ----------
-    estimate, se : float
-        The value and its standard error.
-    df : float
-        Satterthwaite's degrees of freedom.
-    t, p : float
-        estimate / se, and its two-sided probability.
-    low, high : float
-        95 % interval, estimate ± t(.975, df) se.
-    """
-
-    estimate: float
-    se: float
-    df: float
-    t: float
-    p: float
-    low: float
-    high: float
-
-
 def find_uncertainty(
     profile: optimum.Profile, best: optimum.State, *, most_df: float = np.inf
-) -> Uncertainty:
+) -> tuple[optimum.State, Uncertainty]:
     """Compute how the fixed effects' covariance depends on the spreads, and how well those are known.
 
-    Notes
-    -----
-    With f(theta, log s) the deviance before s is profiled out, the spreads' covariance is 2 H⁻¹, H the matrix of
-    second derivatives, none of which depends on units; directions in which H is not positive carry no information
-    and are left out, as lmerTest does. Derivatives along theta are central differences of the exact slope. A penalty
-    of -2 log theta adds 2 / theta².
+    The spreads' covariance is 2 H⁻¹, H the second derivatives of the deviance before s is profiled out; directions in
+    which H is not positive carry no information and are left out, as lmerTest does. Newton's last step comes first.
     """
-    sigma, size = optimum.find_sigma(profile, best), len(best.theta)
-    unit = np.maximum(np.abs(best.theta), 1)
-    covariance = optimum.find_coefficients(profile, best)[1] * sigma**2
-    hessian = np.zeros((size + 1, size + 1))
-    slopes = np.empty((size + 1, *covariance.shape))
-    for place, shift in enumerate(np.diag(STEP * unit)):
-        ends = [profile.evaluate(best.theta + sign * shift) for sign in (1, -1)]
-        rise = np.subtract(*(profile.find_slope(end, end.rss / sigma**2) for end in ends))
-        hessian[place, :size] = rise * unit / (2 * STEP)
-        more = -(ends[0].rss - ends[1].rss) / STEP / sigma**2
-        hessian[place, size] = hessian[size, place] = more
-        wider = np.subtract(*(optimum.find_coefficients(profile, end)[1] for end in ends))
-        slopes[place] = wider * sigma**2 / (2 * STEP)
-    held = np.flatnonzero(profile.penalised)
-    hessian[held, held] += 2 * (unit[held] / best.theta[held]) ** 2
-    hessian[size, size] = 4 * profile.weight
-    slopes[size] = 2 * covariance
-    return Uncertainty(covariance, slopes, 2 * _invert((hessian + hessian.T) / 2), most_df)
-
-
-def _invert(hessian: Samples) -> Samples:
+    hessian, slopes = profile.differentiate(best)
+    polished = optimum.polish(profile, best, hessian)
+    if np.abs(polished.theta - best.theta).max() > NEAR:
+        hessian, slopes = profile.differentiate(polished)
+    best = polished
+    covariance = (
+        optimum.find_coefficients(profile, best)[1] * optimum.find_sigma(profile, best) ** 2
+    )
     values, vectors = np.linalg.eigh(hessian)
-    kept = values > FLAT
-    inverse: Samples = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    return inverse
+    kept = values > optimum.FLAT
+    parameters = 2 * (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    return best, Uncertainty(covariance, slopes, parameters, most_df)
 
 
-def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -> Estimate:
+def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -> Statistic:
     """Estimate a weighted sum of fixed effects; effects and weights: (n_fixed,).
 
     Notes
@@ -126,7 +81,9 @@ def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -
     value, se = float(weights @ effects), float(np.sqrt(variance))
     margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
     p = float(2 * student.sf(abs(value / se), df))
-    return Estimate(value, se, df, value / se, p, value - margin, value + margin)
+    return Statistic(
+        "Estimate", estimate=value, se=se, df=df, t=value / se, p=p, low=value - margin, high=value + margin
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -325,7 +282,7 @@ class Solved(NamedTuple):
     coefficients: Samples
     uncertainty: Uncertainty
 
-    def estimate(self, weights: Mapping[str, float]) -> Estimate:
+    def estimate(self, weights: Mapping[str, float]) -> Statistic:
         """Estimate a weighted sum of fixed effects, by name; all others count 0."""
         values = np.array([weights.get(name, 0.0) for name in self.profile.design.names])
         return estimate_sum(self.coefficients, values, self.uncertainty)
@@ -344,8 +301,9 @@ def solve_design(
     with optimum.hold_threads(profile.n_random):
         alike = start is not None and _list_terms(start.profile) == _list_terms(profile)
         best = optimum.find_optimum(profile, start=start.best.theta if start and alike else None)
+        best, uncertainty = find_uncertainty(profile, best, most_df=most_df)
         coefficients, _ = optimum.find_coefficients(profile, best)
-        return Solved(profile, best, coefficients, find_uncertainty(profile, best, most_df=most_df))
+        return Solved(profile, best, coefficients, uncertainty)
 
 
 def _list_terms(profile: optimum.Profile) -> list[tuple[str, tuple[str, ...]]]:
@@ -357,7 +315,7 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     import pandas as pd
 
     profile, best, design = solved.profile, solved.best, solved.profile.design
-    rows = [asdict(solved.estimate({name: 1.0})) for name in design.names]
+    rows = [solved.estimate({name: 1.0}) for name in design.names]
     variances, correlations = _tabulate_spreads(profile, best)
     predicted = design.fixed @ solved.coefficients
     fitted, effects = _predict(profile, best, predicted)
@@ -385,7 +343,7 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     )  # fmt: skip
 
 
-def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Estimate:
+def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Statistic:
     """Estimate a weighted sum of fixed effects, such as the difference of two slopes.
 
     Parameters
@@ -398,8 +356,9 @@ def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Estimate:
 
     Returns
     -------
-    Estimate
-        Value, standard error, Satterthwaite's df, t, p and the 95 % interval.
+    Statistic
+        ``estimate se df t p``, the value with its t test against 0 on Satterthwaite's degrees of freedom, and ``low
+        high``, the 95 % interval.
 
     Raises
     ------
@@ -491,7 +450,7 @@ def _predict(
     import pandas as pd
 
     tables = []
-    for block, values in zip(profile.blocks, optimum.find_modes(profile, best), strict=True):
+    for block, values in zip(profile.blocks, optimum.find_modes(profile, best.theta), strict=True):
         factor = block.factor
         fitted = fitted + np.sum(factor.columns * values[factor.index], axis=1)
         names = [name for term in factor.terms for name in term.names]

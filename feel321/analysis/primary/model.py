@@ -10,7 +10,7 @@ each time in words; never because a test says that a spread may be zero.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -495,7 +495,7 @@ def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
     items, lack, rows = cells.table.drop_duplicates(ITEM), _find_lack(cells), {}
     for name, scale in _find_scales(cells, _list_within(terms)).items():
         span = float(np.subtract(*np.percentile(items[f"{name}_w"], [75, 25])))
-        row = _blank(asdict(solved.estimate({f"{name}_w": 1.0})), lack=lack)
+        row = _blank(dict(solved.estimate({f"{name}_w": 1.0})), lack=lack)
         for key, prefix, unit in (
             ("quartile_effect", "quartile", span),
             ("tenth", "tenth", TENTH),
@@ -509,7 +509,7 @@ def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
 
 def _tabulate_between(found: Slopes) -> DataFrame:
     lack, names = _find_lack(found.cells), [name for name in found.terms.fixed if name[-2:] == "_b"]
-    rows = [_blank(asdict(found.solved.estimate({name: 1.0})), lack=lack) for name in names]
+    rows = [_blank(dict(found.solved.estimate({name: 1.0})), lack=lack) for name in names]
     index = pd.Index([name[:-2] for name in names], name="metric", dtype=object)
     return pd.DataFrame(rows, index=index, columns=["estimate", *TESTED])
 
@@ -524,7 +524,7 @@ def _tabulate_differences(found: Slopes) -> DataFrame:
             ("standardised_", scales[first], scales[second]),
         ):
             estimate = found.solved.estimate({f"{first}_w": one, f"{second}_w": -other})
-            blanked = _blank(asdict(estimate), lack=lack)
+            blanked = _blank(dict(estimate), lack=lack)
             row |= {f"{prefix}{name}": value for name, value in blanked.items()}
         rows.append(row)
     return pd.DataFrame(rows)
@@ -545,7 +545,7 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]
         solved = solve_design(design, most_df=terms.most_df)
     except ValueError as error:
         return table, [f"No slopes centred on reducers: {error}"]
-    rows = [_blank(asdict(solved.estimate({name: 1.0})), lack=lack) for name in names]
+    rows = [_blank(dict(solved.estimate({name: 1.0})), lack=lack) for name in names]
     return pd.DataFrame(rows, index=within)[list(CENTRED)].rename(columns=CENTRED), []
 
 

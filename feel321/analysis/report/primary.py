@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -188,7 +188,7 @@ def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primar
         signs = [-1.0 if name in worse else 1.0 for name in (one, other)]
         for prefix, sizes in (("", (1.0, 1.0)), ("standardised_", (scales[one], scales[other]))):
             weights = {f"{one}_w": signs[0] * sizes[0], f"{other}_w": -signs[1] * sizes[1]}
-            found = asdict(contrast(model.fit, weights)) if math.isfinite(row["low"]) else {}
+            found = dict(contrast(model.fit, weights)) if math.isfinite(row["low"]) else {}
             row |= {f"{prefix}{key}": value for key, value in found.items()}
         rows.append(row)
     return replace(model, differences=type(model.differences)(rows))
