@@ -121,12 +121,10 @@ def set_up(
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)
     table = tabulate_plan(study, settings, stimuli, groups=share, further=further)
-    rated = list(parts.split_parts(table))
-    if not rated:
-        names = ", ".join(settings.session.protocols)
+    if not (rated := list(parts.split_parts(table))):
         raise ValueError(
-            f"session.protocols ({names}) ask for no rating of a single stimulus, so there is no slope to plan for; "
-            "add realism or similarity"
+            "session.protocols ask for no rating of a single stimulus, so there is no slope to plan for; add realism "
+            "or similarity"
         )
     slopes = _plant(settings, rated, steps=parts.find_table_steps(table), effects=effects or {})
     metrics, attributes = (tuple(slopes[name].unique()) for name in ("metric", "attribute"))
