@@ -256,9 +256,9 @@ def test_impossible_requests_are_refused() -> None:
     ):
         regress_attributes(place[:3], {})
     with pytest.raises(ValueError, match="attribute 'a' must be 4 finite numbers"):
-        regress_attributes(place, {"a": [1, 2]})
+        regress_attributes([[0, 0], [1, 0], [0, 1], [2, 2]], {"a": [1, 2]})
     with pytest.raises(ValueError, match="attribute 'a' must differ between stimuli"):
-        regress_attributes(place, {"a": [33.3] * 4})
+        regress_attributes([[0, 0], [1, 0], [0, 1], [2, 2]], {"a": [33.3] * 4})
     with pytest.raises(ValueError, match="or a dimension that follows from the others"):
         regress_attributes(place, {"a": [1, 2, 3, 5]})
     with pytest.raises(
