@@ -476,7 +476,7 @@ def test_spreads_are_known_as_well_as_the_curvature_of_what_was_minimised_says(
     ]
     unit = np.append(np.maximum(best.theta, 1), 1)[places]
     wanted = 2 * np.linalg.inv(np.array(hessian) * np.outer(unit, unit))
-    known = find_uncertainty(profile, best).parameters[np.ix_(places, places)]
+    known = find_uncertainty(profile, best)[1].parameters[np.ix_(places, places)]
     assert known == pytest.approx(wanted, rel=2e-2, abs=1e-4)
 
 
