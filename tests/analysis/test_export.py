@@ -13,7 +13,6 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis import export
-from feel321.analysis.export import LABELS, name_metrics
 from feel321.analysis.primary.rcode import RESERVED
 
 PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -82,13 +81,6 @@ def test_every_file_is_plain(folder: Path) -> None:
         assert not cells & {"", "nan", "None", "True", "False", "true", "false"}
 
 
-def test_the_dictionary_explains_every_column(folder: Path) -> None:
-    said = pd.read_csv(folder / "dictionary.csv").set_index(["file", "column"])["meaning"]
-    for path in folder.glob("*.csv"):
-        for name in pd.read_csv(path, nrows=1):
-            assert len(said[path.name, name]) > 3
-
-
 def test_judgements_are_those_of_the_model(table: analysis.Table, folder: Path) -> None:
     rows = pd.read_csv(folder / "judgements.csv", dtype={"participant": str})
     assert list(rows)[:2] == ["participant", "recording"]
@@ -155,44 +147,6 @@ def test_r_runs_the_script(folder: Path) -> None:
     assert list(by_r["term"]) == list(own["term"])
     np.testing.assert_allclose(by_r["estimate"], own["estimate"], atol=1e-3 * own["se"].min())
     np.testing.assert_allclose(by_r["se"], own["se"], rtol=1e-3)
-
-
-def test_a_name_that_r_takes_for_a_missing_value_is_refused(
-    table: analysis.Table, tmp_path: Path
-) -> None:
-    rows = table.rows.replace({"participant": {"001": "NA"}})
-    with pytest.raises(ValueError, match=r"judgements.csv: participant must not be 'NA'"):
-        export.export_r(analysis.Table(rows, table.metrics, ()), tmp_path / "new")
-    assert not (tmp_path / "new").exists()
-
-
-def test_metrics_get_names_of_their_own() -> None:
-    names = name_metrics(["my-metric", "my_metric", "repeat", "scale", "2nd"])
-    assert list(names.values()) == ["my_metric", "my_metric_2", "repeat_", "scale_2", "x2nd"]
-    assert not set(names.values()) & {*LABELS, *RESERVED}
-    assert list(name_metrics(["m", "m_w", "M"]).values()) == ["m", "m_w_2", "M_2"]
-    assert list(name_metrics(["m_step", "m"]).values()) == ["m_step", "m_2"]
-    assert all(name_metrics([one])[one] != one for one in ("item", "simulated", "response_time_s"))
-
-
-def test_names_that_look_alike_take_nothing_from_each_other(
-    table: analysis.Table, tmp_path: Path
-) -> None:
-    metrics = {"spectral_match": "m", "my-metric": "m_w"}
-    rows = table.rows.rename(columns=metrics)
-    rows["scale"] = (
-        rows["scale"].astype(str).replace({"realism": "h\u00e4rte", "force": "H\u00f6rte"})
-    )
-    folder = export.export_r(analysis.Table(rows, ("m", "m_w"), ()), tmp_path)
-    found = pd.read_csv(folder / "judgements.csv")
-    for name in ("m", "m_w_2"):
-        np.testing.assert_allclose(found[f"{name}_w"], found[name] - found[f"{name}_b"], atol=1e-9)
-    sizes = {}
-    for line in (folder / "README.txt").read_text(encoding="utf-8").splitlines():
-        if listed := re.fullmatch(r"  (wide_.*\.csv)  scale (.*)", line):
-            sizes[listed[2]] = pd.read_csv(folder / listed[1]).shape[1] - 1
-    assert sizes == {"h\u00e4rte": 36, "H\u00f6rte": 20}
-    assert len({path.name.casefold() for path in folder.glob("wide_*.csv")}) == 2
 
 
 def test_without_a_model_the_files_are_whole_and_the_script_says_why(

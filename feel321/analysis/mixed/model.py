@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design, read_new_rows
-from feel321.records import Result, Statistic
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -28,8 +28,8 @@ BOUND = 1 - 1e-6
 CONFIDENCE = 0.95
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Uncertainty(Result):
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
     """What the variance of any combination of fixed effects follows from.
 
     covariance: (n_fixed, n_fixed); slopes: (n_theta + 1, n_fixed, n_fixed); parameters: (n_theta +
@@ -86,92 +86,10 @@ def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class MixedFit(Result):
-    """A linear mixed model, fitted.
+class MixedFit(Statistic):
+    """A linear mixed model, fitted, as `fit_mixed` returns it."""
 
-    Parameters
-    ----------
-    formula : str
-        As it was given.
-    reml : bool
-        Whether the likelihood was the restricted one.
-    fixed : DataFrame
-        Fixed effects, indexed by ``term``: estimate, se, df (Satterthwaite), t, p, low and high (95 %).
-    variances : DataFrame
-        Spreads of the random effects: group, term, sd. The residual is apart.
-    correlations : DataFrame
-        Correlations within ``(1 + x | group)``: group, first, second, correlation; NaN where a spread is 0.
-    residual_sd : float
-        Standard deviation of the residual.
-    criterion : float
-        -2 log restricted likelihood at its maximum (lme4's REML criterion), or -2 log likelihood; without the penalty,
-        where there is one.
-    singular : bool
-        Whether a spread is estimated as zero, or effects as perfectly tied to each other.
-    marginal_r2, conditional_r2 : float
-        Share of the variance that the fixed effects explain, and that fixed and random effects explain.
-    effects : DataFrame
-        Predicted random effects (BLUPs): group, level, term, value.
-    fitted, residuals : ndarray, shape (n_rows,)
-        Prediction with the random effects, and the response minus it.
-    uncertainty : Uncertainty
-        What `contrast` works from: the variances of all combinations of fixed effects.
-    n_rows : int
-        Number of observations.
-    n_levels : Mapping of str to int
-        Number of levels of every grouping factor.
-    notes : tuple of str
-        What is unusual about the fit, one sentence each.
-    coding : object
-        How `predict` codes columns of words, as formulaic keeps it; None where all are numbers.
-    """
-
-    formula: str
-    reml: bool
-    fixed: DataFrame
-    variances: DataFrame
-    correlations: DataFrame
-    residual_sd: float
-    criterion: float
-    singular: bool
-    marginal_r2: float
-    conditional_r2: float
-    effects: DataFrame
-    fitted: Samples
-    residuals: Samples
-    uncertainty: Uncertainty
-    n_rows: int
-    n_levels: Mapping[str, int]
-    notes: tuple[str, ...] = ()
-    coding: object = None
-
-    def to_frame(self) -> DataFrame:
-        """Return the fixed effects.
-
-        Returns
-        -------
-        DataFrame
-            A row per term: term, estimate, se, df, t, p, low, high.
-        """
-        return self.fixed.reset_index()
-
-    def summary(self) -> str:
-        """Write the fit as lme4 does.
-
-        Returns
-        -------
-        str
-            Formula, spreads, fixed effects and notes.
-        """
-        sizes = ", ".join(f"{name} {count}" for name, count in self.n_levels.items())
-        residual = {"group": "residual", "term": "", "sd": self.residual_sd}
-        spreads = [*self.variances.to_dict("records"), dict[Any, Any](residual)]
-        return "\n".join([
-            self.formula, f"{self.n_rows} rows; levels: {sizes}", "",
-            *(f"{row['group']:24} {row['term']:20} {row['sd']:.4g}" for row in spreads), "",
-            self.fixed.to_string(float_format="{:.4g}".format), *self.notes,
-        ])  # fmt: skip
+    __slots__ = ()
 
     def predict(self, data: DataFrame) -> Samples:
         """Predict new rows for people and stimuli in general, that is without random effects.
@@ -214,7 +132,12 @@ def fit_mixed(
     Returns
     -------
     MixedFit
-        Fixed effects with Satterthwaite's t tests, spreads, predictions.
+        ``fixed``, indexed by ``term``: estimate, se, df (Satterthwaite), t, p, low and high (95 %); ``variances``, the
+        random effects' spreads: group, term, sd; ``correlations`` within ``(1 + x | group)``; ``residual_sd``;
+        ``criterion``, -2 log (restricted) likelihood at its maximum, without the penalty; ``singular``, whether a
+        spread is zero or effects are perfectly tied; ``marginal_r2 conditional_r2``; ``effects``, the predicted random
+        effects: group, level, term, value; ``fitted residuals``, (n_rows,), with the random effects; ``formula reml
+        n_rows n_levels notes``; ``predict(data)``.
 
     Raises
     ------
@@ -243,12 +166,9 @@ def fit_mixed(
 
     References
     ----------
-    Bates, Mächler, Bolker & Walker (2015), Fitting linear mixed-effects models using lme4, Journal of
-    Statistical Software 67(1), doi 10.18637/jss.v067.i01. Kuznetsova et al. (2017), doi
-    10.18637/jss.v082.i13. Chung, Rabe-Hesketh, Dorie, Gelman & Liu (2013), A nondegenerate penalized likelihood
-    estimator for variance parameters in multilevel models, Psychometrika 78, 685-709, doi
-    10.1007/s11336-013-9328-2. Nakagawa & Schielzeth (2013), doi 10.1111/j.2041-210x.2012.00261.x; Johnson (2014),
-    doi 10.1111/2041-210X.12225.
+    Bates, Mächler, Bolker & Walker (2015), doi 10.18637/jss.v067.i01; Kuznetsova et al. (2017), doi
+    10.18637/jss.v082.i13; Chung, Rabe-Hesketh, Dorie, Gelman & Liu (2013), doi 10.1007/s11336-013-9328-2; Nakagawa &
+    Schielzeth (2013), doi 10.1111/j.2041-210x.2012.00261.x; Johnson (2014), doi 10.1111/2041-210X.12225.
 
     Examples
     --------
@@ -333,8 +253,9 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
         random / profile.n_rows * residual_sd**2,
         residual_sd**2,
     ]
+    fixed = pd.DataFrame(rows, index=pd.Index(design.names, name="term"))
     return MixedFit(
-        formula=formula, reml=profile.reml, fixed=pd.DataFrame(rows, index=pd.Index(design.names, name="term")),
+        "MixedFit", formula=formula, reml=profile.reml, fixed=fixed,
         variances=variances, correlations=correlations, residual_sd=residual_sd, criterion=profile.deviance(best),
         singular=bool(notes), marginal_r2=parts[0] / sum(parts), conditional_r2=sum(parts[:2]) / sum(parts),
         effects=effects, fitted=fitted, residuals=design.response - fitted, uncertainty=solved.uncertainty,
@@ -382,15 +303,12 @@ def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Statistic:
     (1.5, 0.35, 6.0)
     """
     terms = list(fit.fixed.index)
-    wanted = _read_weights(weights) if isinstance(weights, str) else weights
-    if strangers := [name for name in wanted if name not in terms]:
-        raise ValueError(
-            f"weights must name terms of the model ({', '.join(terms)}), got {strangers[0]!r}"
-        )
+    wanted = dict(_read_weights(weights) if isinstance(weights, str) else weights)
     values = np.array([float(wanted.get(name, 0)) for name in terms])
-    if not np.isfinite(values).all() or not values.any():
+    if not set(wanted) <= set(terms) or not np.isfinite(values).all() or not values.any():
         raise ValueError(
-            f"weights must be finite numbers, one of them other than 0; got {dict(wanted)}"
+            f"weights must be finite numbers of terms of the model ({', '.join(terms)}), one of them other than 0, got "
+            f"{wanted}"
         )
     return estimate_sum(fit.fixed["estimate"].to_numpy(), values, fit.uncertainty)
 

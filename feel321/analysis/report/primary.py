@@ -37,7 +37,7 @@ from feel321.analysis.primary.sensitivity import (
     judge_level,
     measure_influence,
 )
-from feel321.analysis.replication.park import explain_spread
+from feel321.analysis.replication.measures import explain_spread
 from feel321.analysis.report import parts
 from feel321.analysis.report.section import NONE, Found, Picture, Row, Section, count_rows, make_row
 from feel321.analysis.table.schema import STAND_INS
@@ -191,7 +191,7 @@ def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primar
             found = dict(contrast(model.fit, weights)) if math.isfinite(row["low"]) else {}
             row |= {f"{prefix}{key}": value for key, value in found.items()}
         rows.append(row)
-    return replace(model, differences=type(model.differences)(rows))
+    return model.replace(differences=type(model.differences)(rows))
 
 
 # What is concluded of a slope.

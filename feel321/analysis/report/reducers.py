@@ -350,6 +350,7 @@ def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
             ["participant", "recording", ITEM], observed=True
         )
         means = cells.mean(numeric_only=True).reset_index()
+        means = means.astype(dict.fromkeys(["participant", "recording", ITEM], object))
         reducers = means[ITEM].map(arm.drop_duplicates(ITEM).set_index(ITEM)["reducer"])
         base, source = means["recording"] + "/" + reducers, means["recording"].map(sources)
         tables.append(means.assign(level=level, reducer=reducers, base=base, source=source))
