@@ -59,7 +59,7 @@ class Study:
     warn: Callable[[str], None] | None = None
 
     @classmethod
-    def create(cls, path: PathLike, *, like: str | None = None, progress: Progress = False) -> Self:
+    def create(cls, path: PathLike, *, like: str | None = None, methods: bool = False) -> Self:
         """Begin a study in a new folder: a commented `study.toml` that works as it is, and a `rig.toml`.
 
         Parameters
@@ -68,15 +68,20 @@ class Study:
             The folder; refused if it holds a study.
         like : str, optional
             A ready study, such as `landin2010`, one that was published, or `generated`, a design.
-        progress : bool or callable
-            Whether long steps show a progress bar.
+        methods : bool
+            Whether it gets an example of every kind of method of your own.
 
         Returns
         -------
         Study
             The study.
         """
-        return cls(create_study(as_path(path), bundled=like), progress)
+        made = create_study(as_path(path), bundled=like)
+        if methods:
+            from feel321.study.settings.read import add_methods
+
+            add_methods(made)
+        return cls(made)
 
     @classmethod
     def open(cls, path: PathLike = ".", *, progress: Progress = False) -> Self:
@@ -109,8 +114,9 @@ class Study:
 
         with follow(self.progress, "check") as step:
             found = check_study(self.folder, progress=step)
-        warnings, line = (*found.warnings, *find_faults(self.folder)), describe_frozen(self.folder)
-        return replace(found, warnings=warnings, notes=(*found.notes, *filter(None, [line])))
+        frozen = filter(None, [describe_frozen(self.folder)])
+        faults = find_faults(self.folder)
+        return replace(found, warnings=(*found.warnings, *faults), notes=(*found.notes, *frozen))
 
     def build(self, workers: int | Workers = 1, *, page: bool = True) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
@@ -127,13 +133,14 @@ class Study:
         StimulusSet
             The set.
         """
+        from feel321.stimuli.sets.build import find_copies
         from feel321.study.workflow import build_study
 
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(self.folder, workers=workers, page=page, progress=step)
-        for one in facts:
-            for text in one.warnings:
-                self._warn(f"{one.name}: {text}")
+        noticed = [f"{one.name}: {text}" for one in facts for text in one.warnings]
+        for text in (*noticed, *find_copies(facts)):
+            self._warn(text)
         return stimuli
 
     def simulate(self, participants: int = 16, rng: Rng | None = None) -> DataFrame:
@@ -153,18 +160,35 @@ class Study:
         """
         import pandas as pd
 
+        self.simulate_sessions(participants, None if rng is None else as_seed(rng))
+        return pd.read_csv(self.folder.ratings)
+
+    def simulate_sessions(self, participants: int, seed: int | None = None) -> int:
+        """Do as `simulate`, without pandas, which takes a second to import.
+
+        Parameters
+        ----------
+        participants : int
+            How many take part.
+        seed : int, optional
+            Random seed of the participants; the study's by default.
+
+        Returns
+        -------
+        int
+            Number of ratings.
+        """
         from feel321.study.simulation import simulate_study
 
         with follow(self.progress, "simulate") as step:
-            simulate_study(
+            return simulate_study(
                 self.folder,
                 participants=participants,
-                seed=None if rng is None else as_seed(rng),
+                seed=seed,
                 now=self.now,
                 progress=step,
                 warn=self._warn,
             )
-        return pd.read_csv(self.folder.ratings)
 
     def status(self) -> Status:
         """Read how far every participant has come, and how balanced the design is so far. Blind.
@@ -179,7 +203,16 @@ class Study:
         with follow(self.progress, "status") as step:
             return read_status(self.folder, progress=step)
 
-    def analyze(self, draws: int | None = None, *, rivals: bool = False) -> Results:
+    def analyze(
+        self,
+        draws: int | None = None,
+        *,
+        rivals: bool = False,
+        metrics: Sequence[str] = (),
+        ratings: PathLike | None = None,
+        manifest: PathLike | None = None,
+        out: PathLike | None = None,
+    ) -> Results:
         """Relate the ratings to the match metrics and write the report into `report/`.
 
         Parameters
@@ -188,6 +221,12 @@ class Study:
             Bootstrap draws per interval; as `study.toml` declares by default.
         rivals : bool
             Also say which of all metrics predicts best, corrected for how many were tried.
+        metrics : sequence of str
+            Numeric columns of the manifest to analyze; those that `study.toml` declares if left out.
+        ratings, manifest : str or path, optional
+            Ratings from elsewhere, and the stimuli that were rated; the study's by default.
+        out : str or path, optional
+            Where to, instead of `report/`.
 
         Returns
         -------
@@ -197,9 +236,20 @@ class Study:
         from feel321.study.analyze import analyze_study
         from feel321.study.export.narrative import write_methods
 
+        target = None if out is None else as_path(out)
         with follow(self.progress, "analyze") as step:
-            results = analyze_study(self.folder, draws=draws, rivals=rivals, progress=step)
-        write_methods(self.folder, self.folder.report)
+            results = analyze_study(
+                self.folder,
+                ratings=None if ratings is None else as_path(ratings),
+                manifest=None if manifest is None else as_path(manifest),
+                metrics=metrics or None,
+                draws=draws,
+                rivals=rivals,
+                out=target,
+                progress=step,
+            )
+        if ratings is None:
+            write_methods(self.folder, target or self.folder.report)
         return results
 
     def audit(self, *, expect: str = "", remotes: Sequence[str] = ()) -> Audit:
@@ -340,7 +390,7 @@ class Study:
         Study
             The same study.
         """
-        from feel321.study.settings.edit import edit_settings
+        from feel321.study.settings.read import edit_settings
 
         edit_settings(self.folder.settings, changes)
         return self
@@ -396,9 +446,8 @@ class Study:
         ]
         frame = pd.DataFrame(rows).drop(columns=["parts", "judgements"])
         if not blind:
-            codes = {
-                code: name for name, code in list_codes(self.stimuli(), seed=plan.seed).items()
-            }
+            named = list_codes(self.stimuli(), seed=plan.seed)
+            codes = {code: name for name, code in named.items()}
             columns = ["stimulus_id", "reference_id"]
             frame[columns] = frame[columns].replace(codes)
         return frame
@@ -479,7 +528,6 @@ class Study:
     def _find(self, participant: str) -> Dossier:
         known = {folder.name: folder for folder in self.folder.participants}
         if participant not in known:
-            raise ValueError(
-                f"participant must be one of {', '.join(known) or 'nobody yet'}; got {participant!r}"
-            )
+            listed = ", ".join(known) or "nobody yet"
+            raise ValueError(f"participant must be one of {listed}; got {participant!r}")
         return self.folder.read_person(known[participant])

@@ -21,8 +21,8 @@ from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.actuator.rig import read_rig
 from feel321.study.all_settings import FILES, list_settings
 from feel321.study.cli import APP, VERBS, main
-from feel321.study.folder import add_methods, create_study
-from feel321.study.settings.read import read_settings
+from feel321.study.folder import create_study
+from feel321.study.settings.read import add_methods, read_settings
 
 README_LENGTH = 4500
 """Characters that README may have; the rest is in docs/."""

@@ -23,10 +23,10 @@ from feel321.study import analyze, metrics
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import create_study
-from feel321.study.matches import MATCHES_FILE, describe_matches, summarise_matches, write_matches
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import Participant
 from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.ratings import MATCHES_FILE, describe_matches, summarise_matches, write_matches
 from feel321.study.session.engine import run_session
 from feel321.study.session.plan import (
     Design,

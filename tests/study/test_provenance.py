@@ -10,7 +10,7 @@ import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.auditing.study import audit_study
-from feel321.study.provenance import find_changes
+from feel321.study.sessions import find_changes
 from feel321.study.settings.read import make_recipe, read_settings
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study, check_study

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.tasks import make_task
-from feel321.study.columns import RATING_COLUMNS
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.ratings import read_judgements, write_ratings
 from feel321.study.session.codes import list_codes
 from feel321.study.session.journal import START, create_journal, digest, write_line

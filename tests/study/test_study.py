@@ -13,7 +13,7 @@ from feel321 import study as face
 from feel321.study import Study
 from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
-from feel321.study.settings.edit import change_settings
+from feel321.study.settings.read import change_settings
 
 if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder

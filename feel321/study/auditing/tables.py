@@ -21,8 +21,7 @@ from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import matches
 from feel321.study.auditing.replay import MALFORMED
-from feel321.study.columns import RATING_COLUMNS
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.people import ROSTER_FILE, Progress, list_roster, read_progress
 from feel321.study.persons import answers
 from feel321.study.ratings import read_judgements

@@ -50,8 +50,6 @@ def new(
     all_settings
         Only print every setting.
     """
-    from feel321.study.folder import add_methods
-
     if all_settings:
         from feel321.study.all_settings import FILES, write_list
 
@@ -64,9 +62,7 @@ def new(
         shared.refuse_use("name the folder of the new study")
     if study and methods:
         shared.refuse_use("--methods adds to a study of your own; leave out --study")
-    made = Study.create(folder, like=study).folder
-    if methods:
-        add_methods(made)
+    made = Study.create(folder, like=study, methods=methods).folder
     shared.echo(f"{made.settings}: edit it, then: feel321 check {quote(str(folder))}")
 
 
@@ -161,18 +157,10 @@ def build(
     no_page
         No stimuli/index.html.
     """
-    from feel321.stimuli.sets.build import find_copies
     from feel321.study.strength import describe_built
-    from feel321.study.workflow import build_study
 
-    workers, opened = crew.employ(), shared.open_study(study)
-    with shared.show_progress("build") as progress:
-        facts, stimuli = build_study(
-            opened.folder, workers=workers, page=not no_page, progress=progress
-        )
-    shared.report_warnings(facts)
-    for copies in find_copies(facts):
-        shared.warn(copies)
+    opened = shared.open_study(study)
+    stimuli = opened.build(crew.employ(), page=not no_page)
     notes = describe_built(opened.settings, stimuli)
     count, folder, sha256 = len(stimuli.stimuli), str(stimuli.folder), stimuli.sha256
     if as_json:
@@ -357,7 +345,7 @@ def demo(*, out: Out = Path("demo-study")) -> None:
     opened = Study(_open_demo(out or Path()), shared.wants_bar(), warn=shared.warn)
     stimuli = opened.build()
     shared.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
-    rows = shared.simulate_sessions(opened, DEMO_PARTICIPANTS)
+    rows = opened.simulate_sessions(DEMO_PARTICIPANTS)
     table = opened.folder.ratings
     shared.echo(f"{table}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
     opened.analyze()

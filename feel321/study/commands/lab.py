@@ -165,7 +165,7 @@ def simulate(
     from feel321.study.simulation import regress_planted
 
     opened = shared.open_study(study)
-    rows = shared.simulate_sessions(opened, participants, seed)
+    rows = opened.simulate_sessions(participants, seed)
     planted = regress_planted(opened.settings, opened.stimuli())
     file = str(opened.folder.ratings)
     if as_json:

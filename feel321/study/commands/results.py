@@ -11,6 +11,7 @@ from cyclopts import Parameter
 from feel321.study.commands import shared
 from feel321.study.commands.shared import File, Json, Out, Rehearsals, Several
 from feel321.study.folder import StudyFolder, require_study
+from feel321.study.study import Study
 
 
 def analyze(  # noqa: PLR0913 - one per option
@@ -54,23 +55,11 @@ def analyze(  # noqa: PLR0913 - one per option
         shared.refuse_use(
             "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
         )
-    from feel321.study.analyze import analyze_study
-    from feel321.study.export.narrative import write_methods
-
     target = out or folder.report
-    recording = shared.recording(folder, "analyze", target)
-    with shared.show_progress("analyze") as progress, recording:
-        analyze_study(
-            folder,
-            ratings=ratings,
-            manifest=manifest,
-            metrics=metric or None,
-            rivals=rivals,
-            out=out,
-            progress=progress,
+    with shared.recording(folder, "analyze", target):
+        Study(folder, shared.wants_bar(), warn=shared.warn).analyze(
+            rivals=rivals, metrics=metric, ratings=ratings, manifest=manifest, out=out
         )
-        if ratings is None:
-            write_methods(folder, target)
     shared.print_results(target, as_json=as_json)
 
 

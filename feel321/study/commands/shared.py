@@ -305,18 +305,3 @@ def wants_bar() -> bool:
 def show_progress(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
     """Show a progress bar on stderr, if that is a terminal."""
     return follow(wants_bar(), what)
-
-
-def simulate_sessions(study: Study, participants: int, seed: int | None = None) -> int:
-    """Simulate sessions; returns the number of ratings. It does without pandas, which takes a second to import."""
-    from feel321.study.simulation import simulate_study
-
-    with show_progress("simulate") as progress:
-        return simulate_study(
-            study.folder,
-            participants=participants,
-            seed=seed,
-            now=study.now,
-            progress=progress,
-            warn=warn,
-        )

@@ -17,9 +17,9 @@ from feel321.records import to_json_value
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import list_info, list_labels
 from feel321.study.checkpoints import find_newest
-from feel321.study.columns import RATING_COLUMNS
 from feel321.study.export.narrative import METHODS_FILE, make_methods
 from feel321.study.export.people import gather_people, number_names
+from feel321.study.folder import RATING_COLUMNS
 from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import (
     list_origins,

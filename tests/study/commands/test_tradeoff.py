@@ -13,7 +13,7 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import find_ratings
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.settings.edit import edit_settings
+from feel321.study.settings.read import edit_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
