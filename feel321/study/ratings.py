@@ -183,6 +183,13 @@ def write_matches(study: StudyFolder, stimuli: StimulusSet) -> list[dict[str, An
     return rows
 
 
+def read_matches(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
+    """Read the matches of one participant; a withdrawn one has none."""
+    if (folder / TOMBSTONE_FILE).exists():
+        return []
+    return list(list_matches(read_dossier(folder), stimuli))
+
+
 def list_matches(dossier: Dossier, stimuli: StimulusSet) -> Iterator[dict[str, Any]]:
     """List the matches of one participant that count, from the newest journal."""
     plan = dossier.plan

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.texts import CATALOG, read_texts, write_copy
-from feel321.protocols.trial import ASIDE
+from feel321.protocols.texts import CATALOG, read_texts
 from feel321.stimuli.sets.build import Facts
 from feel321.stimuli.wav import write_wav
 from feel321.study.cli import main
-from feel321.study.session.journal import digest
-from feel321.study.settings.read import LATER, make_identity, read_settings
+from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study, find_warnings
 
 if TYPE_CHECKING:
@@ -156,23 +153,6 @@ def test_remarks_on_settings_need_no_stimuli(study: StudyFolder) -> None:
     assert [
         line.split(": ")[:2] for line in find_warnings(study, read_settings(study.settings))
     ] == [["study.toml", "session.breaks.rest_s"]]
-
-
-def test_the_digest_of_bundled_texts_is_that_of_what_a_session_asks(study: StudyFolder) -> None:
-    """Pages aside from the plan came later: they may not keep a session that was begun before from going on."""
-    settings = read_settings(study.settings)
-    texts = read_texts("en")
-    for key in ASIDE:
-        del texts["pages"][key]
-    del texts["questions"]  # what is asked stands in the plan
-    for name in LATER:
-        del texts["scales"][name], texts["pages"][f"instructions.{name}"]
-    wanted = digest(json.dumps(texts, sort_keys=True))
-    assert make_identity(settings, study.path, {})["texts_sha256"] == wanted
-    (study.path / "texts.toml").write_text(write_copy("en"), encoding="utf-8")
-    own = settings.session.model_copy(update={"language": "texts.toml"})
-    same = settings.model_copy(update={"session": own})
-    assert make_identity(same, study.path, {})["texts_sha256"] == wanted
 
 
 def test_a_translation_says_what_it_lacks(study: StudyFolder) -> None:

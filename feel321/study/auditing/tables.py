@@ -19,12 +19,11 @@ from typing import Any
 from feel321 import intake
 from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import matches
 from feel321.study.auditing.replay import MALFORMED
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.people import ROSTER_FILE, Progress, list_roster, read_progress
 from feel321.study.persons import answers
-from feel321.study.ratings import read_judgements
+from feel321.study.ratings import MATCH_COLUMNS, MATCHES_FILE, read_judgements, read_matches
 from feel321.study.session.plan import TOMBSTONE_FILE
 
 ANEW = "derive it anew: feel321 analyze"
@@ -77,7 +76,7 @@ def list_tables(study: StudyFolder) -> list[DerivedTable]:
             "other_id",
         )
         asked = ("participant", "session", "question", "occasion")
-        answered, matched = study.path / answers.ANSWERS_FILE, study.path / matches.MATCHES_FILE
+        answered, matched = study.path / answers.ANSWERS_FILE, study.path / MATCHES_FILE
         tables += [
             DerivedTable(
                 study.ratings, RATING_COLUMNS, rated, partial(read_judgements, stimuli=stimuli)
@@ -85,9 +84,9 @@ def list_tables(study: StudyFolder) -> list[DerivedTable]:
             DerivedTable(answered, answers.COLUMNS, asked, answers.read_answers),
             DerivedTable(
                 matched,
-                matches.COLUMNS,
+                MATCH_COLUMNS,
                 ("participant", "trial", "stimulus_id"),
-                partial(matches.read_matches, stimuli=stimuli),
+                partial(read_matches, stimuli=stimuli),
             ),
         ]
     is_compared = not study.is_rehearsal

@@ -113,7 +113,9 @@ def change_settings(text: str, changes: Mapping[str, object]) -> str:
         *tables, key = name.split(".")
         place: Any = document
         for table in tables:
-            place = place.setdefault(table, tomlkit.table())
+            if value is not None and table not in place:
+                place[table] = tomlkit.table()
+            place = place.get(table, {})
             if not isinstance(place, dict):
                 where = f"{name}: {table} is not a table of settings"
                 raise ValueError(f"{where}; edit study.toml")  # noqa: TRY004 - of the file
@@ -140,7 +142,9 @@ def _make_plain(name: str, value: object) -> Any:  # noqa: ANN401 - whatever TOM
 def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
     """Change settings in a `study.toml`, which is left as it is if a setting is refused."""
     read_settings(path)
-    text = change_settings(intake.read_small(path), changes)
+    before = intake.read_small(path)
+    newline = "\r\n" if "\r\n" in before else "\n"
+    text = change_settings(before.replace("\r\n", "\n"), changes).replace("\n", newline)
     with temporary_folder() as folder:
         write_text(folder / path.name, text)
         read_settings(folder / path.name, path.parent)
