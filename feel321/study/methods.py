@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 from feel321.doors import refuse_name
 from feel321.extensions import FORMS, find_method, list_entry_points
+from feel321.names import WRITTEN
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -79,6 +80,18 @@ def list_methods(settings: Settings, folder: Path) -> list[Method]:
     metrics = [find_metric(settings, name, folder) for name in named]
     reducers = [one.method for one in list_own_reducers(settings, folder).values()]
     return [*reducers, *(one for one in metrics if not isinstance(one, str))]
+
+
+def list_for_tradeoff(
+    settings: Settings, folder: Path
+) -> tuple[dict[str, Reducer], dict[str, Metric]]:
+    """List the lab's own reducers, but those made elsewhere, which reduce nothing else; and metrics beside ours."""
+    own = list_own_reducers(settings, folder).items()
+    reducers: dict[str, Reducer] = {name: one for name, one in own if one.method.origin != "made"}
+    asked = [name for name in settings.stimuli.metrics if name in METRICS and name not in WRITTEN]
+    metrics: dict[str, Metric] = {name: METRICS[name] for name in asked}
+    methods = [one for one in list_methods(settings, folder) if one.kind == "metric"]
+    return reducers, metrics | {one.name: OwnMetric(one) for one in methods}
 
 
 def _read_if_there(folder: Path) -> Settings:

@@ -128,12 +128,6 @@ def test_a_shell_completes_verbs_and_choices() -> None:
         ("note a b c --participant p1", "takes a study and one text in quotes, got 3 words"),
         ("collect", "name the study folders to collect from"),
         ("export a b --r --keep-ids", "--keep-ids and --simulated are for BIDS"),
-        ("advise study", "advise is now: feel321 tradeoff"),
-        ("chart", "chart is now: feel321 tradeoff"),
-        ("stress", "stress is now: feel321 tradeoff"),
-        ("texts de", "texts is now: feel321 new --texts"),
-        ("release p07", "release is now: feel321 withdraw --keep-data"),
-        ("monitor", "monitor is now: feel321 status --watch"),
     ],
 )
 def test_wrong_use_is_one_line_and_exit_2(

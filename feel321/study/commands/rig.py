@@ -1,8 +1,7 @@
 """Verbs of the rig: calibrate, doctor."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -41,7 +40,7 @@ def calibrate(
     Plays sweeps and noise on one coil after another, through the same stream as in a session, recorded by the sensor of
     rig.toml: response, distortion, noise, latency, direction and uncertainty of each coil, and a filter that makes its
     response flat, verified by playing through it. The certificate is stored in the study's folder calibration; run
-    uses the newest that is valid. Press any key to stop. The exit code is 1 if the limits of [calibration] in rig.toml
+    uses the newest that is valid. Ctrl-C stops. The exit code is 1 if the limits of [calibration] in rig.toml
     are not met; run then does not use the certificate.
 
     Example: feel321 calibrate my-study
@@ -66,14 +65,12 @@ def calibrate(
         shared.echo(_flip(rig, rate_hz=rate_hz))
         return 0
     made = datetime.now(UTC)
-    make = _measure if not manual else _type_gains
-    certificate = write_certificate(make(rig, manual, rate_hz=rate_hz, made=made), folder.path)
+    certificate = write_certificate(_certify(rig, manual, rate_hz=rate_hz, made=made), folder.path)
     if not manual:  # of which there is nothing to see
         draw_certificate(certificate, folder.calibration / certificate.id)
-    if as_json:
-        shared.print_json(_describe_certificate(certificate))
-    else:
-        shared.echo("\n".join(_list_lines(certificate)))
+    shared.print_facts(
+        _describe_certificate(certificate), _list_lines(certificate), as_json=as_json
+    )
     for failure in certificate.failures:
         shared.warn(failure)
     return 0 if certificate.passed else 1
@@ -112,11 +109,12 @@ def _flip(rig: "Rig", *, rate_hz: float) -> str:
     return f"full_scale_m_s2 = {scale:.5g}  # by turning it over: for [sensor] in rig.toml"
 
 
-def _type_gains(
-    rig: "Rig", manual: Sequence[str], *, rate_hz: float, made: datetime
-) -> "Certificate":
+def _certify(rig: "Rig", manual: Sequence[str], *, rate_hz: float, made: datetime) -> "Certificate":
+    """Measure the coils, or take gains that were typed."""
+    from feel321.study.actuator.calibrate import calibrate_rig
     from feel321.study.actuator.certificate import make_manual
     from feel321.study.actuator.render import find_directions
+    from feel321.study.actuator.rig import FILE_DEVICE
 
     typed = {}
     for text in manual:
@@ -125,54 +123,16 @@ def _type_gains(
             typed[name.strip()] = float(gain)
         except ValueError:
             shared.refuse_use(f"--manual must be NAME=GAIN, such as 'left coil=12.5', got {text!r}")
-    directions, _ = find_directions(rig)
-    return make_manual(rig, typed, directions=directions, made=made, rate_hz=rate_hz)
-
-
-def _measure(
-    rig: "Rig", _manual: Sequence[str], *, rate_hz: float, made: datetime
-) -> "Certificate":
-    from feel321.study.actuator.bench import SweepStopped
-    from feel321.study.actuator.calibrate import calibrate_rig
-    from feel321.study.actuator.rig import FILE_DEVICE
-
+    if typed:
+        directions, _ = find_directions(rig)
+        return make_manual(rig, typed, directions=directions, made=made, rate_hz=rate_hz)
     if rig.device.name == FILE_DEVICE:
         raise ValueError(
             'rig.toml plays to files, which no sensor measures; name a device there or with --device ("simulated" '
             "needs no hardware), or type gains with --manual"
         )
-    try:
-        with shared.show_progress("s of sweeps") as progress, _watch_keys() as is_pressed:
-            return calibrate_rig(
-                rig, rate_hz=rate_hz, made=made, on_step=progress, is_stopping=is_pressed
-            )
-    except SweepStopped:
-        raise KeyboardInterrupt from None
-
-
-@contextmanager
-def _watch_keys() -> Iterator[Callable[[], bool]]:
-    """Give a function that finds out whether a key was pressed, if stdin is a terminal; no Enter is needed."""
-    if sys.stdin is None or not sys.stdin.isatty():
-        yield lambda: False
-        return
-    if sys.platform == "win32":
-        import msvcrt
-
-        yield msvcrt.kbhit
-        return
-    import select
-    import termios
-    import tty
-
-    number = sys.stdin.fileno()
-    before = termios.tcgetattr(number)
-    try:
-        tty.setcbreak(number)
-        yield lambda: bool(select.select([number], [], [], 0)[0])
-    finally:
-        termios.tcflush(number, termios.TCIFLUSH)
-        termios.tcsetattr(number, termios.TCSADRAIN, before)
+    with shared.show_progress("s of sweeps") as progress:
+        return calibrate_rig(rig, rate_hz=rate_hz, made=made, on_step=progress)
 
 
 ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
@@ -253,13 +213,17 @@ def doctor(
     fault = found.sensor.fault if found is not None and found.sensor is not None else ""
     if study is not None and rig is not None and found is not None and not fault:
         known = _compare_with_certificate(study, rig, rate_hz=rate_hz)
-    if as_json:
-        examination = None if found is None else asdict(found)
-        shared.print_json({"devices": devices, "examination": examination, "calibration": known})
-    else:
-        lines = [*map(_describe_device, devices), *_describe_examination(found)]
-        shared.echo("\n".join([*lines, *_describe_drifts(known)]))
-        _warn_of(found)
+    examination = None if found is None else asdict(found)
+    facts = {"devices": devices, "examination": examination, "calibration": known}
+    lines = [*map(_describe_device, devices), *_describe_examination(found)]
+    shared.print_facts(facts, [*lines, *_describe_drifts(known)], as_json=as_json)
+    if found is not None and found.is_program:
+        shared.warn(
+            f"{found.device}: a program plays it (a sound server, say), which may convert the rate and copy channels "
+            "to others without notice; name the card itself, or give it as many channels there as the rig has"
+        )
+    if found is not None and found.error:
+        shared.warn(found.error)
     if faults := [fault] if fault else known["faults"] if known else ():
         raise OSError("\n".join(faults))
     return 1 if found is not None and (found.n_failed or found.n_underruns) else 0
@@ -331,13 +295,3 @@ def _describe_examination(found: "Examination | None") -> Iterator[str]:
         )
     if found.stop_ms is not None:
         yield f"a stop is silent after {found.stop_ms:.0f} ms at most; latency_s in rig.toml shortens it"
-
-
-def _warn_of(found: "Examination | None") -> None:
-    if found is not None and found.is_program:
-        shared.warn(
-            f"{found.device}: a program plays it (a sound server, say), which may convert the rate and copy channels "
-            "to others without notice; name the card itself, or give it as many channels there as the rig has"
-        )
-    if found is not None and found.error:
-        shared.warn(found.error)

@@ -23,7 +23,7 @@ from feel321.files import make_folder
 from feel321.protocols import trial
 from feel321.protocols.tasks import find_other
 from feel321.stimuli.sets import build, manifest
-from feel321.study import provenance, ratings
+from feel321.study import ratings, sessions
 from feel321.study.metrics import measure_declared
 from feel321.study.observer.model import make_model
 from feel321.study.power.page import StudyPower
@@ -181,7 +181,7 @@ def _list_row(
 def _open_stimuli(study: StudyFolder, settings: Settings) -> StimulusSet:
     """Read the stimulus set; where none is built, measure what it would hold and write nothing."""
     if study.manifest.exists():
-        provenance.require_current_set(study, settings)
+        sessions.require_current_set(study, settings)
         return manifest.read_stimuli(study.stimuli)
     recordings = read.open_recordings(settings, study.path)
     recipe = read.make_recipe(settings, study.path)

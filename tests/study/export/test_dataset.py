@@ -20,7 +20,7 @@ from feel321.study.export import people
 from feel321.study.export.dataset import NO_METHODS, export_bids
 from feel321.study.export.people import KEY_FILE, band_age, blur, name_people
 from feel321.study.folder import StudyFolder
-from feel321.study.settings.publication import PublicationTable, check_orcid
+from feel321.study.settings.about import PublicationTable
 from tests.study.export.conftest import PLANTED
 
 if TYPE_CHECKING:
@@ -183,13 +183,6 @@ def test_what_nobody_said_is_named_and_not_invented(dataset: Path) -> None:
         )
     ]
     assert "Not said" not in (dataset / "README").read_text()
-
-
-@pytest.mark.parametrize("orcid", ["0000-0002-1825-0098", "0000-0002-1825-009", "orcid"])
-def test_an_orcid_with_a_wrong_digit_is_refused(orcid: str) -> None:
-    assert check_orcid("0000-0002-1694-233X") == "0000-0002-1694-233X"
-    with pytest.raises(ValueError, match="must"):
-        check_orcid(orcid)
 
 
 def test_ages_are_bands() -> None:
