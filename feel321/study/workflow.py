@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from feel321 import intake
 from feel321.doors import announce, follow
-from feel321.jobs import Workers
+from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
@@ -52,6 +52,8 @@ def build_study(
     progress: Progress | None = None,
 ) -> tuple[list[sets.Facts], StimulusSet]:
     """Build the stimulus set of a study, and its page; also gives what was found of its recordings."""
+    if as_workers(workers).scheduler:
+        study = StudyFolder(study.path.absolute())  # as all machines see it
     settings = read.read_settings(study.settings)
     sources = read.list_unread(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
