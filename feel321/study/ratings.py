@@ -33,7 +33,7 @@ from feel321.study.session.events import (
     TrialShown,
 )
 from feel321.study.session.journal import Records, list_journals, name_journal
-from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
+from feel321.study.session.plan import Dossier, Plan, read_as_written
 
 MATCHES_FILE = "matches.csv"
 MATCH_COLUMNS = (
@@ -53,13 +53,6 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
     study.share(study.ratings)
     return count
-
-
-def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
-    """Read the completed judgements of one participant; a withdrawn one has none, even if a copy has come back."""
-    if not list_journals(folder) or (folder / TOMBSTONE_FILE).exists():
-        return []
-    return list_judgements(read_dossier(folder), stimuli)
 
 
 def list_judgements(dossier: Dossier, stimuli: StimulusSet) -> list[dict[str, Any]]:
@@ -181,13 +174,6 @@ def write_matches(study: StudyFolder, stimuli: StimulusSet) -> list[dict[str, An
         write_table(path, MATCH_COLUMNS, rows, private=True)
         study.share(path)
     return rows
-
-
-def read_matches(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
-    """Read the matches of one participant; a withdrawn one has none."""
-    if (folder / TOMBSTONE_FILE).exists():
-        return []
-    return list(list_matches(read_dossier(folder), stimuli))
 
 
 def list_matches(dossier: Dossier, stimuli: StimulusSet) -> Iterator[dict[str, Any]]:

@@ -10,10 +10,10 @@ import pytest
 
 from feel321.protocols.tasks import make_task
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
-from feel321.study.ratings import read_judgements, write_ratings
+from feel321.study.ratings import list_judgements, write_ratings
 from feel321.study.session.codes import list_codes
 from feel321.study.session.journal import START, create_journal, digest, write_line
-from feel321.study.session.plan import Stale, create_plan, make_plan
+from feel321.study.session.plan import Stale, create_plan, make_plan, read_dossier
 from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 def read(path: Path) -> list[dict[str, str]]:
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
+
+
+def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
+    return list_judgements(read_dossier(folder), stimuli)
 
 
 def test_columns_are_those_that_were_promised() -> None:
