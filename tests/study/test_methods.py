@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from feel321.stimuli.condition import Conditioning, condition
-from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.synthesis import make_scene
 from feel321.study.analyze import gather_recordings
 
 if TYPE_CHECKING:
@@ -60,12 +60,6 @@ def test_others_are_conditioned_alike_but_not_cropped(study: Path, tmp_path: Pat
     )
 
 
-def test_scenes_need_no_study_and_come_in_their_order(tmp_path: Path) -> None:
-    assert [recording.name for recording in gather_recordings(tmp_path, scenes=True)] == list(
-        SCENES
-    )
-
-
 def test_what_is_there_twice_is_taken_once_and_other_namesakes_are_numbered(
     study: Path, tmp_path: Path
 ) -> None:
@@ -96,8 +90,3 @@ def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
         FileNotFoundError, match="no recordings in this folder; name another, or files ending in"
     ):
         gather_recordings(tmp_path, extra=[tmp_path])
-
-
-def test_without_a_study_something_else_must_be_named(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"no study\.toml in"):
-        gather_recordings(tmp_path)

@@ -87,19 +87,6 @@ def test_every_real_recording_goes_through_reduce_and_match(
         assert facts("match", source, output)["spectral_match"] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_reduce_and_match_speak_in_words_too(recording: Path, capsys: Capture) -> None:
-    assert main(f"reduce {recording} --reducer dft321 -o out.wav".split()) == 0
-    words = capsys.readouterr().out
-    assert "bumps through dft321, 5000 samples, m/s^2" in words
-    done = "conditioning of the recording: offset removed, high-pass 20 Hz, low-pass 1000 Hz\n"
-    assert done in words
-    assert "spectral match 1.0000" in words
-    assert main(f"match {recording} out.wav --metric st_sim".split()) == 0
-    shown = capsys.readouterr().out
-    assert "temporal match" in shown
-    assert "st sim " in shown
-
-
 def test_the_window_is_that_of_the_option(recording: Path, tmp_path: Path) -> None:
     for window in ("20", "50"):
         words = f"reduce {recording} --reducer dft321_windowed --window-ms {window} -o {window}.wav"
@@ -155,12 +142,6 @@ def test_what_cannot_be_is_one_line_and_writes_nothing(
     assert (out, err.count("\n")) == ("", 1)
     assert message in err
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-def test_reduce_overwrites_when_told(recording: Path, tmp_path: Path) -> None:
-    (tmp_path / "out.wav").write_bytes(b"mine")
-    assert main((REDUCE + "out.wav --force").format(recording=recording).split()) == 0
-    assert len(read_wav(tmp_path / "out.wav")[0]) == 5000
 
 
 @pytest.mark.parametrize("output", ["raw.wav", "link.wav", "other.wav"])
@@ -259,15 +240,6 @@ def test_match_compares_like_with_like_or_says_why_not(
     (tmp_path / "o.json").write_text(text, encoding="utf-8")
     assert main(f"match {recording} o.wav {options}".split()) == code
     assert message in capsys.readouterr().err
-
-
-def test_a_json_file_of_another_kind_says_nothing_of_the_conditioning(
-    recording: Path, tmp_path: Path, facts: Callable[..., dict[str, Any]]
-) -> None:
-    facts(f"reduce {recording} --reducer dft321 -o o.wav")
-    (tmp_path / "o.json").write_text('{"unit": "g"}', encoding="utf-8")
-    found = facts(f"match {recording} o.wav")
-    assert found["conditioning_from"] == "assumed: no o.json of reduce beside it"
 
 
 def test_a_recording_that_cannot_be_conditioned_can_still_be_taken_raw(

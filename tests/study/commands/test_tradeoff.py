@@ -62,17 +62,6 @@ def write_ratings(study: Path) -> None:
     folder.ratings.write_text("\n".join(lines) + "\n")
 
 
-def test_one_line_per_recording_and_where_the_page_is(study: Path, capsys: Capture) -> None:
-    assert main(["tradeoff", str(study)]) == 0
-    advice, common, page = capsys.readouterr().out.splitlines()
-    assert advice.startswith("bumps: ")
-    assert common.endswith("suffices for the recording.")
-    assert page == str(study / "tradeoff" / "index.html")
-    content = read(study / "tradeoff")
-    assert [one["recording"] for one in content["choices"]] == ["bumps"]
-    assert "people" not in content
-
-
 def read(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "results.json").read_text(encoding="utf-8"))
 
@@ -152,17 +141,6 @@ def test_ratings_are_found_once_there_are_any(study: Path) -> None:
     assert sorted(table.rows["rating"]) == [41, 42, 51, 52]
 
 
-def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path) -> None:
-    assert main(["build", str(study)]) == 0
-    assert main(["simulate", str(study), "--participants", "1", "--seed", "0"]) == 0
-    folder = StudyFolder(study)
-    folder.ratings.unlink()
-    table = find_ratings(folder)
-    assert table is not None
-    assert bool(table.rows["simulated"].all())
-    assert folder.ratings.is_file()
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -191,13 +169,3 @@ def test_bad_use_is_one_line(
     assert (out, len(err.splitlines())) == ("", 1)
     assert message in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_page_that_is_not_ours_is_refused_before_anything_is_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    monkeypatch.setattr("feel321.study.analyze.gather_recordings", lambda *_, **__: 1 / 0)
-    (tmp_path / "index.html").write_text("mine")
-    assert main(["tradeoff", "--scenes", "--out", str(tmp_path)]) == 1
-    assert "exists and is not of a former report" in capsys.readouterr().err
-    assert (tmp_path / "index.html").read_text() == "mine"
