@@ -70,11 +70,6 @@ class Study:
             A ready study, such as `landin2010`, one that was published, or `generated`, a design.
         methods : bool
             Whether it gets an example of every kind of method of your own.
-
-        Returns
-        -------
-        Study
-            The study.
         """
         made = create_study(as_path(path), bundled=like)
         if methods:
@@ -93,22 +88,11 @@ class Study:
             The folder that holds `study.toml`.
         progress : bool or callable
             Whether long steps show a progress bar.
-
-        Returns
-        -------
-        Study
-            The study.
         """
         return cls(require_study(as_path(path)), progress)
 
     def check(self) -> Problems:
-        """Check settings, recordings, texts, strength of the stimuli, rig and, once built, the stimulus set.
-
-        Returns
-        -------
-        Problems
-            All that was found, at once.
-        """
+        """Check settings, recordings, texts, strength of the stimuli, rig and, once built, the stimulus set."""
         from feel321.study.freeze import describe_frozen, find_faults
         from feel321.study.workflow import check_study
 
@@ -127,11 +111,6 @@ class Study:
             Number of processes, or who else does the work.
         page : bool
             Whether the set gets a page on which stimuli are seen, measured and heard, `stimuli/index.html`.
-
-        Returns
-        -------
-        StimulusSet
-            The set.
         """
         from feel321.stimuli.sets.build import find_copies
         from feel321.study.workflow import build_study
@@ -152,11 +131,6 @@ class Study:
             How many take part.
         rng : int or Generator, optional
             Random seed of the participants; the study's by default.
-
-        Returns
-        -------
-        DataFrame
-            The ratings, as `ratings.csv` holds them.
         """
         import pandas as pd
 
@@ -172,11 +146,6 @@ class Study:
             How many take part.
         seed : int, optional
             Random seed of the participants; the study's by default.
-
-        Returns
-        -------
-        int
-            Number of ratings.
         """
         from feel321.study.simulation import simulate_study
 
@@ -191,13 +160,7 @@ class Study:
             )
 
     def status(self) -> Status:
-        """Read how far every participant has come, and how balanced the design is so far. Blind.
-
-        Returns
-        -------
-        Status
-            Participants and balance.
-        """
+        """Read how far every participant has come, and how balanced the design is so far. Blind."""
         from feel321.study.status import read_status
 
         with follow(self.progress, "status") as step:
@@ -227,11 +190,6 @@ class Study:
             Ratings from elsewhere, and the stimuli that were rated; the study's by default.
         out : str or path, optional
             Where to, instead of `report/`.
-
-        Returns
-        -------
-        Results
-            Every number of the report, and its answer.
         """
         from feel321.study.analyze import analyze_study
         from feel321.study.export.narrative import write_methods
@@ -261,11 +219,6 @@ class Study:
             The id of a checkpoint that must be there, or how it begins.
         remotes : sequence of str
             Git remotes with checkpoints, folders or URLs, besides those that the study is pushed to.
-
-        Returns
-        -------
-        Audit
-            Every change, and what the study was compared with.
         """
         from feel321.study.auditing.study import examine
         from feel321.study.findings import Audit
@@ -286,11 +239,6 @@ class Study:
             Why settings, texts or methods were changed since the last checkpoint.
         to : str
             A further git remote, a folder or a URL; it is kept if it takes this checkpoint.
-
-        Returns
-        -------
-        Seal
-            The id of the checkpoint, and the remotes that have it.
         """
         from feel321.study.checkpoints import take_checkpoint
 
@@ -340,11 +288,6 @@ class Study:
             Random seed; the study's by default.
         folder : str or path, optional
             Where to, instead of `power/`.
-
-        Returns
-        -------
-        StudyPower
-            The answer, and every number behind it.
         """
         from feel321.analysis.report.folder import check_target
         from feel321.jobs import as_workers
@@ -380,11 +323,6 @@ class Study:
         ----------
         changes : Mapping of str to object
             Dotted name -> value, such as `{"session.repeats": 2}`; None brings the default back.
-
-        Returns
-        -------
-        Study
-            The same study.
         """
         from feel321.study.settings.read import edit_settings
 
@@ -392,25 +330,13 @@ class Study:
         return self
 
     def recordings(self) -> list[Recording]:
-        """Read the recordings that `study.toml` names.
-
-        Returns
-        -------
-        list of Recording
-            As the sensor gave them: not conditioned.
-        """
+        """Read the recordings that `study.toml` names."""
         from feel321.study.settings.read import open_recordings
 
         return open_recordings(self.settings, self.folder.path)
 
     def stimuli(self) -> StimulusSet:
-        """Read the stimulus set.
-
-        Returns
-        -------
-        StimulusSet
-            As it was built.
-        """
+        """Read the stimulus set."""
         from feel321.stimuli.sets.manifest import read_stimuli
 
         return read_stimuli(self.folder.stimuli)
@@ -424,11 +350,6 @@ class Study:
             The participant's code.
         blind : bool
             Whether stimuli keep their codes; if False, they are named.
-
-        Returns
-        -------
-        DataFrame
-            One row per judgement, in the order of the trials.
         """
         import pandas as pd
 
@@ -455,11 +376,6 @@ class Study:
         ----------
         participant : str
             The participant's code.
-
-        Returns
-        -------
-        DataFrame
-            One row per record: `session`, `sequence`, `utc`, `event`, `data`. Blind: stimuli have their codes.
         """
         import pandas as pd
 
@@ -471,13 +387,7 @@ class Study:
         return pd.DataFrame(rows, columns=["session", "sequence", "utc", "event", "data"])
 
     def ratings(self) -> DataFrame:
-        """Derive the ratings from the journals.
-
-        Returns
-        -------
-        DataFrame
-            One row per completed judgement, as `ratings.csv` holds them, which is written anew.
-        """
+        """Derive the ratings from the journals."""
         import pandas as pd
 
         from feel321.study.ratings import write_ratings
@@ -486,13 +396,7 @@ class Study:
         return pd.read_csv(self.folder.ratings)
 
     def answers(self) -> DataFrame:
-        """Derive the answers to question pages from the journals; personal ones are marked so.
-
-        Returns
-        -------
-        DataFrame
-            One row per answer, as in `answers.csv`, which is written anew; empty where nothing was asked.
-        """
+        """Derive the answers to question pages from the journals; personal ones are marked so."""
         import pandas as pd
 
         from feel321.study.persons.answers import COLUMNS, write_answers
@@ -500,13 +404,7 @@ class Study:
         return pd.DataFrame(write_answers(self.folder), columns=list(COLUMNS))
 
     def table(self) -> Table:
-        """Join ratings and metrics for the analysis.
-
-        Returns
-        -------
-        Table
-            What every function of `feel321.analysis` takes.
-        """
+        """Join ratings and metrics for the analysis."""
         from feel321.study.analyze import read_study_table
 
         return read_study_table(self.folder)[0]

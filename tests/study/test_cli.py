@@ -391,4 +391,4 @@ def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
     monkeypatch.setattr(doctor, "survey_devices", list)
     monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
     assert main(["doctor", "--device", "coil"]) == code
-    assert f"pulses 10, failed {failed}, underruns {underruns}" in capsys.readouterr().out
+    assert f"n_failed {failed}\n  n_underruns {underruns}\n" in capsys.readouterr().out

@@ -292,14 +292,11 @@ def freeze(study: File = Path(), /, *, show: bool = False, as_json: Json = False
     lines = [f"{folder.path}: nothing is frozen; before the first rating: feel321 freeze"]
     if frozen is not None:
         lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
-    if frozen is not None and show:
-        hypotheses = (*frozen.hypotheses, *frozen.settings["analysis.hypotheses"])
-        lines += ["hypotheses:", *(f"  {one}" for one in hypotheses), "settings:"]
-        values = frozen.settings.items()
-        lines += [f"  {name} = {freezing.describe_value(one)}" for name, one in values]
+    own = asdict(frozen) if frozen else None
+    if own and show:
+        lines += shared.lay_facts({name: own[name] for name in ("hypotheses", "settings")})
     if changes:
         lines += ["changed:", *(f"  {one}" for one in changes.values())]
-    own = asdict(frozen) if frozen else None
     facts = {"frozen": own, "changes": [*changes.values()], "faults": faults}
     shared.print_facts(facts, lines, as_json=as_json)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from textwrap import wrap
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
 from cyclopts import CycloptsError, Parameter, Token
 from cyclopts.annotations import resolve_optional
@@ -254,6 +254,19 @@ def cap(
 def print_facts(facts: object, lines: Iterable[str], *, as_json: bool) -> None:
     """Print numbers as JSON, or lines that a person reads."""
     echo(dump_json(facts) if as_json else "\n".join(lines))
+
+
+def lay_facts(facts: Mapping[str, Any], indent: str = "") -> Iterator[str]:
+    """Lay out facts for reading, a line each: those that JSON holds, without what is empty."""
+    for name, fact in facts.items():
+        several = fact if isinstance(fact, list | tuple) else [fact]
+        if isinstance(several[0] if several else None, Mapping):
+            for one in several:
+                yield f"{indent}{name}:"
+                yield from lay_facts(one, f"{indent}  ")
+        elif fact not in (None, "", (), []):
+            shown = [f"{one:.5g}" if isinstance(one, float) else str(one) for one in several]
+            yield f"{indent}{name} {', '.join(shown)}"
 
 
 def dump_json(entry: object) -> str:

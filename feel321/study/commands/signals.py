@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from inspect import signature
@@ -101,7 +101,7 @@ def reduce(  # noqa: PLR0913 - one per option
     write_wav(output, reduced, round(read.rate_hz))
     write_text(sidecar, shared.dump_json(facts) + "\n")
     done = f"{read.name} through {name_of(reducer)}, {read.n_samples} samples, m/s^2"
-    shared.print_facts(facts, [f"{output}: {done}", *_describe_matches(facts)], as_json=as_json)
+    shared.print_facts(facts, [f"{output}: {done}", *shared.lay_facts(facts)], as_json=as_json)
 
 
 def match(
@@ -141,8 +141,7 @@ def match(
         for name in metric
     }
     facts |= further
-    own = [f"{name.replace('_', ' ')} {value:.4f}" for name, value in further.items()]
-    shared.print_facts(facts, [*_describe_matches(facts), *own], as_json=as_json)
+    shared.print_facts(facts, shared.lay_facts(facts), as_json=as_json)
     if facts["reasons"]:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
         raise ValueError(f"{read.name}: {reasons}")
@@ -272,24 +271,6 @@ def _match(recording: "Recording", samples: "Samples") -> dict[str, Any]:
         **temporal,
         "reasons": {name: reason for name, reason in reasons.items() if reason},
     }
-
-
-def _describe_matches(facts: dict[str, Any]) -> Iterator[str]:
-    from feel321.names import MATCHES
-
-    steps = ", ".join(facts["steps"]) or "none, as it was measured"
-    source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
-    yield f"conditioning of the recording: {steps}{source}"
-    compared = (
-        f"{facts['n_frequencies']} frequencies, {facts['lowest_hz']:.1f} to {facts['highest_hz']:.1f} Hz, "
-        f"{facts['n_left_out']} left out"
-    )
-    silent = ", ".join("xyz"[axis] for axis in facts["silent_axes"]) or "none"
-    details = {"spectral_match": f" ({compared})", "temporal_match": f" (silent axes: {silent})"}
-    for name in MATCHES:
-        reason, detail = facts["reasons"].get(name), details.get(name, "")
-        value = f"none: {reason}" if reason else f"{facts[name]:.4f}{detail}"
-        yield f"{name.replace('_', ' ')} {value}"
 
 
 def tradeoff(  # noqa: PLR0913 - one per option
