@@ -215,16 +215,16 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
 
 def require_study(path: Path) -> StudyFolder:
     """Find a study that is there, or describe what the path is instead."""
-    begin = f"begin a study with: feel321 new {quote(str(path))}"
+    new = f"with: feel321 new {quote(str(path))}"
     if not path.exists():
-        raise FileNotFoundError(f"{path}: no such folder; {begin}")
+        raise FileNotFoundError(f"{path}: no such folder; begin a study {new}")
     if not path.is_dir():
         parent = quote(str(path.parent))
         raise NotADirectoryError(f"{path}: a study must be a folder, got a file; try {parent}")
     study = StudyFolder(path)
     if not study.settings.is_file():
         where = "the current folder" if str(path) == "." else str(path)
-        raise FileNotFoundError(f"no {SETTINGS_FILE} in {where}; name a study, or {begin}")
+        raise FileNotFoundError(f"no {SETTINGS_FILE} in {where}; name a study, or begin one {new}")
     return study
 
 

@@ -275,7 +275,7 @@ def add_a_thesis(folder: Path) -> None:
     ("prepare", "message"),
     [
         (add_a_thesis, ": holds files that demo did not write; name another folder with --out"),
-        (edit_the_settings, "/study.toml: edited, or written by another version of feel321, so"),
+        (edit_the_settings, "/study.toml: edited, or written by another version of feel321; name"),
         (add_a_person, ": holds a session of p07, who is no simulated participant; name another"),
     ],
 )

@@ -141,8 +141,8 @@ def build(
     """
     from feel321.study.strength import describe_built
 
-    opened = shared.open_study(study)
-    stimuli = opened.build(crew.employ(), page=not no_page)
+    workers, opened = crew.employ(), shared.open_study(study)
+    stimuli = opened.build(workers, page=not no_page)
     notes = describe_built(opened.settings, stimuli)
     count, folder, sha256 = len(stimuli.stimuli), str(stimuli.folder), stimuli.sha256
     lines = [f"{folder}: {count} stimuli, set {sha256[:12]}", *shared.cap(notes)]

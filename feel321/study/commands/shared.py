@@ -258,7 +258,9 @@ def print_facts(facts: object, lines: Iterable[str], *, as_json: bool) -> None:
 
 def lay_facts(facts: Mapping[str, Any], indent: str = "") -> Iterator[str]:
     """Lay out facts for reading, a line each: those that JSON holds, without what is empty."""
-    for name, fact in facts.items():
+    from feel321.records import to_json_value
+
+    for name, fact in (facts if indent else to_json_value(facts)).items():
         several = fact if isinstance(fact, list | tuple) else [fact]
         if isinstance(several[0] if several else None, Mapping):
             for one in several:
