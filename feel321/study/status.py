@@ -17,17 +17,8 @@ from feel321.protocols.order import TASK_ORDERS
 from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import minutes
+from feel321.study import minutes, people
 from feel321.study.freeze import describe_frozen
-from feel321.study.people import (
-    LOCK_FILE,
-    Note,
-    RigUse,
-    describe_rigs,
-    find_rig_use,
-    list_notes,
-    make_progress,
-)  # fmt: skip
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
 from feel321.study.thresholds import find_warnings, read_thresholds
@@ -181,9 +172,9 @@ class ParticipantStatus:
     last_activity: str = ""
     warnings: tuple[str, ...] = ()
     problem: str = ""
-    notes: tuple[Note, ...] = ()
+    notes: tuple[people.Note, ...] = ()
     left_min: float | None = None
-    rig: RigUse | None = None
+    rig: people.RigUse | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -209,10 +200,10 @@ class Status(Result):
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         length = [] if self.length is None else [self.length.describe()]
         uses = [entry.rig for entry in self.participants if entry.rig]
-        lines += [*describe_rigs(uses), *length, *filter(None, [self.frozen])]
+        lines += [*people.describe_rigs(uses), *length, *filter(None, [self.frozen])]
         return "\n".join([*lines, *describe_balance(self.balance)])
 
-    def list_notes(self) -> list[str]:
+    def people.list_notes(self) -> list[str]:
         """Write what `feel321 status --notes` adds."""
         taken = [(entry.participant, note) for entry in self.participants for note in entry.notes]
         lines = [f"  {who:<12}{note.utc}  {note.text}" for who, note in taken]
@@ -281,16 +272,16 @@ def read_participant(
         return ParticipantStatus(folder.name, state="withdrawn"), None
     try:
         dossier = study.read_person(folder)
-        progress = make_progress(dossier)
+        progress = people.make_progress(dossier)
         with read_as_written(dossier.newest):
             trials = {trial.number: trial for trial in dossier.plan.trials if trial.phase == "main"}
             rated = list_accepted(dossier)
             warnings = tuple(_find_warnings(dossier, rated))
-            notes = tuple(list_notes(dossier.chains))
-            use = find_rig_use(progress.participant, dossier.records)
+            notes = tuple(people.list_notes(dossier.chains))
+            use = people.find_rig_use(progress.participant, dossier.records)
     except (OSError, ValueError) as error:
         return ParticipantStatus(folder.name, problem=str(error)), None
-    is_left = progress.state == "running" and not is_held(folder / LOCK_FILE)
+    is_left = progress.state == "running" and not is_held(folder / people.LOCK_FILE)
     entry = ParticipantStatus(
         participant=progress.participant,
         state="aborted" if is_left else progress.state,
