@@ -203,7 +203,7 @@ class Status(Result):
         lines += [*people.describe_rigs(uses), *length, *filter(None, [self.frozen])]
         return "\n".join([*lines, *describe_balance(self.balance)])
 
-    def people.list_notes(self) -> list[str]:
+    def list_notes(self) -> list[str]:
         """Write what `feel321 status --notes` adds."""
         taken = [(entry.participant, note) for entry in self.participants for note in entry.notes]
         lines = [f"  {who:<12}{note.utc}  {note.text}" for who, note in taken]
