@@ -21,13 +21,17 @@ from feel321.stimuli.metrics import METRICS, match
 from feel321.stimuli.recording import Recording, Reduced
 from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer, reduce
 from feel321.stimuli.rotation import INVARIANTS, rotation_statistics
-from feel321.stimuli.sets.anchors import ANCHORS, felt_level, sensation_level_db
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, check_stimuli, read_stimuli
-from feel321.stimuli.sets.recipe import LEVELS, Recipe
+from feel321.stimuli.sets.recipe import ANCHORS, LEVELS, Recipe
 from feel321.stimuli.spectra import Spectrogram, Spectrum, psd, spectrogram
 from feel321.stimuli.synthesis import SCENES, make_scene
-from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold
+from feel321.stimuli.thresholds import (
+    THRESHOLDS,
+    acceleration_threshold,
+    felt_level,
+    sensation_level_db,
+)
 from feel321.stimuli.wav import read_wav, write_wav
 
 __all__ = [

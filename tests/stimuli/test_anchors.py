@@ -11,14 +11,9 @@ from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import spectral_match, temporal_match
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.anchors import (
-    ANCHORS,
-    loudest_levels,
-    low_anchor,
-    mid_anchor,
-    weigh_bands,
-)
+from feel321.stimuli.sets.recipe import ANCHORS, low_anchor, mid_anchor, weigh_bands
 from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.stimuli.thresholds import loudest_levels
 
 
 def with_gaps(*gaps: tuple[float, float, float]) -> Recording:

@@ -167,7 +167,7 @@ def test_no_other_phase_does_better_than_the_best_axis() -> None:
 
 
 def test_where_the_motion_is_across_the_axis_its_own_ellipse_gives_the_phase() -> None:
-    spectra = [np.zeros(2, complex), np.array([3j, 0.0]), np.array([4j, 0.0])]
+    spectra = np.array([[0, 0], [3j, 0], [4j, 0]])
     energy, _ = measure(spectra)
     aligned = align(spectra, energy, axis=np.array([1.0, 0.0, 0.0]))
     np.testing.assert_allclose(np.abs(aligned), [5.0, 0.0], atol=1e-12)

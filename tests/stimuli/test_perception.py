@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from feel321.stimuli.condition import fade
-from feel321.stimuli.sets.anchors import felt_level, loudest_levels, sensation_level_db
-from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold, displacement_threshold
+from feel321.stimuli.thresholds import (
+    THRESHOLDS,
+    acceleration_threshold,
+    displacement_threshold,
+    felt_level,
+    loudest_levels,
+    sensation_level_db,
+)
 
 
 def test_the_hand_is_most_sensitive_near_250_hz_with_12_db_per_octave_on_either_side() -> None:

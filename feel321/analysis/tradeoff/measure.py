@@ -59,8 +59,7 @@ from feel321.stimuli.recording import AXES, Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals.envelope import compare_depths, find_depths
 from feel321.stimuli.rivals.pairs import Pair, follow_band, follow_energy
-from feel321.stimuli.sets.anchors import felt_level
-from feel321.stimuli.thresholds import acceleration_threshold
+from feel321.stimuli.thresholds import acceleration_threshold, felt_level
 from feel321.types import Metric, Progress, Reducer, Rng, Samples
 
 if TYPE_CHECKING:

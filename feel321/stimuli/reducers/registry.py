@@ -148,53 +148,6 @@ WHY_NOT_STREAMING = {
 """Name -> reason, for the reducers that cannot run causally."""
 
 
-class _Gaps:
-    """Fills gaps of missing samples, and counts them."""
-
-    def __init__(self, on_gap: OnGap) -> None:
-        self._on_gap = on_gap
-        self._last = np.zeros((3, 1))
-        self._inside = False
-        self.gaps = self.samples = 0
-
-    def fill(self, samples: Samples, there: NDArray[np.bool_]) -> Samples:
-        """Replace missing samples, or raise ValueError; the state is not changed yet."""
-        if self._on_gap == "raise":
-            check_finite(samples, "block")
-        if there.all():
-            return samples
-        which = np.where(there, np.arange(1, there.size + 1), 0)
-        if self._on_gap == "hold":
-            which = np.maximum.accumulate(which)
-        # Place 0 is the last sample before this block.
-        before = self._last if self._on_gap == "hold" else np.zeros((3, 1))
-        return np.asarray(np.concatenate([before, samples], axis=1)[:, which])
-
-    def count(self, samples: Samples, there: NDArray[np.bool_]) -> None:
-        """Count missing samples, and gaps where they begin; remember the last of the filled samples."""
-        missing = ~np.concatenate([[not self._inside], there])
-        self.gaps += int(np.count_nonzero(missing[1:] & ~missing[:-1]))
-        self.samples += int(np.count_nonzero(missing[1:]))
-        self._inside = bool(missing[-1])
-        if there.size:
-            self._last = samples[:, -1:].copy()
-
-
-class _Samplewise:
-    """A reducer without frames: as many samples out as in."""
-
-    def __init__(self, push: Callable[[Samples], Samples]) -> None:
-        self._push = push
-
-    def step(self, samples: Samples, out: Samples) -> None:
-        """Write the output of samples (3, k) to `out`."""
-        np.copyto(out, self._push(samples))
-
-    def end(self) -> Samples:
-        """Return nothing: nothing is held back."""
-        return np.zeros(0)
-
-
 class _InFrames:
     """A block processor, fed samples as they come."""
 
@@ -203,12 +156,14 @@ class _InFrames:
         self._waiting = np.zeros((3, 0))
         self._ready = np.zeros(2 * processor.hop - 1)
 
-    def step(self, samples: Samples, out: Samples) -> None:
-        """Write the output of samples (3, k) to `out`."""
+    def __call__(self, samples: Samples) -> Samples:
+        """Take samples (3, k), return as many of the output, a frame less a sample late."""
         self._waiting = np.concatenate([self._waiting, samples], axis=1)
         if n_blocks := self._waiting.shape[1] // self._processor.hop:
             self._push(n_blocks)
-        out[:], self._ready = self._ready[: out.size], self._ready[out.size :]
+        k = samples.shape[1]
+        given, self._ready = self._ready[:k], self._ready[k:]
+        return given
 
     def end(self) -> Samples:
         """Return the samples that the delay still holds back."""
@@ -217,9 +172,8 @@ class _InFrames:
 
     def _push(self, n_blocks: int) -> None:
         used = n_blocks * self._processor.hop
-        finished = self._processor.push(
-            *axes.cut_blocks(self._waiting[:, :used], self._processor.hop, n_blocks)
-        ).ravel()
+        blocks = axes.cut_blocks(self._waiting[:, :used], self._processor.hop, n_blocks)
+        finished = self._processor.push(*blocks).ravel()
         self._waiting = self._waiting[:, used:]
         dropped, self._to_drop = self._to_drop, 0
         self._ready = np.concatenate([self._ready, finished[dropped:]])
@@ -243,6 +197,8 @@ class StreamingReducer:
     ----------
     latency_samples : int
         Delay of the output, constant: 0 for samplewise reducers, one frame less a sample for the others.
+    missing_samples, gaps : int
+        How many samples were missing so far, and in how many runs, however they were cut into blocks.
 
     Raises
     ------
@@ -271,28 +227,23 @@ class StreamingReducer:
         if name in WHY_NOT_STREAMING:
             raise ValueError(f"{name} cannot stream: {WHY_NOT_STREAMING[name]}")
         check_name(on_gap, get_args(OnGap), "on_gap")
-        self._name = name
-        self._rate_hz = check_rate(rate_hz)
+        self._name, self._rate_hz, self._on_gap = name, check_rate(rate_hz), on_gap
         self._hop = axes.window_samples(window_s, rate_hz) // 2 if name in _IN_FRAMES else 0
-        self._on_gap = on_gap
         self.latency_samples = max(2 * self._hop - 1, 0)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything that was fed, the counts of gaps included; it is as new, also after `flush`."""
-        self._stream = self._make_stream()
-        self._flushed = False
-        self._gaps = _Gaps(self._on_gap)
-
-    @property
-    def missing_samples(self) -> int:
-        """Number of missing samples so far."""
-        return self._gaps.samples
-
-    @property
-    def gaps(self) -> int:
-        """Number of gaps so far: runs of missing samples, however they were cut into blocks."""
-        return self._gaps.gaps
+        self._stream: Callable[[Samples], Samples] | _InFrames
+        if self._hop:
+            self._stream = _InFrames(_IN_FRAMES[self._name](self._rate_hz)((), self._hop))
+        elif self._name in _RUNNING:
+            self._stream = _RUNNING[self._name](self._rate_hz)
+        else:
+            self._stream = lambda samples: REDUCERS[self._name](samples, self._rate_hz)
+        self._flushed = self._inside_gap = False
+        self._last = np.zeros((3, 1))
+        self.gaps = self.missing_samples = 0
 
     def process(self, block: ArrayLike, *, out: Samples | None = None) -> Samples:
         """Reduce the next samples.
@@ -332,15 +283,31 @@ class StreamingReducer:
                 f"out must be float64 of shape {samples.shape[1:]}, got {out.dtype} of shape {out.shape}"
             )
         there = np.asarray(np.isfinite(samples).all(axis=0))
-        samples = self._gaps.fill(samples, there)
+        whole = bool(there.all())
+        filled = samples if whole else self._fill(samples, there)
         # A whole recording can be scaled by its peak; a stream cannot know the peak that is to come.
-        if self._name not in _NO_MEMORY and largest(samples) > SAFE_PEAK[1]:
+        if self._name not in _NO_MEMORY and largest(filled) > SAFE_PEAK[1]:
             raise ValueError(
-                f"block must have a peak of at most {SAFE_PEAK[1]:g}, got {largest(samples):.3g}"
+                f"block must have a peak of at most {SAFE_PEAK[1]:g}, got {largest(filled):.3g}"
             )
-        self._gaps.count(samples, there)
-        self._stream.step(samples, out)
+        if there.size:
+            missing = ~np.concatenate([[not self._inside_gap], there])
+            self.gaps += 0 if whole else int(np.count_nonzero(missing[1:] & ~missing[:-1]))
+            self.missing_samples += 0 if whole else int(np.count_nonzero(missing[1:]))
+            self._inside_gap, self._last = bool(missing[-1]), filled[:, -1:].copy()
+        np.copyto(out, self._stream(filled))
         return out
+
+    def _fill(self, samples: Samples, there: NDArray[np.bool_]) -> Samples:
+        """Replace missing samples, or raise ValueError."""
+        if self._on_gap == "raise":
+            check_finite(samples, "block")
+        which = np.where(there, np.arange(1, there.size + 1), 0)
+        before = np.zeros((3, 1))
+        if self._on_gap == "hold":
+            which = np.maximum.accumulate(which)
+            before = self._last
+        return np.asarray(np.concatenate([before, samples], axis=1)[:, which])
 
     def skip(self, n_samples: int, *, out: Samples | None = None) -> Samples:
         """Declare that the next samples were lost on their way, as a driver reports it after an overrun.
@@ -369,13 +336,7 @@ class StreamingReducer:
         ndarray of float64, shape (latency_samples,)
             The last samples of the output.
         """
-        rest = np.zeros(0) if self._flushed else self._stream.end()
-        self._flushed = True
-        return rest
-
-    def _make_stream(self) -> _Samplewise | _InFrames:
-        if self._hop:
-            return _InFrames(_IN_FRAMES[self._name](self._rate_hz)((), self._hop))
-        if self._name in _RUNNING:
-            return _Samplewise(_RUNNING[self._name](self._rate_hz))
-        return _Samplewise(lambda samples: REDUCERS[self._name](samples, self._rate_hz))
+        was_flushed, self._flushed = self._flushed, True
+        if was_flushed or not isinstance(self._stream, _InFrames):
+            return np.zeros(0)
+        return self._stream.end()

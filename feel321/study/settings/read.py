@@ -22,8 +22,7 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, check_names
-from feel321.stimuli.sets.unread import Unread
+from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, Unread, check_names
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
 from feel321.study.session.identity import identify_frozen
@@ -506,7 +505,7 @@ def _list_groups(
 
 def list_items(settings: Settings) -> list[Item]:
     """List the stimuli that will be built from the first recording; those of the others are alike."""
-    from feel321.stimuli.sets.anchors import ANCHORS
+    from feel321.stimuli.sets.recipe import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title
     made = [(name_of(name), "test") for name in stimuli.reducers]

@@ -23,7 +23,7 @@ from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import INVARIANTS
-from feel321.stimuli.sets.anchors import felt_level
+from feel321.stimuli.thresholds import felt_level
 
 if TYPE_CHECKING:
     import pandas as pd

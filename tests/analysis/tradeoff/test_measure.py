@@ -23,8 +23,8 @@ from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
 from feel321.stimuli.rotation import INVARIANTS
-from feel321.stimuli.sets.anchors import felt_level
 from feel321.stimuli.synthesis import make_scene
+from feel321.stimuli.thresholds import felt_level
 
 if TYPE_CHECKING:
     from collections.abc import Callable
