@@ -1,8 +1,7 @@
 """Many recordings at once: reduced, and matched.
 
 Conventions: a batch is an array (k, 3, n) at one rate, or a sequence of Recordings, of any lengths and rates. Results
-come in the order of the batch and are those of one recording at a time: of reducers bit for bit, of metrics but for the
-last digits.
+come in the order of the batch and are those of one recording at a time, bit for bit.
 
 Short signals share the cost of a call: so many go through a reducer together that what it works on stays in the
 processor's cache (a large batch at once would be slower than one by one). A signal of more than `LONGEST` samples is
@@ -19,12 +18,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from feel321.doors import describe, name_of
-from feel321.jobs import Workers, as_workers, run_jobs
+from feel321.jobs import Workers, as_workers, gather_results
 from feel321.names import MATCHES
 from feel321.stimuli import recording
 from feel321.stimuli.guard import OwnReducer
-from feel321.stimuli.match import OriginalSpectrum, axis_correlations, mean_over_axes
-from feel321.stimuli.metrics import METRICS, RivalMetric
+from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording, Reduced
 from feel321.stimuli.reducers.registry import REDUCERS, reduce, with_window
 from feel321.types import Metric, Reducer, Samples
@@ -42,22 +40,13 @@ PIECE = 1 << 20
 """Samples per axis of one job."""
 
 
-class _Piece(NamedTuple):
-    """Signals of one length and rate, (3, n) each: their places in the batch, and what was reduced of them."""
+class _One(NamedTuple):
+    """A signal of a batch, (3, n), with the name that a refusal gives it."""
 
-    places: Sequence[int]
-    names: Sequence[str]
-    signals: Sequence[Samples] | Samples
+    name: str
+    samples: Samples
     rate_hz: float
-    reduced: Sequence[ArrayLike] = ()
-
-    def cut(self, samples: int) -> Iterator[_Piece]:
-        """Cut into pieces of so many samples per axis, or of one signal."""
-        places, names, signals, rate_hz, reduced = self
-        size = max(1, samples // max(1, np.shape(signals[0])[-1])) if places else 1
-        for start in range(0, len(places), size):
-            at = slice(start, start + size)
-            yield _Piece(places[at], names[at], signals[at], rate_hz, reduced[at])
+    reduced: ArrayLike | None = None
 
 
 @overload
@@ -126,13 +115,14 @@ def reduce_many(
            [ 9., 12.],
            [ 9., 12.]])
     """
-    pieces, own = _cut_batch(recordings, rate_hz)
+    batch = _list_batch(recordings, rate_hz)
     function, name = with_window(REDUCERS.find(reducer), window_s), name_of(reducer)
     ours = reducer in REDUCERS or reducer in REDUCERS.values() or isinstance(function, OwnReducer)
-    rows = _run(pieces, _reduce_piece, workers, function=function, name=name, together=ours)
-    if own is not None:
+    rows = _run(batch, _reduce_piece, workers, function=function, name=name, together=ours)
+    if isinstance(recordings, Sequence) and all(isinstance(one, Recording) for one in recordings):
         return [
-            Reduced(row, one.rate_hz, name, one.name) for row, one in zip(rows, own, strict=True)
+            Reduced(row, one.rate_hz, name, one.name)
+            for row, one in zip(rows, recordings, strict=True)
         ]
     return np.array(rows, dtype=np.float64).reshape(len(rows), np.shape(recordings)[-1])
 
@@ -182,30 +172,22 @@ def match_many(
     """
     import pandas as pd
 
-    pieces, own = _cut_batch(recordings, rate_hz, reduced)
+    batch = _list_batch(recordings, rate_hz, reduced)
     chosen = METRICS.choose(metrics)
-    rows = _run(pieces, _match_piece, workers, chosen=chosen)
-    names = range(len(rows)) if own is None else [one.name for one in own]
+    rows = _run(batch, _match_piece, workers, chosen=chosen)
+    own = isinstance(recordings, Sequence) and all(isinstance(one, Recording) for one in recordings)
+    names = (
+        [one.name for one in cast("Sequence[Recording]", recordings)] if own else range(len(rows))
+    )
     return pd.DataFrame(rows, pd.Index(names, name="recording"), columns=[*chosen])
 
 
-def _run(
-    pieces: Sequence[_Piece], work: Callable[..., Samples], workers: int | Workers, **how: object
-) -> list[Samples]:
-    """Do the work on each piece, and return a row per recording, in the order of the batch."""
-    jobs = [(work, (piece,), how) for piece in pieces]
-    rows: dict[int, Samples] = {}
-    for number, found in run_jobs(jobs, workers=as_workers(workers)):
-        rows |= zip(pieces[number].places, found, strict=True)
-    return [rows[place] for place in sorted(rows)]
-
-
-def _cut_batch(
+def _list_batch(
     given: Sequence[Recording] | ArrayLike,
     rate_hz: float | None,
     reduced: Sequence[ArrayLike] | ArrayLike | None = None,
-) -> tuple[list[_Piece], Sequence[Recording] | None]:
-    """Check a batch, and cut it into pieces of one length and rate; of Recordings these come too."""
+) -> list[_One]:
+    """Check a batch, and list its signals, each with its reduced one if there are any."""
     if isinstance(given, Recording):
         raise TypeError("recordings must be many, got one Recording; write [recording]")
     is_list = isinstance(given, Sequence) and not isinstance(given, str)
@@ -213,108 +195,86 @@ def _cut_batch(
     others = [one for one in several if not isinstance(one, Recording)]
     if 0 < len(others) < len(several):
         raise TypeError(f"recordings must each be a Recording, got {describe(others[0])}")
-    if not others:
-        recordings = cast("Sequence[Recording]", given)
-        own = _list_reduced(reduced, len(recordings))
-        groups: dict[tuple[int, float], list[int]] = {}
-        for place, one in enumerate(recordings):
-            _, rate = recording.as_pair(one, own[place] if own else None, rate_hz)
-            groups.setdefault((one.n_samples, rate), []).append(place)
-        pieces = [
-            _Piece(
-                places,
-                [repr(recordings[place].name) for place in places],
-                [recordings[place].acceleration for place in places],
-                rate,
-                [own[place] for place in places] if own else (),
+    signals: Sequence[Recording] | Samples = cast("Sequence[Recording]", given)
+    if others:
+        signals = np.asarray(given)
+        if signals.ndim != 3 or signals.shape[1] != recording.AXES:  # noqa: PLR2004 - signals x axes x samples
+            raise ValueError(
+                f"recordings must be Recordings, or an array of shape (k, 3, n); got the shape {signals.shape}"
             )
-            for (_, rate), places in groups.items()
-        ]
-        return [one for piece in pieces for one in piece.cut(PIECE)], recordings
-    samples = np.asarray(given)
-    if samples.ndim != 3 or samples.shape[1] != recording.AXES:  # noqa: PLR2004 - signals x axes x samples
+        recording.as_signal(signals, rate_hz)
+    beside = [None] * len(signals) if reduced is None else [*cast("Iterable[ArrayLike]", reduced)]
+    if len(beside) != len(signals):
         raise ValueError(
-            f"recordings must be Recordings, or an array of shape (k, 3, n); got the shape {samples.shape}"
+            f"reduced must hold one signal for each of {len(signals)} recordings, got {len(beside)}"
         )
-    _, rate = recording.as_signal(samples, rate_hz)
-    places = range(len(samples))
-    signals = _list_reduced(reduced, len(samples))
-    return [*_Piece(places, [*map(str, places)], samples, rate, signals).cut(PIECE)], None
+    found = []
+    for place, (one, own) in enumerate(zip(signals, beside, strict=True)):
+        samples, rate = recording.as_pair(one, own, rate_hz)
+        name = repr(one.name) if isinstance(one, Recording) else str(place)
+        found.append(_One(name, cast("Samples", samples), rate, own))
+    return found
 
 
-def _list_reduced(reduced: Sequence[ArrayLike] | ArrayLike | None, k: int) -> Sequence[ArrayLike]:
-    """List as many reduced signals as there are recordings; none if none are given."""
-    if reduced is None:
-        return ()
-    signals = [*cast("Iterable[ArrayLike]", reduced)]
-    if len(signals) != k:
-        raise ValueError(
-            f"reduced must hold one signal for each of {k} recordings, got {len(signals)}"
-        )
-    return signals
+def _run(
+    batch: Sequence[_One], work: Callable[..., list[Samples]], workers: int | Workers, **how: object
+) -> list[Samples]:
+    """Do the work on signals of one length and rate at a time, and return a row per signal, in their order."""
+    groups: dict[tuple[int, float], list[int]] = {}
+    for place, one in enumerate(batch):
+        groups.setdefault((np.shape(one.samples)[-1], one.rate_hz), []).append(place)
+    pieces = [
+        piece for (n, _), places in groups.items() for piece in _cut(places, max(1, PIECE // max(1, n)))
+    ]  # fmt: skip
+    jobs = [(work, ([batch[place] for place in piece],), how) for piece in pieces]
+    rows: dict[int, Samples] = {}
+    for piece, found in zip(pieces, gather_results(jobs, workers=as_workers(workers)), strict=True):
+        rows |= zip(piece, found, strict=True)
+    return [rows[place] for place in sorted(rows)]
 
 
-def _reduce_piece(piece: _Piece, *, function: Reducer, name: str, together: bool) -> Samples:
+def _cut(items: Sequence[int], size: int) -> list[Sequence[int]]:
+    return [items[start : start + size] for start in range(0, len(items), size)]
+
+
+def _reduce_piece(
+    piece: Sequence[_One], *, function: Reducer, name: str, together: bool
+) -> list[Samples]:
     """Reduce signals, together where that is worth it; a refusal is repeated for the one that it is about."""
     found: list[Samples] = []
-    for chunk in piece.cut(AT_A_TIME):
-        if together and len(chunk.places) > 1 and np.shape(chunk.signals[0])[-1] <= LONGEST:
+    n = np.shape(piece[0].samples)[-1]
+    for places in _cut(range(len(piece)), max(1, AT_A_TIME // max(1, n))):
+        few = [piece[place] for place in places]
+        if together and len(few) > 1 and n <= LONGEST:
             try:
-                samples = recording.coerce_acceleration(np.ascontiguousarray(chunk.signals))
-                reduced = recording.coerce_real(function(samples, chunk.rate_hz), name)
+                samples = recording.coerce_acceleration(np.array([one.samples for one in few]))
+                reduced = recording.coerce_real(function(samples, few[0].rate_hz), name)
                 recording.check_finite(reduced, name)
             except ValueError:
                 pass
             else:
                 found += [*reduced]
                 continue
-        for one, signal in zip(chunk.names, chunk.signals, strict=True):
+        for one in few:
             with _named(one):
-                found.append(reduce(signal, function, rate_hz=chunk.rate_hz).samples)
-    return np.array(found)
+                found.append(reduce(one.samples, function, rate_hz=one.rate_hz).samples)
+    return found
 
 
 @contextmanager
-def _named(name: str) -> Iterator[None]:
+def _named(one: _One) -> Iterator[None]:
     """Name the recording in a refusal."""
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"recording {name}: {error}") from None
+        raise ValueError(f"recording {one.name}: {error}") from None
 
 
-def _match_piece(piece: _Piece, *, chosen: Mapping[str, Metric]) -> Samples:
-    """Match signals: (k, metrics). Those of unusual strength, and by a lab's own metrics, one by one."""
+def _match_piece(piece: Sequence[_One], *, chosen: Mapping[str, Metric]) -> list[Samples]:
     rows = []
-    for chunk in piece.cut(AT_A_TIME):
-        found = _match_together(chunk, [name for name, one in chosen.items() if METRICS.get(name) is one])  # fmt: skip
-        for place, name in enumerate(chunk.names):
-            with _named(name):
-                signal = recording.coerce_real(chunk.reduced[place], "reduced")
-                pair = chunk.signals[place], signal, chunk.rate_hz
-                rows.append([
-                    found[key][place] if key in found else metric(*pair)
-                    for key, metric in chosen.items()
-                ])
-    return np.array(rows, float)
-
-
-def _match_together(chunk: _Piece, names: Sequence[str]) -> dict[str, Samples]:
-    """Match signals by our own metrics, (k,) each; nothing where they need a scale or are to be refused."""
-    from feel321.stimuli.rivals.pairs import make_pairs
-
-    try:
-        pair = make_pairs(np.array(chunk.signals), np.array(chunk.reduced), chunk.rate_hz)
-    except ValueError:
-        return {}
-    samples, reduced = pair.samples, pair.reduced
-    if not (np.isscalar(pair.scale) and recording.is_safe(np.abs(reduced).max(axis=-1)).all()):
-        return {}
-    rivals = [(name, METRICS[name]) for name in names]
-    found = {name: one.measure(pair) for name, one in rivals if isinstance(one, RivalMetric)}
-    if "temporal_match" in names:
-        found["temporal_match"] = mean_over_axes(axis_correlations(samples, reduced))
-    if not {"spectral_match", "spectral_match_bounded"}.isdisjoint(names):
-        both = OriginalSpectrum(samples, chunk.rate_hz).match_both(reduced)
-        found["spectral_match"], found["spectral_match_bounded"] = both
-    return found
+    for one in piece:
+        with _named(one):
+            signal = recording.coerce_real(cast("ArrayLike", one.reduced), "reduced")
+            values = [metric(one.samples, signal, one.rate_hz) for metric in chosen.values()]
+            rows.append(np.array(values, float))
+    return rows

@@ -16,7 +16,7 @@ from feel321.analysis.table.reading import Further
 from feel321.names import MATCHES
 from feel321.stimuli.condition import condition
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+from feel321.stimuli.rivals import RIVALS, measure_batch
 from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe, Unread, read_given

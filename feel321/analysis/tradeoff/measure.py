@@ -55,10 +55,10 @@ from feel321.stimuli.match import (
     mean_over_axes,
 )
 from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.pairs import Pair, follow_band, follow_energy
 from feel321.stimuli.recording import AXES, Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.rivals.envelope import compare_depths, find_depths
-from feel321.stimuli.rivals.pairs import Pair, follow_band, follow_energy
+from feel321.stimuli.rivals import compare_depths, find_depths
 from feel321.stimuli.thresholds import acceleration_threshold, felt_level
 from feel321.types import Metric, Progress, Reducer, Rng, Samples
 

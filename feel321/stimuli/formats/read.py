@@ -14,19 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from feel321 import intake
-from feel321.doors import as_path
+from feel321.doors import as_path, describe
+from feel321.extensions import Method, call, find_method, list_entry_points
 from feel321.files import file_named
-from feel321.stimuli.formats.arrays import read_mat, read_npy, read_npz
-from feel321.stimuli.formats.common import Decoded, ReadingOptions, settle_unit
-from feel321.stimuli.formats.containers import (
-    is_lmt,
-    read_hatt,
-    read_ide,
-    read_lmt,
-    read_wav_recording,
-)
-from feel321.stimuli.formats.own import find_format, read_own
-from feel321.stimuli.formats.tables import read_table
+from feel321.stimuli.formats import files
+from feel321.stimuli.formats.tables import Decoded, ReadingOptions, parse_unit, read_table
 from feel321.stimuli.recording import UNITS, Recording, check_finite, check_rate
 from feel321.types import PathLike, Samples
 
@@ -73,7 +65,7 @@ def _detect_text(path: Path, head: bytes) -> str:
         return "mat"  # version 4 has no first bytes of its own
     if is_text and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return "hatt"
-    if is_text and is_lmt(path):
+    if is_text and files.is_lmt(path):
         return "lmt"
     if is_text and suffix in TABLE_SUFFIXES:
         return "table"
@@ -258,15 +250,27 @@ def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
     return np.asarray(even, dtype=np.float64), 1 / period
 
 
+NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2; if it is another, name it (unit, --unit)"
+
+
+def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str, ...]]:
+    """Decide the unit from the file and the caller."""
+    wanted = None if requested is None else parse_unit(requested)
+    if own and wanted and own != wanted:
+        raise ValueError(f"the file gives the unit {own!r}, but unit={requested!r}; leave unit out")
+    unit = own or wanted
+    return (unit, ()) if unit else ("m/s^2", (NO_UNIT_NOTE,))
+
+
 READERS: Mapping[str, Callable[[Path, ReadingOptions], Decoded]] = {
-    "wav": read_wav_recording,
+    "wav": files.read_wav_recording,
     "table": read_table,
-    "npz": read_npz,
-    "npy": read_npy,
-    "mat": read_mat,
-    "hatt": read_hatt,
-    "lmt": read_lmt,
-    "ide": read_ide,
+    "npz": files.read_npz,
+    "npy": files.read_npy,
+    "mat": files.read_mat,
+    "hatt": files.read_hatt,
+    "lmt": files.read_lmt,
+    "ide": files.read_ide,
 }
 """Format name -> reader, the only list of formats."""
 
@@ -381,16 +385,16 @@ def read_recordings(
     ...     [recording.name for recording in stimuli.read_recordings(folder, unit="m/s^2")]
     ['bumps', 'hard_taps']
     """
-    files = [as_path(paths)] if isinstance(paths, str | os.PathLike) else [*map(as_path, paths)]
-    if isinstance(paths, str | os.PathLike) and (folder := files[0]).is_dir():
-        files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
-        if not files:
+    wanted = [as_path(paths)] if isinstance(paths, str | os.PathLike) else [*map(as_path, paths)]
+    if isinstance(paths, str | os.PathLike) and (folder := wanted[0]).is_dir():
+        wanted = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+        if not wanted:
             raise ValueError(
                 f"{folder}: holds no recording; the suffix must be one of {' '.join(SUFFIXES)}"
             )
     read: dict[tuple[str, str], Recording] = {}
     problems = []
-    for file in files:
+    for file in wanted:
         try:
             found = read_recording(file, **options)
         except (OSError, ValueError) as error:
@@ -400,6 +404,28 @@ def read_recordings(
     if problems:
         raise ValueError("\n".join(problems))
     return list(read.values())
+
+
+def find_format(
+    path: Path, *, folder: Path | None = None, declared: Mapping[str, str] | None = None
+) -> Method | None:
+    """Find the reader of a file's suffix, among those of a study and the entry points of `feel321.formats`."""
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix in (declared or {}):
+        return find_method("format", (declared or {})[suffix], folder=folder)
+    return find_method("format", suffix) if suffix in list_entry_points("format") else None
+
+
+def read_own(method: Method, path: Path) -> Recording:
+    """Read a file by a lab's reader; the digest is that of the file and the reader."""
+    content = intake.read_bytes(path)
+    found = call(method, method.load(), path, doing=f"given {path.name}")
+    if not isinstance(found, Recording):
+        raise TypeError(
+            f"{path.name}: {method} must return a feel321.stimuli.Recording, got {describe(found)}"
+        )
+    digest = hashlib.sha256(content + method.sha256.encode()).hexdigest()
+    return replace(found, name=found.name or path.stem, sha256=digest)
 
 
 def _decode(path: Path, request: ReadingOptions) -> Decoded:

@@ -17,8 +17,7 @@ from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
-from feel321.stimuli.formats.own import find_format, read_own
-from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.formats.read import find_format, read_own, read_recording
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS

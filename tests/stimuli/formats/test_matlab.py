@@ -12,7 +12,7 @@ import pytest
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
-from feel321.stimuli.formats import arrays
+from feel321.stimuli.formats import files
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import UNITS
 from tests.stimuli.formats.hostile import pack_mat
@@ -108,7 +108,7 @@ def test_what_inflates_beyond_the_limit_is_refused(
 
 def test_what_takes_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.mat").write_bytes(_mat({"tmp": np.ones((3, 9))}))
-    monkeypatch.setattr(arrays, "CHILD_S", 0.01)
+    monkeypatch.setattr(files, "CHILD_S", 0.01)
     with pytest.raises(ValueError, match=r"a\.mat: .*it takes longer than 0\.01 s"):
         read_recording(tmp_path / "a.mat", rate_hz=1000)
 

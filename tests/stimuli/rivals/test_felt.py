@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.rivals.spectra import SPLIT_HZ
+from feel321.stimuli.rivals import SPLIT_HZ
 from feel321.stimuli.thresholds import acceleration_threshold
 
 RATE = 4000.0

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from feel321.names import METRIC_INFO
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+from feel321.stimuli.rivals import RIVALS, measure_batch
 from feel321.stimuli.rotation import random_rotations
 
 RATE = 4000.0

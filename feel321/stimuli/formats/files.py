@@ -1,5 +1,6 @@
-"""Recordings in WAV, HaTT, LMT and IDE files.
+"""Recordings in array files (NumPy, MATLAB), WAV, HaTT, LMT and IDE files.
 
+- A MATLAB file is met in a child process (`matlab.py`), whose memory and time are limited.
 - WAV: three channels, and a sidecar for what a WAV header cannot say.
 - HaTT (Penn Haptic Texture Toolkit): XML with one element per axis. The tags are known second-hand only, so ``AccelX``
   and nested ``Accel/X`` are both read, in any case.
@@ -10,38 +11,177 @@
 import io
 import json
 import logging
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321 import intake
-from feel321.stimuli.formats import common, tables
+from feel321.stimuli.formats import tables
 from feel321.stimuli.recording import AXES, check_rate
 from feel321.stimuli.wav import read_wav, read_wav_header
 from feel321.types import Samples
 
+Arrays = Mapping[str, NDArray[Any]]
+Value = TypeVar("Value", float, str)
+
+ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
+"""Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""
+
+CHILD_S = 300.0
+"""So long may a MATLAB file take to be read."""
+
+
+def read_npz(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+    """Read an NPZ archive by the names of its arrays."""
+    content = intake.read_bytes(path)
+    with tables.foreign_errors("an NPZ archive"):
+        archive = np.load(io.BytesIO(content), allow_pickle=False)
+        # What the directory promises; no more is read of any array.
+        intake.check_bytes(sum(one.file_size for one in archive.zip.infolist()), "its arrays")
+        arrays = {name: np.asarray(array) for name, array in archive.items()}
+    return _decode(arrays, request)
+
+
+def read_npy(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
+    """Read a single array."""
+    content = intake.read_bytes(path)
+    with tables.foreign_errors("an NPY array"):
+        array = np.load(io.BytesIO(content), allow_pickle=False)
+    return tables.Decoded(tables.as_three_axes(_as_numbers(array, "the array")))
+
+
+def read_mat(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+    """Read a MATLAB file of version 4 to 7 by the names of its variables."""
+    with intake.open_regular(path):
+        limit = intake.read_limit()
+    intake.check_bytes(path.stat().st_size, path.name)
+    child = str(Path(__file__).with_name("matlab.py"))
+    words = [sys.executable, "-P", child, os.path.abspath(path), str(limit)]  # noqa: PTH100 - links stay as they are
+    one_thread = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each maps memory of its own
+    with tables.foreign_errors("a MATLAB file"):
+        try:
+            done = subprocess.run(words, capture_output=True, timeout=CHILD_S, check=False, env=one_thread)  # noqa: S603 - our own program  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise ValueError(f"it takes longer than {CHILD_S:g} s") from None
+        if done.returncode:
+            said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+            if said.startswith("MemoryError"):
+                raise intake.TooLargeError(
+                    f"its variables take more than {limit / 1e6:,.0f} MB; keep the recording alone, or set a larger "
+                    f"{intake.LIMIT} in the environment"
+                )
+            raise ValueError(intake.clip(said, 200) or "it ends the program that reads it")
+        with np.load(io.BytesIO(done.stdout), allow_pickle=False) as archive:
+            arrays = dict(archive)
+    return _decode(arrays, request)
+
+
+def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
+    """Find samples, rate, time and unit among named arrays."""
+    columns = {name: array for name, array in arrays.items() if array.size != 1}
+    names = tuple(columns)
+    place = _choose(names, request, found=tuple(arrays))
+    axes = [names[i] for i in place.axes]
+    if len(axes) == 1:
+        samples = tables.as_three_axes(_as_numbers(columns[axes[0]], repr(axes[0])))
+    else:
+        vectors = {axis: _vector(columns, name) for axis, name in zip("xyz", axes, strict=True)}
+        samples = tables.stack_axes(vectors)
+    time_s, step_s = None, 0.0
+    if place.time is not None:
+        name, second = names[place.time], place.time_unit_s or 1.0
+        stamps = _vector(columns, name)
+        coarse = columns[name].dtype.type if columns[name].dtype.kind == "f" else np.float64
+        time_s = stamps * second
+        step_s = float(np.spacing(coarse(np.abs(stamps).max(initial=0.0)))) * second
+    rates, units = {}, {}
+    for name, array in arrays.items():
+        if name.casefold() in tables.RATE_KEYS:
+            if array.size != 1:
+                raise ValueError(f"the rate must be one number, got {array.size} values")
+            rates[name] = float(_as_numbers(array, "the rate").item())
+        elif name.casefold() in tables.UNIT_KEYS:
+            units[name] = tables.parse_unit(str(array.squeeze()))
+    if place.unit:
+        units[axes[0]] = place.unit
+    wanted = None if request.unit is None else tables.parse_unit(request.unit)
+    unit = _agree(units, argument="unit", requested=wanted)
+    rate_hz = _agree(rates, argument="rate_hz", requested=request.rate_hz)
+    return tables.Decoded(samples, unit, rate_hz, time_s=time_s, time_step_s=step_s)
+
+
+def _choose(
+    labels: Sequence[str], request: tables.ReadingOptions, *, found: Sequence[str]
+) -> tables.Columns:
+    """Choose the arrays of samples and time: as asked for, else by their names."""
+    if request.columns is not None:
+        return tables.pick_columns(
+            request.columns, labels=labels, n_columns=len(labels), whole=True
+        )
+    bare = [tables.split_unit(label, tables.ACCELERATION_SPELLINGS)[0] for label in labels]
+    if not any(tables.AXIS.fullmatch(name) or name.casefold() in ACCELERATION_KEYS for name in bare):  # fmt: skip
+        named = ", ".join(found) or "nothing"
+        raise ValueError(
+            f"an array must be named 'acceleration' (3, n), or three 'x', 'y' and 'z', got {named}; "
+            "or say columns=(name,)"
+        )
+    return tables.find_columns(labels, wholes=ACCELERATION_KEYS)
+
+
+def _agree(found: Mapping[str, Value], *, argument: str, requested: Value | None) -> Value | None:
+    """Return the value that all names agree on; where they differ, the one that the caller chooses."""
+    values = set(found.values())
+    if len(values) <= 1:
+        return next(iter(values), None)
+    if requested is not None and requested in values:
+        return requested
+    said = ", ".join(f"{name} says {value!r}" for name, value in found.items())
+    raise ValueError(
+        f"the file gives several values that differ ({said}); choose one of them by {argument}=..."
+    )
+
+
+def _vector(columns: Arrays, name: str) -> Samples:
+    array = columns[name]
+    if max(array.shape) != array.size:  # MATLAB knows no vectors, only rows and columns
+        raise ValueError(f"{name!r} must have one value per sample, got shape {array.shape}")
+    return _as_numbers(array.ravel(), repr(name))
+
+
+def _as_numbers(array: NDArray[Any], what: str) -> Samples:
+    """Convert real numbers to float64; refuse texts, objects and complex numbers."""
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{what} must be real numbers, got values of type {array.dtype}")
+    intake.check_bytes(8 * array.size, what)
+    # What is not finite is refused where its place is known.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return array.astype(np.float64)
+
+
 FULL_SCALE_NOTE = "integer WAV without full_scale: full scale taken as 1.0 in the unit"
 
 
-def read_wav_recording(path: Path, request: common.ReadingOptions) -> common.Decoded:
+def read_wav_recording(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
     """Read three channels of a WAV file, with what the JSON or TOML file of the same name says of them."""
     header = read_wav_header(path)
     beside = [one for suffix in (".json", ".toml") if (one := path.with_suffix(suffix)).is_file()]
     said = _read_sidecar(beside)
     axes = said.get("axes", ("x", "y", "z"))
     if header.channels == 1:
-        raise common.refuse_reduced("a WAV file with 1 channel")
-    if header.channels < AXES:
-        raise ValueError(f"there must be 3 channels, one per axis x, y, z; got {header.channels}")
+        raise tables.refuse_reduced("a WAV file with 1 channel")
     if len(axes) != header.channels:
         raise ValueError(
-            f"there must be 3 channels, or a sidecar whose axes name every channel; "
+            "there must be 3 channels, one per axis x, y, z, or a sidecar whose axes name every channel; "
             f"got {header.channels} for {len(axes)} axes"
         )
     rate_hz = said.get("rate_hz", float(header.rate_hz))
@@ -60,13 +200,29 @@ def read_wav_recording(path: Path, request: common.ReadingOptions) -> common.Dec
             "full_scale is for integer samples, these are float and in the unit already; leave it out"
         )
     samples, _ = read_wav(path)
-    return common.Decoded(
+    return tables.Decoded(
         samples[[axes.index(axis) for axis in "xyz"]] * (full_scale or 1.0),
         said.get("unit"),
         rate_hz,
         notes=() if full_scale or header.is_float else (FULL_SCALE_NOTE,),
         sources=(path, *beside),
     )
+
+
+def _parse_axes(axes: Any) -> list[str]:  # noqa: ANN401 - whatever stands there
+    names = [str(axis).lower() for axis in axes] if isinstance(axes, list | str) else []
+    if sorted(name for name in names if name in {"x", "y", "z"}) != ["x", "y", "z"]:
+        raise ValueError(f'axes must be a list with "x", "y" and "z" once each, got {axes!r}')
+    return names
+
+
+ENTRIES: Mapping[str, tuple[Sequence[str], Callable[[Any], Any]]] = {
+    "unit": (tables.UNIT_KEYS, tables.parse_unit),
+    "rate_hz": (tables.RATE_KEYS, check_rate),
+    "axes": (("axes",), _parse_axes),
+    "full_scale": (("full_scale",), partial(check_rate, what="full_scale", unit="")),
+}
+"""Entry of a sidecar -> its spellings, and what reads it. No others: a misspelt unit is worth a factor of 9.8."""
 
 
 def _read_sidecar(beside: Sequence[Path]) -> dict[str, Any]:
@@ -79,7 +235,7 @@ def _read_sidecar(beside: Sequence[Path]) -> dict[str, Any]:
     path = beside[0]
     try:
         text = intake.read_small(path)
-        with common.foreign_errors(path.suffix[1:].upper()):
+        with tables.foreign_errors(path.suffix[1:].upper()):
             entries: Any = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
         return _parse_entries(entries)
     except ValueError as error:
@@ -87,34 +243,18 @@ def _read_sidecar(beside: Sequence[Path]) -> dict[str, Any]:
         raise ValueError(f"sidecar {path.name}: {said}") from None
 
 
-def _parse_axes(axes: Any) -> list[str]:  # noqa: ANN401 - whatever stands there
-    names = [str(axis).lower() for axis in axes] if isinstance(axes, list | str) else []
-    if sorted(name for name in names if name in {"x", "y", "z"}) != ["x", "y", "z"]:
-        raise ValueError(f'axes must be a list with "x", "y" and "z" once each, got {axes!r}')
-    return names
-
-
-ENTRIES: Mapping[str, tuple[Sequence[str], Callable[[Any], Any]]] = {
-    "unit": (common.UNIT_KEYS, common.parse_unit),
-    "rate_hz": (common.RATE_KEYS, check_rate),
-    "axes": (("axes",), _parse_axes),
-    "full_scale": (("full_scale",), partial(check_rate, what="full_scale", unit="")),
-}
-KEYS = list(dict.fromkeys([*ENTRIES, *common.UNIT_KEYS, *common.RATE_KEYS]))
-"""Entries of a sidecar. Others are refused: a misspelt unit is worth a factor of 9.8."""
-
-
 def _parse_entries(entries: Any) -> dict[str, Any]:  # noqa: ANN401 - whatever stands there
-    allowed = ", ".join(KEYS)
+    keys = list(dict.fromkeys([*ENTRIES, *tables.UNIT_KEYS, *tables.RATE_KEYS]))
+    allowed = ", ".join(keys)
     if not isinstance(entries, dict):
         raise ValueError(f"must be a table with {allowed}, got a {type(entries).__name__}")  # noqa: TRY004 - a file's fault, not a caller's
-    if unknown := [key for key in entries if key not in KEYS]:
+    if unknown := [key for key in entries if key not in keys]:
         raise ValueError(
             f"entries must be {allowed}, got {', '.join(map(repr, unknown))}; correct or remove it"
         )
     found = {}
-    for name, (keys, parse) in ENTRIES.items():
-        present = [key for key in keys if entries.get(key) is not None]
+    for name, (spellings, parse) in ENTRIES.items():
+        present = [key for key in spellings if entries.get(key) is not None]
         if len(present) > 1:
             raise ValueError(f"{' and '.join(present)} mean the same; remove all but one")
         if present:
@@ -133,8 +273,10 @@ LARGER = 8
 """So many tags may an XML file hold, and so many times its text takes in memory."""
 
 
-def read_hatt(path: Path, _: common.ReadingOptions) -> common.Decoded:
+def read_hatt(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
     """Read the three axes, the rate and the unit that an XML recording names."""
+    from xml.etree import ElementTree as ET
+
     content = intake.read_bytes(path, most=intake.read_limit() // LARGER)
     # Entities can expand without end or name other files; a recording needs neither.
     if re.search(rb"<!\s*(doctype|entity)", content, re.IGNORECASE):
@@ -143,41 +285,30 @@ def read_hatt(path: Path, _: common.ReadingOptions) -> common.Decoded:
         )
     if content.count(b"<") > 2 * MOST_TAGS:
         raise ValueError(f"there are more than {MOST_TAGS} tags")
-    tags = _collect_tags(content)
+    with tables.foreign_errors("XML"):
+        root = ET.fromstring(content)  # noqa: S314 - entities were refused before
+    # Each tag, small, without namespace, and once more with its parent's before it.
+    tags: dict[str, list[str]] = defaultdict(list)
+    for parent in root.iter():
+        above = parent.tag.rpartition("}")[2].casefold()
+        for child in parent:
+            own = child.tag.rpartition("}")[2].casefold()
+            for tag in (own, above + own):
+                tags[tag].append((child.text or "").strip())
     axes = {tag[-1]: _only(found, tag) for tag, found in tags.items() if AXIS.fullmatch(tag)}
     if not axes and re.search(rf"\b{SENSOR}\b", " ".join(tags)):
-        raise common.refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
+        raise tables.refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
     if not axes:
         raise ValueError(
             "the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, "
             f"got the tags {', '.join(list(tags)[:12]) or 'none'}"
         )
     units = {text for tag, found in tags.items() if UNIT.fullmatch(tag) for text in found}
-    return common.Decoded(
-        common.stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()}),
-        common.parse_unit(_only(sorted(units), "units")) if units else None,
+    return tables.Decoded(
+        tables.stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()}),
+        tables.parse_unit(_only(sorted(units), "units")) if units else None,
         _rate(tags),
     )
-
-
-def _collect_tags(content: bytes) -> Mapping[str, list[str]]:
-    """Map each tag, small, without namespace, and once more with its parent's before it, to its texts."""
-    from xml.etree import ElementTree as ET
-
-    with common.foreign_errors("XML"):
-        root = ET.fromstring(content)  # noqa: S314 - entities were refused before
-    tags: dict[str, list[str]] = defaultdict(list)
-    collected = 0
-    for parent in root.iter():
-        above = parent.tag.rpartition("}")[2].casefold()
-        for child in parent:
-            text = " ".join(child.itertext()).strip()
-            collected += len(text)  # once per depth, so that deep ones cost the square
-            intake.check_bytes(collected, "texts nested in each other")
-            own = child.tag.rpartition("}")[2].casefold()
-            tags[own].append(text)
-            tags[above + own].append(text)
-    return tags
 
 
 def _only(texts: list[str], tag: str) -> str:
@@ -217,7 +348,6 @@ def _rate(tags: Mapping[str, list[str]]) -> float | None:
 
 
 NAME = re.compile(r"(.+_(?:Movement|Tapping))_([XYZ])_((?:train|test)\d+)", re.IGNORECASE)
-REDUCED_FOLDER = "accelscansdft321"
 RATE_HZ = 10000.0
 RATE_NOTE = (
     "LMT-108 files name no rate: taken as the documented 10000 Hz (rate_hz=... says otherwise)"
@@ -225,24 +355,15 @@ RATE_NOTE = (
 
 
 def is_lmt(path: Path) -> bool:
-    """Whether, by its path, a file belongs to the LMT-108 set."""
-    return path.suffix.lower() == ".txt" and bool(NAME.fullmatch(path.stem) or _is_reduced(path))
+    """Whether, by its name, a file is one axis of a triple of the LMT-108 set."""
+    return path.suffix.lower() == ".txt" and NAME.fullmatch(path.stem) is not None
 
 
-def _is_reduced(path: Path) -> bool:
-    return any(part.lower() == REDUCED_FOLDER for part in path.absolute().parts[:-1])
-
-
-def read_lmt(path: Path, request: common.ReadingOptions) -> common.Decoded:
+def read_lmt(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
     """Read one axis of a triple and its two sisters beside it."""
-    match = NAME.fullmatch(path.stem)
-    if match is None or _is_reduced(path):
-        raise common.refuse_reduced("a file of the folder AccelScansDFT321")
-    head, axis, tail = match.groups()
-    sisters = [
-        path.with_name(f"{head}_{letter}_{tail}{path.suffix}")
-        for letter in ("XYZ" if axis.isupper() else "xyz")
-    ]
+    head, axis, tail = NAME.fullmatch(path.stem).groups()  # type: ignore[union-attr]  # is_lmt
+    letters = "XYZ" if axis.isupper() else "xyz"
+    sisters = [path.with_name(f"{head}_{letter}_{tail}{path.suffix}") for letter in letters]
     if missing := [sister.name for sister in sisters if not sister.is_file()]:
         raise ValueError(
             f"there must be one file per axis x, y, z beside it, got no {' and no '.join(missing)}"
@@ -256,8 +377,8 @@ def read_lmt(path: Path, request: common.ReadingOptions) -> common.Decoded:
             )
         axes[name] = tables.read_numbers(table, (0,)).ravel()
     known = request.rate_hz is not None
-    return common.Decoded(
-        common.stack_axes(axes),
+    return tables.Decoded(
+        tables.stack_axes(axes),
         rate_hz=None if known else RATE_HZ,
         notes=() if known else (RATE_NOTE,),
         sources=tuple(sisters),
@@ -269,7 +390,7 @@ LOST_SAMPLE = 1.5
 """An interval of so many periods means that samples were lost; less is the coarse clock of the blocks."""
 
 
-def read_ide(path: Path, _: common.ReadingOptions) -> common.Decoded:
+def read_ide(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
     """Read the triaxial accelerometer with the highest rate."""
     try:
         from idelib import importer
@@ -283,7 +404,7 @@ def read_ide(path: Path, _: common.ReadingOptions) -> common.Decoded:
     before = logging.root.manager.disable
     logging.disable()  # what is wrong with a file is raised anyway
     try:
-        with common.foreign_errors("an enDAQ recording"):
+        with tables.foreign_errors("an enDAQ recording"):
             dataset = importer.openFile(stream, quiet=True)
             importer.readData(dataset)
             channels = [one for one in dataset.channels.values() if one.sessions]
@@ -296,8 +417,8 @@ def read_ide(path: Path, _: common.ReadingOptions) -> common.Decoded:
     samples, unit = max(measured, key=lambda pair: _rate_hz(pair[0][0]))
     time_s = samples[0] - samples[0, 0]
     if np.diff(time_s).max() * _rate_hz(time_s) < LOST_SAMPLE:
-        return common.Decoded(samples[1:], unit, _rate_hz(time_s))
-    return common.Decoded(samples[1:], unit, time_s=time_s)
+        return tables.Decoded(samples[1:], unit, _rate_hz(time_s))
+    return tables.Decoded(samples[1:], unit, time_s=time_s)
 
 
 def _axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
@@ -313,7 +434,7 @@ def _axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
 def _unit(subchannel: Any) -> str | None:  # noqa: ANN401 - idelib is not typed
     """Return the unit of acceleration, or None for other quantities."""
     label_and_unit = subchannel.units or ("", "")
-    return common.ACCELERATION_SPELLINGS.get(common.normalise(str(label_and_unit[1])))
+    return tables.ACCELERATION_SPELLINGS.get(tables.normalise(str(label_and_unit[1])))
 
 
 def _read_channel(channel: Any) -> tuple[Samples, str | None]:  # noqa: ANN401 - idelib is not typed
