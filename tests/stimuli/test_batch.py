@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from feel321 import stimuli
-from feel321.stimuli import batch
 
 PRIMES = (2, 3, 17, 101, 349, 997)
 LENGTHS = st.one_of(st.integers(1, 400), st.sampled_from(PRIMES))
@@ -82,14 +81,6 @@ def test_recordings_of_all_kinds_keep_their_order() -> None:
     assert list(table.index) == [one.name for one in given]
 
 
-def test_how_a_batch_is_cut_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    samples = np.random.default_rng(0).standard_normal((40, 3, 1500))
-    wanted = stimuli.reduce_many(samples, "pca321", rate_hz=1000)
-    for name, size in (("PIECE", 15_000), ("AT_A_TIME", 1), ("LONGEST", 1)):
-        monkeypatch.setattr(batch, name, size)
-        assert np.array_equal(stimuli.reduce_many(samples, "pca321", rate_hz=1000), wanted)
-
-
 @pytest.mark.parametrize("place", [0, 17, 39])
 def test_a_damaged_signal_is_named_by_its_place(place: int) -> None:
     samples = np.random.default_rng(0).standard_normal((40, 3, 900))
@@ -99,21 +90,6 @@ def test_a_damaged_signal_is_named_by_its_place(place: int) -> None:
             stimuli.reduce_many(samples, name, rate_hz=1000)
     with pytest.raises(ValueError, match=rf"recording {place}: .*finite.*first at 1, 5"):
         stimuli.match_many(samples, np.ones((40, 900)), rate_hz=1000)
-
-
-def test_functions_and_methods_of_a_lab() -> None:
-    samples = np.random.default_rng(0).standard_normal((3, 3, 50))
-    found = stimuli.reduce_many(samples, lambda one, rate_hz: one[2] / rate_hz, rate_hz=10)
-    assert np.array_equal(found, samples[:, 2] / 10)
-    level = stimuli.match_many(
-        samples,
-        found,
-        rate_hz=10,
-        metrics={"level": lambda one, signal, _: signal.sum() / one.sum()},
-    )
-    np.testing.assert_allclose(level["level"], found.sum(axis=1) / samples.sum(axis=(1, 2)))
-    with pytest.raises(ValueError, match=r"recording 0: reducer .* must return the shape"):
-        stimuli.reduce_many(samples, lambda one, _: one, rate_hz=10)
 
 
 def test_what_is_no_batch_is_refused() -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.stimuli.reducers.axes import pca321, pca321_matched, pca321_matched_windowed
+from feel321.stimuli.reducers.axes import pca321, pca321_matched
 from feel321.stimuli.reducers.registry import REDUCERS
 
 RATE = 1000.0
@@ -83,24 +83,3 @@ def test_causal_forms_come_to_the_whole_one_in_steady_motion(causal: str, whole:
     steady = slice(3000, None)
     expected = REDUCERS[whole](acceleration, RATE)[steady]
     assert change(expected, REDUCERS[causal](acceleration, RATE)[steady]) < 0.06
-
-
-@pytest.mark.parametrize("window_s", [0.01, 0.035, 0.05])
-def test_the_windowed_form_turns_with_the_sensor(window_s: float) -> None:
-    acceleration = noise(3, 1500, seed=3) * np.array([[1.0], [2.0], [0.7]])
-    turn = np.linalg.qr(noise(3, 3, seed=8))[0]
-    once = pca321_matched_windowed(acceleration, RATE, window_s=window_s)
-    assert (
-        change(once, pca321_matched_windowed(turn @ acceleration, RATE, window_s=window_s)) < 1e-9
-    )
-
-
-def test_noise_before_a_tap_does_not_hold_the_axis() -> None:
-    taps = np.zeros((3, 600))
-    for axis, period in enumerate((7.0, 11.0, 17.0)):
-        taps[axis, 216:] = np.exp(-np.arange(384) / 30) * np.sin(
-            2 * np.pi * np.arange(384) / period
-        )
-    hiss = 1e-3 * np.linalg.norm(taps) / np.sqrt(taps.size) * noise(3, 600, seed=6)
-    once = pca321_matched_windowed(taps, RATE)
-    assert change(once, pca321_matched_windowed(taps + hiss, RATE)) < 0.02

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from feel321.stimuli.match import spectral_match, spectral_match_bounded, temporal_match
+from feel321.stimuli.match import spectral_match, temporal_match
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import random_rotations, rotation_statistics
 
@@ -65,30 +65,3 @@ def test_what_turning_the_sensor_cannot_change() -> None:
         assert found.spectral_sd < 1e-9
         assert found.rotations == 200
     assert find(acceleration, "dft321").spectral_mean == pytest.approx(1.0)
-
-
-def test_no_orientation_changes_the_bounded_match_of_what_none_changes() -> None:
-    acceleration = np.random.default_rng(2).standard_normal((3, 400)) * np.array([
-        [1.0],
-        [3.0],
-        [0.2],
-    ])
-    found = find(acceleration, "mag321")
-    reduced = REDUCERS["mag321"](acceleration, RATE)
-    assert found.bounded_mean == pytest.approx(
-        spectral_match_bounded(acceleration, reduced, RATE), abs=1e-12
-    )
-    assert found.bounded_sd == pytest.approx(0, abs=1e-12)
-    assert find(acceleration, "sax321").bounded_sd > 0.1
-
-
-def test_bad_calls_are_refused() -> None:
-    acceleration = np.ones((3, 50))
-    with pytest.raises(ValueError, match="200 or more"):
-        find(acceleration, "dft321", rotations=199)
-    with pytest.raises(ValueError, match="whole number"):
-        find(acceleration, "dft321", rotations=200.5)
-    with pytest.raises(ValueError, match="must be one of"):
-        find(acceleration, "none")
-    with pytest.raises(ValueError, match="one recording at a time"):
-        find(np.ones((2, 3, 50)), "dft321")

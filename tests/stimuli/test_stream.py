@@ -1,18 +1,11 @@
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.stimuli.reducers.axes import pca321_adaptive, pca321_matched_windowed
-from feel321.stimuli.reducers.fourier import dft321_windowed
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING, StreamingReducer
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 RATE = 1000.0
 STREAMING = [name for name in REDUCERS if name not in WHY_NOT_STREAMING]
@@ -47,19 +40,6 @@ def test_any_partition_gives_the_offline_result_after_a_constant_delay(
     np.testing.assert_array_equal(streamed[: min(n, stream.latency_samples)], 0.0)
 
 
-@pytest.mark.parametrize("offline", [dft321_windowed, pca321_adaptive, pca321_matched_windowed])
-@pytest.mark.parametrize("window_s", [0.002, 0.01, 0.2])
-def test_window_length_is_the_offline_one(
-    offline: Callable[..., np.ndarray], window_s: float
-) -> None:
-    acceleration = np.random.default_rng(3).standard_normal((3, 500))
-    stream = StreamingReducer(offline.__name__, RATE, window_s)
-    streamed = run(stream, acceleration, [7, 8, 8, 300])
-    expected = offline(acceleration, RATE, window_s=window_s)
-    np.testing.assert_allclose(streamed[stream.latency_samples :], expected, atol=1e-12)
-    assert stream.latency_samples == round(window_s * RATE) - 1
-
-
 @pytest.mark.parametrize("name", sorted(WHY_NOT_STREAMING))
 def test_reducers_that_need_the_whole_recording_say_so(name: str) -> None:
     with pytest.raises(
@@ -74,15 +54,6 @@ def test_every_reducer_either_streams_or_says_why_not() -> None:
         assert StreamingReducer(name, RATE).process(np.zeros((3, 0))).shape == (0,)
 
 
-def test_a_flushed_stream_has_ended() -> None:
-    stream = StreamingReducer("dft321_windowed", RATE)
-    stream.process(np.ones((3, 5)))
-    assert len(stream.flush()) == stream.latency_samples
-    assert len(stream.flush()) == 0
-    with pytest.raises(ValueError, match="make a new StreamingReducer"):
-        stream.process(np.ones((3, 5)))
-
-
 @pytest.mark.parametrize(
     ("block", "message"),
     [
@@ -95,24 +66,6 @@ def test_a_flushed_stream_has_ended() -> None:
 def test_bad_blocks_are_refused(block: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         StreamingReducer("dft321_windowed", RATE).process(block)
-
-
-@pytest.mark.parametrize("name", STREAMING)
-def test_reset_makes_a_stream_as_new(name: str) -> None:
-    first, second = np.random.default_rng(7).standard_normal((2, 3, 150))
-    used, fresh = (StreamingReducer(name, RATE, on_gap="hold") for _ in range(2))
-    run(used, first, [50])
-    used.reset()
-    used.skip(3)
-    used.reset()
-    np.testing.assert_array_equal(run(used, second, [9, 77]), run(fresh, second, [9, 77]))
-    assert (used.gaps, used.missing_samples) == (0, 0)
-
-
-@pytest.mark.parametrize("out", [np.empty(4), np.empty((1, 5)), np.empty(5, dtype=np.float32)])
-def test_an_out_that_does_not_fit_is_refused(out: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"out must be float64 of shape \(5,\)"):
-        StreamingReducer("say321", RATE).process(np.ones((3, 5)), out=out)
 
 
 def test_a_refused_block_changes_nothing() -> None:

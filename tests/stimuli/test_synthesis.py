@@ -64,20 +64,6 @@ def test_the_pattern_of_the_papers_table_1(name: str, seed: int) -> None:
     assert temporal_match(acceleration, REDUCERS["mag321"](acceleration, rate)) < 0.15
 
 
-@pytest.mark.parametrize(
-    ("name", "changes", "message"),
-    [
-        ("bump", {}, "must be one of bumps"),
-        ("bumps", {"rate_hz": 1000.0}, "4000 Hz or more"),
-        ("bumps", {"duration_s": 0.01}, "0.1 s to 3600 s"),
-        ("bumps", {"rate_hz": -1.0}, "rate_hz"),
-    ],
-)
-def test_bad_scenes_are_refused(name: str, changes: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        make_scene(name, **changes)
-
-
 def test_scenes_joined_by_a_plus_follow_one_another_in_equal_shares() -> None:
     joined = make_scene("bumps+texture_drag+hard_taps", duration_s=8.0, rng=3)
     assert joined.acceleration.shape == (3, 80_000)

@@ -167,14 +167,13 @@ def merge_spectra(spectra: Bins, energy: Samples) -> Bins:
     """Merge the spectra of the axes by equations 3 and 4; they are used up."""
     floor = ROUNDING**2 * energy
     for start in range(0, spectra.shape[-1], _BINS_AT_A_TIME):
-        few = slice(start, start + _BINS_AT_A_TIME)
-        spectra[0, ..., few] = _merge(spectra[..., few], floor)
+        _merge(spectra[..., start : start + _BINS_AT_A_TIME], floor)
     merged: Bins = spectra[0]
     return merged
 
 
-def _merge(spectra: Bins, floor: Samples) -> Bins:
-    """Merge some bins. Squares take the place of what is squared: fresh memory costs as much time as the arithmetic."""
+def _merge(spectra: Bins, floor: Samples) -> None:
+    """Merge some bins, into the first axis. Squares take the place of what is squared: fresh memory costs much time."""
     merged: Bins = spectra[0] + spectra[1]
     merged += spectra[2]
     of_sum = bin_energy(merged)
@@ -195,8 +194,7 @@ def _merge(spectra: Bins, floor: Samples) -> Bins:
     energy = of_axes[0] + of_axes[1]
     energy += of_axes[2]
     energy /= of_sum
-    merged *= np.sqrt(energy, out=energy)
-    return merged
+    np.multiply(merged, np.sqrt(energy, out=energy), out=spectra[0])
 
 
 def bin_energy(spectra: Bins) -> Samples:
