@@ -70,39 +70,22 @@ def test_bad_blocks_are_refused(block: np.ndarray, message: str) -> None:
 
 def test_a_refused_block_changes_nothing() -> None:
     bad = np.ones((3, 4))
-    bad[0, 1] = np.nan
-    refusing = StreamingReducer("say321_matched_running", RATE)
-    with pytest.raises(ValueError, match="must be finite"):
-        refusing.process(bad)
-    with pytest.raises(ValueError, match="must be finite"):
-        refusing.skip(2)
-    holding = StreamingReducer("say321_matched_running", RATE, on_gap="hold")
-    bad[1, 2] = 1e160
-    with pytest.raises(ValueError, match="peak of at most"):
-        holding.process(bad)
-    assert (refusing.gaps, holding.gaps, holding.missing_samples) == (0, 0, 0)
-    samples = np.random.default_rng(1).standard_normal((3, 30))
-    for stream in (refusing, holding):
-        stream_out = stream.process(samples)
-        np.testing.assert_array_equal(
-            stream_out, StreamingReducer("say321_matched_running", RATE).process(samples)
-        )
-
-
-def test_skipped_samples_are_a_gap() -> None:
-    stream = StreamingReducer("say321", RATE, on_gap="hold")
-    stream.process([[1, 1], [2, 3], [4, 4]])
-    np.testing.assert_array_equal(stream.skip(3), 3.0)
-    np.testing.assert_array_equal(stream.process([[1, 1], [np.nan, 7], [4, 4]]), [3.0, 7.0])
-    assert (stream.gaps, stream.missing_samples) == (1, 4)
-    with pytest.raises(ValueError, match="must be 0 or more, got -1"):
-        stream.skip(-1)
+    stream, samples = (
+        StreamingReducer("say321_matched_running", RATE),
+        np.random.default_rng(1).standard_normal((3, 30)),
+    )
+    for value, message in ((np.nan, "must be finite"), (1e160, "peak of at most")):
+        bad[0, 1] = value
+        with pytest.raises(ValueError, match=message):
+            stream.process(bad)
+    fresh = StreamingReducer("say321_matched_running", RATE)
+    np.testing.assert_array_equal(stream.process(samples), fresh.process(samples))
 
 
 @pytest.mark.parametrize("name", STREAMING)
 def test_a_buffer_that_the_driver_fills_anew_changes_nothing_that_was_fed(name: str) -> None:
     samples = np.random.default_rng(0).standard_normal((3, 200))
-    fresh, reused = (StreamingReducer(name, RATE, on_gap="hold") for _ in range(2))
+    fresh, reused = (StreamingReducer(name, RATE) for _ in range(2))
     buffer = np.empty((3, 20))
     for start in range(0, 200, 20):
         buffer[:] = samples[:, start : start + 20]
@@ -110,5 +93,4 @@ def test_a_buffer_that_the_driver_fills_anew_changes_nothing_that_was_fed(name: 
         buffer[:] = 1e9
         expected = fresh.process(samples[:, start : start + 20])
         np.testing.assert_array_equal(got, expected)
-        np.testing.assert_array_equal(reused.skip(3), fresh.skip(3))
     np.testing.assert_array_equal(reused.flush(), fresh.flush())

@@ -8,9 +8,6 @@ A streamed reducer gives, sample by sample, what its offline form gives for the 
 It allocates a little per call and never looks ahead. The work of a window is done in the block that completes half a
 window, it is not spread: `feel321 tradeoff` measures what that block costs.
 
-A *gap* is a run of samples that did not arrive: samples of which an axis is not a finite number, or that `skip`
-declares. Time goes on during a gap, so as many samples are given as are missing.
-
 References
 ----------
 .. [1] N. Landin, J. M. Romano, W. McMahan, K. J. Kuchenbecker, "Dimensional reduction of high-frequency accelerations
@@ -20,10 +17,9 @@ References
 from collections.abc import Callable
 from functools import partial
 from inspect import signature
-from typing import get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from feel321.doors import Registry, check_name, name_of
 from feel321.names import REDUCER_NAMES
@@ -41,7 +37,7 @@ from feel321.stimuli.recording import (
     largest,
 )
 from feel321.stimuli.reducers import axes, bands, fourier
-from feel321.types import OnGap, Reducer, Samples
+from feel321.types import Reducer, Samples
 
 _OURS = vars(axes) | vars(fourier) | vars(bands)
 
@@ -190,50 +186,36 @@ class StreamingReducer:
         Sampling rate in Hz.
     window_s : float
         Length of a frame in s, for the reducers that work in frames.
-    on_gap : {"raise", "hold", "zero"}
-        What stands for missing samples: nothing, they are an error; the last sample that arrived; or 0.
 
     Attributes
     ----------
     latency_samples : int
         Delay of the output, constant: 0 for samplewise reducers, one frame less a sample for the others.
-    missing_samples, gaps : int
-        How many samples were missing so far, and in how many runs, however they were cut into blocks.
 
     Raises
     ------
     ValueError
-        If the reducer is unknown or needs the whole recording, or `on_gap` is none of the three.
+        If the reducer is unknown or needs the whole recording.
 
     Examples
     --------
     >>> from feel321 import stimuli
-    >>> stream = stimuli.StreamingReducer("soc321", rate_hz=1000, on_gap="hold")
+    >>> stream = stimuli.StreamingReducer("soc321", rate_hz=1000)
     >>> stream.process([[1, 2], [3, 4], [5, 6]])
     array([ 9., 12.])
-    >>> stream.skip(2), stream.gaps, stream.missing_samples
-    (array([12., 12.]), 1, 2)
     """
 
-    def __init__(
-        self,
-        name: str,
-        rate_hz: float,
-        window_s: float = axes.DEFAULT_WINDOW_S,
-        *,
-        on_gap: OnGap = "raise",
-    ) -> None:
+    def __init__(self, name: str, rate_hz: float, window_s: float = axes.DEFAULT_WINDOW_S) -> None:
         check_name(name, REDUCERS, "reducer")
         if name in WHY_NOT_STREAMING:
             raise ValueError(f"{name} cannot stream: {WHY_NOT_STREAMING[name]}")
-        check_name(on_gap, get_args(OnGap), "on_gap")
-        self._name, self._rate_hz, self._on_gap = name, check_rate(rate_hz), on_gap
+        self._name, self._rate_hz = name, check_rate(rate_hz)
         self._hop = axes.window_samples(window_s, rate_hz) // 2 if name in _IN_FRAMES else 0
         self.latency_samples = max(2 * self._hop - 1, 0)
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything that was fed, the counts of gaps included; it is as new, also after `flush`."""
+        """Forget everything that was fed; it is as new, also after `flush`."""
         self._stream: Callable[[Samples], Samples] | _InFrames
         if self._hop:
             self._stream = _InFrames(_IN_FRAMES[self._name](self._rate_hz)((), self._hop))
@@ -241,9 +223,7 @@ class StreamingReducer:
             self._stream = _RUNNING[self._name](self._rate_hz)
         else:
             self._stream = lambda samples: REDUCERS[self._name](samples, self._rate_hz)
-        self._flushed = self._inside_gap = False
-        self._last = np.zeros((3, 1))
-        self.gaps = self.missing_samples = 0
+        self._flushed = False
 
     def process(self, block: ArrayLike, *, out: Samples | None = None) -> Samples:
         """Reduce the next samples.
@@ -251,7 +231,7 @@ class StreamingReducer:
         Parameters
         ----------
         block : array_like, shape (3, k)
-            The next k >= 0 samples of the three axes; those that are missing are not finite in one of the axes.
+            The next k >= 0 samples of the three axes; put samples of your own in the place of lost ones, or time stops.
         out : ndarray of float64, shape (k,), optional
             Where the output is written to; a new array if left out.
 
@@ -264,8 +244,8 @@ class StreamingReducer:
         Raises
         ------
         ValueError
-            If the block is not three axes of numbers up to 1e60, samples are missing and `on_gap` is "raise", `out` is
-            not fit to hold the output, or the stream was flushed. The stream is then as it was before.
+            If the block is not three axes of finite numbers up to 1e60, `out` is not fit to hold the output, or the
+            stream was flushed. The stream is then as it was before.
         """
         samples = coerce_acceleration(block)
         if samples.ndim != 2:  # noqa: PLR2004 - axes x samples
@@ -282,51 +262,14 @@ class StreamingReducer:
             raise ValueError(
                 f"out must be float64 of shape {samples.shape[1:]}, got {out.dtype} of shape {out.shape}"
             )
-        there = np.asarray(np.isfinite(samples).all(axis=0))
-        whole = bool(there.all())
-        filled = samples if whole else self._fill(samples, there)
+        check_finite(samples, "block")
         # A whole recording can be scaled by its peak; a stream cannot know the peak that is to come.
-        if self._name not in _NO_MEMORY and largest(filled) > SAFE_PEAK[1]:
+        if self._name not in _NO_MEMORY and largest(samples) > SAFE_PEAK[1]:
             raise ValueError(
-                f"block must have a peak of at most {SAFE_PEAK[1]:g}, got {largest(filled):.3g}"
+                f"block must have a peak of at most {SAFE_PEAK[1]:g}, got {largest(samples):.3g}"
             )
-        if there.size:
-            missing = ~np.concatenate([[not self._inside_gap], there])
-            self.gaps += 0 if whole else int(np.count_nonzero(missing[1:] & ~missing[:-1]))
-            self.missing_samples += 0 if whole else int(np.count_nonzero(missing[1:]))
-            self._inside_gap, self._last = bool(missing[-1]), filled[:, -1:].copy()
-        np.copyto(out, self._stream(filled))
+        np.copyto(out, self._stream(samples))
         return out
-
-    def _fill(self, samples: Samples, there: NDArray[np.bool_]) -> Samples:
-        """Replace missing samples, or raise ValueError."""
-        if self._on_gap == "raise":
-            check_finite(samples, "block")
-        which = np.where(there, np.arange(1, there.size + 1), 0)
-        before = np.zeros((3, 1))
-        if self._on_gap == "hold":
-            which = np.maximum.accumulate(which)
-            before = self._last
-        return np.asarray(np.concatenate([before, samples], axis=1)[:, which])
-
-    def skip(self, n_samples: int, *, out: Samples | None = None) -> Samples:
-        """Declare that the next samples were lost on their way, as a driver reports it after an overrun.
-
-        Parameters
-        ----------
-        n_samples : int
-            How many, 0 or more.
-        out : ndarray of float64, shape (n_samples,), optional
-            As in `process`.
-
-        Returns
-        -------
-        ndarray of float64, shape (n_samples,)
-            As many samples of the output.
-        """
-        if n_samples < 0:
-            raise ValueError(f"n_samples must be 0 or more, got {n_samples}")
-        return self.process(np.full((3, n_samples), np.nan), out=out)
 
     def flush(self) -> Samples:
         """End the signal and return the samples that the delay still holds back.

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 KEY = ["kind", "recording", "reducer", "condition", "measure"]
-TIMES = ["cost_ratio", "ns_per_sample", "block_us", "block_load"]
 
 
 def read(frame: pd.DataFrame, reducer: str, condition: str, measure: str) -> float:
@@ -121,12 +120,11 @@ def test_planted_faults_are_found(fault: str) -> None:
     assert found["sound"] == ""
 
 
-def test_windows_and_axes_are_candidates(recordings: list[Recording]) -> None:
+def test_windows_are_candidates(recordings: list[Recording]) -> None:
     some = ["dft321", "dft321_windowed"]
-    frame = measure_tradeoff(recordings[1], reducers=some, windows_ms=(20,), axes=3)
-    names = [*some, "dft321_windowed@20ms", "two_principal_axes", "three_axes"]
-    assert list(frame[frame["measure"] == "axes"]["reducer"]) == names
-    assert read(frame, "three_axes", "as recorded", "motion_db") == pytest.approx(0, abs=1e-9)
+    frame = measure_tradeoff(recordings[1], reducers=some, windows_ms=(20,))
+    names = [*some, "dft321_windowed@20ms"]
+    assert list(frame[frame["measure"] == "operations"]["reducer"]) == names
     assert read(frame, "dft321_windowed@20ms", "", "latency_ms") < 20
 
 
@@ -184,8 +182,7 @@ def test_time_is_relative_to_the_floor_of_the_same_run(monkeypatch: pytest.Monke
     candidates = cost.list_candidates({"slow": lambda a, _: clock.take(0.005, a)})
     found = cost.time_reducers(candidates, tap(), rounds=3, rng=np.random.default_rng(0))
     ((_, times),) = found
-    assert times["cost_ratio"] == pytest.approx((2.5, 2.5, 2.5))
-    assert times["ns_per_sample"][0] == pytest.approx(0.005e9 / 2000)
+    assert times == pytest.approx([2.5, 2.5, 2.5])
 
 
 def test_who_streams_has_a_time_per_block_and_a_delay(frame: pd.DataFrame) -> None:

@@ -136,7 +136,7 @@ ARRAY_REFUSALS = {
     "NaN": ({"acceleration": np.full((3, 9), np.nan), "fs": 1}, r"got 27 values that are not"),
     "two rates": ({"acceleration": np.ones((3, 9)), "fs": [1, 2]}, "the rate must be one number, got 2 values"),
     "clock stops": ({"acceleration": np.ones((3, 9)), "t": np.zeros(9)}, "must increase, got 0 after 0 s at sample 1"),
-    "pickled": ({"acceleration": np.array([None] * 9)}, "cannot be read as an NPZ archive .*Python objects"),
+    "pickled": ({"acceleration": np.array([None] * 9)}, "cannot be read as an NPZ archive .*Object arrays"),
 }  # fmt: skip
 
 

@@ -135,7 +135,6 @@ def test_thorough_also_looks_for_known_failures(
         ([], 1, "no study.toml in"),
         (["{folder}", "{folder}/nothing.csv"], 1, "nothing.csv: no such study or recording"),
         (["--scenes", "--seed", "-1"], 2, '"-1" for --seed. Allowed: 0 or more'),
-        (["--scenes", "--axes", "4"], 2, '"4" for --axes. Allowed: 1 to 3'),
         (["--scenes", "--latency-ms", "5"], 2, "--latency-ms must be left out offline, got 5; add"),
         (
             ["--scenes", "--online", "--latency-ms", "nan"],
