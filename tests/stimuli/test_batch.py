@@ -81,17 +81,6 @@ def test_recordings_of_all_kinds_keep_their_order() -> None:
     assert list(table.index) == [one.name for one in given]
 
 
-@pytest.mark.parametrize("place", [0, 17, 39])
-def test_a_damaged_signal_is_named_by_its_place(place: int) -> None:
-    samples = np.random.default_rng(0).standard_normal((40, 3, 900))
-    samples[place, 1, 5] = np.nan
-    for name in ("sax321", "dft321_windowed"):
-        with pytest.raises(ValueError, match=rf"recording {place}: .*finite.*first at 1, 5"):
-            stimuli.reduce_many(samples, name, rate_hz=1000)
-    with pytest.raises(ValueError, match=rf"recording {place}: .*finite.*first at 1, 5"):
-        stimuli.match_many(samples, np.ones((40, 900)), rate_hz=1000)
-
-
 def test_what_is_no_batch_is_refused() -> None:
     scene, samples = stimuli.make_scene("bumps", duration_s=0.1), np.ones((2, 3, 10))
     with pytest.raises(TypeError, match=r"one Recording; write \[recording\]"):

@@ -79,19 +79,6 @@ def test_it_lies_between_0_and_1_and_one_factor_changes_nothing(
         assert scaled == pytest.approx(match, abs=1e-9)
 
 
-@settings(deadline=None, max_examples=30)
-@given(st.floats(0.0, 1.0), st.integers(0, 9))
-def test_it_is_the_papers_where_the_reduced_signal_is_the_weaker(share: float, seed: int) -> None:
-    acceleration = noise(3, 900, seed=seed)
-    reduced = share * REDUCERS["dft321"](acceleration, RATE)
-    paper = spectral_match(acceleration, reduced, RATE)
-    assert spectral_match_bounded(acceleration, reduced, RATE) == pytest.approx(paper, abs=1e-12)
-    one_axis = acceleration[1]
-    assert spectral_match_bounded(acceleration, one_axis, RATE) == pytest.approx(
-        spectral_match(acceleration, one_axis, RATE), abs=1e-12
-    )
-
-
 def test_energy_in_bands_that_the_recording_left_empty_is_seen() -> None:
     recording = stand_in(tone(100.0))
     assert spectral_match_bounded(recording, tone(100.0), RATE) == 1.0

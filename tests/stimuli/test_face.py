@@ -152,22 +152,3 @@ def test_a_reduced_signal_of_another_rate_is_refused_and_its_own_rate_counts(
     for compare in (metric, stimuli.match):
         with pytest.raises(ValueError, match="the recording's rate, 10000 Hz; got 5000 Hz"):
             compare(scene, slower)
-
-
-def test_what_a_labs_function_gives_is_checked(scene: Recording) -> None:
-    for factor, message in ((1j, "real numbers"), (np.nan, "finite, got 6000"), ("x", "real numb")):
-        with pytest.raises(ValueError, match=f"the output of mine must be {message}"):
-            stimuli.reduce(scene, _Mine(factor))
-    for twice in ([lambda a, _: a[0], lambda a, _: a[1]], ["dft321", "dft321"]):
-        with pytest.raises(ValueError, match="reducers must have names that differ, got"):
-            stimuli.match(scene, reducers=twice)
-
-
-class _Mine:
-    __name__ = "mine"
-
-    def __init__(self, factor: object) -> None:
-        self.factor = factor
-
-    def __call__(self, acceleration: np.ndarray, _: float) -> np.ndarray:
-        return np.full(acceleration.shape[-1], self.factor)

@@ -14,19 +14,6 @@ from feel321.stimuli.thresholds import (
 )
 
 
-def test_the_hand_is_most_sensitive_near_250_hz_with_12_db_per_octave_on_either_side() -> None:
-    frequencies = np.geomspace(20, 1000, 2001)
-    thresholds = displacement_threshold(frequencies)
-    assert frequencies[np.argmin(thresholds)] == pytest.approx(250, rel=2e-3)
-    assert thresholds.min() == pytest.approx(1e-7, rel=1e-4)
-    octave_below, octave_above = (
-        displacement_threshold([10.0, 5.0]),
-        displacement_threshold([4000.0, 8000.0]),
-    )
-    for near, far in (octave_below, octave_above):
-        assert 20 * np.log10(far / near) == pytest.approx(12.04, abs=0.01)
-
-
 @pytest.mark.parametrize("threshold", THRESHOLDS)
 def test_felt_levels_by_hand(threshold: str) -> None:
     # Two tones of 3 and 4 times their thresholds add to 5; a fade takes 3/8 of a Hann window's energy, and a length

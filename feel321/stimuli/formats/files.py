@@ -15,7 +15,6 @@ import os
 import re
 import subprocess
 import sys
-import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -114,9 +113,7 @@ def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
             units[name] = tables.parse_unit(str(array.squeeze()))
     if place.unit:
         units[axes[0]] = place.unit
-    wanted = None if request.unit is None else tables.parse_unit(request.unit)
-    unit = _agree(units, argument="unit", requested=wanted)
-    rate_hz = _agree(rates, argument="rate_hz", requested=request.rate_hz)
+    unit, rate_hz = _agree(units), _agree(rates)
     return tables.Decoded(samples, unit, rate_hz, time_s=time_s, time_step_s=step_s)
 
 
@@ -138,17 +135,12 @@ def _choose(
     return tables.find_columns(labels, wholes=ACCELERATION_KEYS)
 
 
-def _agree(found: Mapping[str, Value], *, argument: str, requested: Value | None) -> Value | None:
-    """Return the value that all names agree on; where they differ, the one that the caller chooses."""
-    values = set(found.values())
-    if len(values) <= 1:
-        return next(iter(values), None)
-    if requested is not None and requested in values:
-        return requested
-    said = ", ".join(f"{name} says {value!r}" for name, value in found.items())
-    raise ValueError(
-        f"the file gives several values that differ ({said}); choose one of them by {argument}=..."
-    )
+def _agree(found: Mapping[str, Value]) -> Value | None:
+    """Return the value that all names agree on."""
+    if len(set(found.values())) > 1:
+        said = ", ".join(f"{name} says {value!r}" for name, value in found.items())
+        raise ValueError(f"the file gives several values that differ ({said}); leave one in it")
+    return next(iter(found.values()), None)
 
 
 def _vector(columns: Arrays, name: str) -> Samples:
@@ -172,10 +164,9 @@ FULL_SCALE_NOTE = "integer WAV without full_scale: full scale taken as 1.0 in th
 
 
 def read_wav_recording(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
-    """Read three channels of a WAV file, with what the JSON or TOML file of the same name says of them."""
-    header = read_wav_header(path)
-    beside = [one for suffix in (".json", ".toml") if (one := path.with_suffix(suffix)).is_file()]
-    said = _read_sidecar(beside)
+    """Read three channels of a WAV file, with what the JSON file of the same name says of them."""
+    header, beside = read_wav_header(path), path.with_suffix(".json")
+    said = _read_sidecar(beside) if beside.is_file() else {}
     axes = said.get("axes", ("x", "y", "z"))
     if header.channels == 1:
         raise tables.refuse_reduced("a WAV file with 1 channel")
@@ -205,7 +196,7 @@ def read_wav_recording(path: Path, request: tables.ReadingOptions) -> tables.Dec
         said.get("unit"),
         rate_hz,
         notes=() if full_scale or header.is_float else (FULL_SCALE_NOTE,),
-        sources=(path, *beside),
+        sources=(path, beside) if beside.is_file() else (path,),
     )
 
 
@@ -225,18 +216,12 @@ ENTRIES: Mapping[str, tuple[Sequence[str], Callable[[Any], Any]]] = {
 """Entry of a sidecar -> its spellings, and what reads it. No others: a misspelt unit is worth a factor of 9.8."""
 
 
-def _read_sidecar(beside: Sequence[Path]) -> dict[str, Any]:
+def _read_sidecar(path: Path) -> dict[str, Any]:
     """Read what a sidecar says, by its first spelling."""
-    if not beside:
-        return {}
-    if len(beside) > 1:
-        names = " and ".join(one.name for one in beside)
-        raise ValueError(f"there must be one sidecar, got {names}; remove one of them")
-    path = beside[0]
     try:
         text = intake.read_small(path)
-        with tables.foreign_errors(path.suffix[1:].upper()):
-            entries: Any = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        with tables.foreign_errors("JSON"):
+            entries: Any = json.loads(text)
         return _parse_entries(entries)
     except ValueError as error:
         said = str(error).removeprefix(f"{path.name}: ")

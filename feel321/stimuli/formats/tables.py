@@ -130,15 +130,9 @@ def normalise(text: str) -> str:
     return re.sub(r"[\s_]+", "", text).casefold()
 
 
-LONGEST_LABEL = 1000
-"""Characters: longer ones are no labels, and each gap would be tried."""
-
-
 def split_unit(label: str, spellings: Container[str]) -> tuple[str, str | None]:
     """Split a column's label, such as ``x_g``, ``acc x (m/s²)`` or ``time [µs]``, into its bare name and its unit."""
     label = label.strip()
-    if len(label) > LONGEST_LABEL:
-        return label, None
     if bracketed := re.fullmatch(r"(.+?)[\s_]*[\[(](.*)[\])]", label):
         return bracketed[1], normalise(bracketed[2])
     for gap in re.finditer(r"[\s_]+", label):
@@ -268,16 +262,6 @@ HEAD_LINES = 50
 
 MOST_COLUMNS = 1000
 
-SLOWEST_HZ = 40.0
-"""Twice the 20 Hz where the match metrics begin: below, milliseconds were taken for seconds."""
-
-CLUSTER_LABELS = ("time", "X", "Y", "Z")
-CLUSTER_RATE_HZ = 6000.0
-CLUSTER_NOTE = (
-    "header and rate are those of the Cluster Haptic Texture Database: unit taken as g (unit=... "
-    "says otherwise)"
-)
-
 
 @dataclass(frozen=True, slots=True)
 class TextTable:
@@ -305,24 +289,12 @@ def read_table(path: Path, request: ReadingOptions) -> Decoded:
     values = read_numbers(table, (columns.time, *columns.axes))
     second = columns.time_unit_s or 1.0
     time_s = values[0] * second
-    span_s = float(np.ptp(time_s))
-    rate_hz = (time_s.size - 1) / span_s if span_s > 0 else np.inf
-    unit, notes = columns.unit, []
-    if columns.time_unit_s is None and rate_hz < SLOWEST_HZ:
-        notes.append(
-            f"the time column names no unit: taken as s, which gives {rate_hz:g} Hz; if it is ms, call it time_ms"
-        )
-    is_cluster = table.labels == CLUSTER_LABELS and abs(rate_hz / CLUSTER_RATE_HZ - 1) < 0.1  # noqa: PLR2004 - nominal, so a tenth either way
-    if request.unit is None and unit is None and is_cluster:
-        unit = "g"
-        notes.append(CLUSTER_NOTE)
     return Decoded(
         values[1:],
-        unit,
+        columns.unit,
         time_s=time_s,
         time_step_s=second * _find_printed_step(table, columns.time),
         first_line=table.first_line,
-        notes=tuple(notes),
     )
 
 

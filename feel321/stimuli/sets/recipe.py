@@ -255,13 +255,6 @@ each recording with its reductions and reference, so that no spike of one record
 RIG_RATES_HZ = (2000, 384_000)
 """Rates at which 1000 Hz can be played and sound devices run."""
 
-_RESERVED = {
-    "con",
-    "prn",
-    "aux",
-    "nul",
-    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
-}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -421,10 +414,6 @@ def check_names(names: Sequence[str]) -> None:
             raise ValueError(
                 "a recording's name must be up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter "
                 f"or digit; got {name!r}, give it another name"
-            )
-        if name.partition(".")[0].casefold() in _RESERVED:
-            raise ValueError(
-                f"a recording's name must not be that of a device on Windows, got {name!r}; give it another name"
             )
         # Some file systems do not distinguish capitals from small letters.
         if name.casefold() in seen:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from feel321.analysis.tradeoff import cost
-from feel321.analysis.tradeoff.measure import find_change, measure_tradeoff, spread_turns
+from feel321.analysis.tradeoff.measure import measure_tradeoff, spread_turns
 from feel321.stimuli.match import temporal_match
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
@@ -70,24 +70,6 @@ def test_orientations_are_even_rotations_in_which_no_axis_is_special() -> None:
     first, second = (np.sort(np.round(turns[:, axis, 0], 9)) for axis in (0, 1))
     assert np.array_equal(first, second)
     assert np.allclose(np.square(turns).mean(axis=0), 1 / 3, atol=0.1)
-
-
-def test_single_axes_are_equal_over_all_mountings(frame: pd.DataFrame) -> None:
-    turned = frame[(frame["condition"] == "mounting") & (frame["measure"] != "change_db")]
-    wide = turned.pivot_table(index=["recording", "measure"], columns="reducer", values="high")
-    for form in ("", "_matched"):
-        x, y, z = (wide[f"sa{axis}321{form}"] for axis in "xyz")
-        assert np.allclose(x, y, atol=1e-6)
-        assert np.allclose(x, z, atol=1e-6)
-
-
-def test_a_change_is_one_of_energy_and_its_sign_is_not_felt() -> None:
-    signal = np.array([3.0, 4.0])
-    assert find_change(signal, -signal) == 0
-    assert find_change(signal, 1.1 * signal) == pytest.approx(0.01)
-    assert find_change(signal, np.array([3.0, 5.0])) == pytest.approx(1 / 25)
-    assert find_change(0 * signal, 0 * signal) == 0
-    assert find_change(0 * signal, signal) == 1
 
 
 def tap() -> Recording:

@@ -36,11 +36,9 @@ def test_float_wav_is_in_the_unit_of_its_sidecar(tmp_path: Path, signal: Signal)
     assert recording.sha256 == hashlib.sha256(both).hexdigest()
 
 
-def test_sidecar_may_be_toml_and_name_more_channels_in_any_order(
-    tmp_path: Path, signal: Signal
-) -> None:
+def test_a_sidecar_may_name_more_channels_in_any_order(tmp_path: Path, signal: Signal) -> None:
     write_wav(tmp_path / "a.wav", np.vstack([signal, signal[:1]])[[3, 2, 1, 0]], 8000)
-    (tmp_path / "a.toml").write_text('unit = "m/s2"\naxes = ["force", "z", "y", "x"]\n')
+    (tmp_path / "a.json").write_text('{"unit": "m/s2", "axes": ["force", "z", "y", "x"]}')
     recording = read_recording(tmp_path / "a.wav")
     np.testing.assert_array_equal(recording.acceleration, signal.astype(np.float32))
 

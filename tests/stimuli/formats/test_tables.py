@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -111,33 +110,6 @@ def test_any_table_comes_back_as_it_was_written(
 ) -> None:
     path = _write(tmp_path_factory.mktemp("t") / "a.csv", mark.join("xyz"), signal.T, mark)
     np.testing.assert_allclose(read_recording(path, rate_hz=1000).acceleration, signal, rtol=1e-15)
-
-
-def test_cluster_files_are_in_g_and_resampled_on_request(tmp_path: Path) -> None:
-    rng = np.random.default_rng(5)
-    time = np.cumsum(rng.choice([1.3e-4, 2.1e-4, 1.6e-4], p=[0.25, 0.25, 0.5], size=400))
-    rows = np.vstack([time, np.sin(2 * np.pi * 50 * time + np.array([[0], [1], [2]]))]).T
-    path = _write(tmp_path / "0_135_40_500_0.csv", "time,X,Y,Z", rows)
-    with pytest.raises(
-        ValueError, match=r"got jitter up to 31\.\d% .* of 399 intervals off.*resample=True"
-    ):
-        read_recording(path)
-    recording = read_recording(path, resample=True)
-    expected = np.sin(
-        2 * np.pi * 50 * (time[0] + np.arange(recording.n_samples) / 6250)
-        + np.array([[0], [1], [2]])
-    )
-    assert recording.rate_hz == pytest.approx(6250)
-    np.testing.assert_allclose(recording.acceleration / STANDARD_GRAVITY, expected, atol=2e-5)
-    assert any("Cluster" in line for line in recording.warnings)
-    assert any(
-        re.search(r"resampled on request to \d+ samples at 6250 Hz by cubic spline", w)
-        for w in recording.warnings
-    )
-    in_metres = read_recording(path, resample=True, unit="m/s^2")
-    np.testing.assert_allclose(
-        in_metres.acceleration * STANDARD_GRAVITY, recording.acceleration, atol=1e-12
-    )
 
 
 TABLE_REFUSALS = {
