@@ -5,7 +5,7 @@ import pytest
 
 from feel321.stimuli.match import spectral_match, temporal_match
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.rotation import random_rotations
+from feel321.stimuli.rotation import random_rotations, rotation_statistics
 
 RATE = 2000.0
 
