@@ -4,7 +4,6 @@ Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `reduce
 """
 
 from feel321.names import METRIC_INFO
-from feel321.stimuli.batch import match_many, reduce_many
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording, read_recordings
 from feel321.stimuli.match import (
@@ -19,7 +18,7 @@ from feel321.stimuli.match import (
 )
 from feel321.stimuli.metrics import METRICS, match
 from feel321.stimuli.recording import Recording, Reduced
-from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer, reduce
+from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer, reduce, reduce_many
 from feel321.stimuli.rotation import INVARIANTS, rotation_statistics
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, check_stimuli, read_stimuli
@@ -61,7 +60,6 @@ __all__ = [
     "felt_level",
     "make_scene",
     "match",
-    "match_many",
     "psd",
     "read_recording",
     "read_recordings",

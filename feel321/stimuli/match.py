@@ -229,7 +229,6 @@ class OriginalSpectrum:
 
 
 _SILENT = 1e-12
-_BEYOND_COMPARISON = 1e80
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -458,11 +457,9 @@ def temporal_match_details(
     >>> stimuli.temporal_match_details([[3, 4], [4, 3], [0, 0]], [3, 4]).silent_axes
     (2,)
     """
-    samples = recording.admit(
-        *recording.as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
-    ).samples
-    # The reduced signal's strength does not matter, so it gets a scale of its own.
-    (signal,) = recording.scale_down(recording.check_reduced(reduced, samples.shape))
+    given, rate = recording.as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
+    samples, _ = recording.admit(given, rate)
+    signal = recording.check_reduced(reduced, samples.shape)
     correlations = axis_correlations(samples, signal)
     x, y, z = (float(r) for r in correlations)
     silent = tuple(int(axis) for axis in np.flatnonzero(np.isnan(correlations)))
@@ -539,8 +536,8 @@ def temporal_match_windowed(
     (0.71, 1.0)
     """
     given, rate = recording.as_pair(acceleration, reduced, rate_hz)
-    samples = recording.admit(given, rate).samples
-    (signal,) = recording.scale_down(recording.check_reduced(reduced, samples.shape))
+    samples, _ = recording.admit(given, rate)
+    signal = recording.check_reduced(reduced, samples.shape)
     return float(match_in_windows(samples, signal, float(rate)))
 
 
@@ -568,14 +565,8 @@ PLANNED = ("spectral_match_bounded", "temporal_match")
 def _compare(
     acceleration: Signal, reduced: ArrayLike, rate_hz: float | None
 ) -> tuple[OriginalSpectrum, Samples]:
-    """Check a pair, and return the recording's spectrum and the reduced signal, both scaled into a safe range."""
+    """Check a pair, and return the recording's spectrum and the reduced signal."""
     given, rate = recording.as_pair(acceleration, reduced, rate_hz)
-    admitted = recording.admit(given, rate)
-    signal = recording.check_reduced(reduced, admitted.samples.shape)
-    if admitted.exponents is not None:
-        signal = np.ldexp(signal, -admitted.exponents)
-    if recording.largest(signal) > _BEYOND_COMPARISON * recording.SAFE_PEAK[1]:
-        raise ValueError(
-            "reduced is more than 1e80 times as strong as the recording; are they in the same unit?"
-        )
-    return OriginalSpectrum(admitted.samples, float(rate)), signal
+    samples, _ = recording.admit(given, rate)
+    signal = recording.check_reduced(reduced, samples.shape)
+    return OriginalSpectrum(samples, float(rate)), signal

@@ -37,15 +37,7 @@ from feel321.stimuli.match import (
     linear_grid,
     mean_over_axes,
 )
-from feel321.stimuli.recording import (
-    Signal,
-    admit,
-    as_pair,
-    as_signal,
-    check_acceleration,
-    check_reduced,
-    scale_down,
-)
+from feel321.stimuli.recording import Signal, admit, as_pair, as_signal, check_reduced
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import Metric, Reducer, Rng, Samples
 
@@ -81,8 +73,8 @@ def spectral_match_energy_weighted(
     form of the paper's, :math:`1 - \sum |E - S| / \sum E`. A gain g of the energy scores min(g, 1/g).
     """
     given, rate = as_pair(acceleration, reduced, rate_hz)
-    samples = check_acceleration(given)
-    samples, signal = scale_down(samples, check_reduced(reduced, samples.shape))
+    samples, _ = admit(given, rate)
+    signal = check_reduced(reduced, samples.shape)
     n = samples.shape[-1]
     frequencies = linear_grid(n, rate)
     smooth = WeberSmoothing(frequencies, rate / n, n // 2 + 1)
@@ -122,11 +114,9 @@ def temporal_match_invariant(
       :math:`M_{tm}`, :math:`I_{tm}^2 = \sum_i p_i r_i^2`. Hence :math:`I_{tm} \le 3 M_{tm}` and :math:`M_{tm} \le
       I_{tm} / \sqrt{3 p_{min}}`.
     """
-    given, _ = as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
-    samples = check_acceleration(given)
-    # Each in its own unit.
-    (signal,) = scale_down(check_reduced(reduced, samples.shape))
-    (samples,) = scale_down(samples)
+    given, rate = as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
+    samples, _ = admit(given, rate)
+    signal = check_reduced(reduced, samples.shape)
     together = np.linalg.norm(np.einsum("in,n->i", samples, signal))
     scale = np.linalg.norm(samples) * np.linalg.norm(signal)
     if not samples.any():
@@ -201,7 +191,7 @@ def match_rotations(
 
     turns: (rotations, 3, 3); returns (n_reducers, 3, rotations): spectral, temporal, bounded spectral match.
     """
-    samples = admit(acceleration, rate_hz).samples
+    samples, _ = admit(acceleration, rate_hz)
     if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
         raise ValueError(
             f"acceleration must have the shape (3, n), n >= 1, one recording at a time; got {samples.shape}"

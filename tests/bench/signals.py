@@ -129,9 +129,6 @@ def measure_many() -> Iterator[Figure]:
             5,
         )
         yield Figure(f"{name}, one by one", loop, "times reduce_many", at_least=True)
-    reduced, floor = few[:, 0] + few[:, 1], make_many_floor(few)
-    work = partial(stimuli.match_many, few, reduced, rate_hz=RATE_HZ, metrics="all")
-    yield Figure(f"all {len(stimuli.METRICS)} metrics, 100 x {SHORT}", ratio(work, floor, 5), FFTS)
 
 
 def measure_streams() -> Iterator[Figure]:

@@ -26,10 +26,9 @@ def batches(draw: st.DrawFn) -> tuple[np.ndarray, float]:
         "cancel": [1, -1, 0],
     }
     for place in range(k):
-        kind = draw(st.sampled_from(["as it is", "huge", *turns]))
+        kind = draw(st.sampled_from(["as it is", *turns]))
         if kind in turns:
             samples[place] = np.multiply.outer(turns[kind], samples[place, 0])
-        samples[place] *= 1e180 if kind == "huge" else 1.0
     return samples, draw(st.sampled_from([1000.0, 3200.0, 44_100.0]))
 
 
@@ -42,20 +41,6 @@ def test_reduced_together_or_one_by_one_is_the_same_bit_for_bit(
     samples, rate_hz = given
     wanted = [stimuli.reduce(one, name, rate_hz=rate_hz).samples for one in samples]
     assert np.array_equal(stimuli.reduce_many(samples, name, rate_hz=rate_hz), wanted)
-
-
-@given(given=batches())
-@settings(max_examples=8)
-def test_every_metric_of_a_batch_is_that_of_the_loop(given: tuple[np.ndarray, float]) -> None:
-    samples, rate_hz = given
-    reduced = samples[:, 1] + 0.25 * samples[:, 0]
-    found = stimuli.match_many(samples, reduced, rate_hz=rate_hz, metrics="all")
-    wanted = [
-        [metric(one, signal, rate_hz) for metric in stimuli.METRICS.values()]
-        for one, signal in zip(samples, reduced, strict=True)
-    ]
-    assert list(found) == list(stimuli.METRICS)
-    np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-12)
 
 
 def recordings() -> list[stimuli.Recording]:
@@ -75,10 +60,6 @@ def test_recordings_of_all_kinds_keep_their_order() -> None:
         alone = stimuli.reduce(one, "dft321_windowed", window_s=0.02)
         assert np.array_equal(own, alone)
         assert (own.rate_hz, own.reducer, own.recording) == (one.rate_hz, alone.reducer, one.name)
-    table = stimuli.match_many(given, found)
-    alone = [stimuli.match(one, own).iloc[0] for one, own in zip(given, found, strict=True)]
-    np.testing.assert_allclose(table, alone, rtol=1e-9)
-    assert list(table.index) == [one.name for one in given]
 
 
 def test_what_is_no_batch_is_refused() -> None:
@@ -91,8 +72,6 @@ def test_what_is_no_batch_is_refused() -> None:
         stimuli.reduce_many(samples[0], rate_hz=1000)
     with pytest.raises(TypeError, match="rate_hz must be given"):
         stimuli.reduce_many(samples)
-    with pytest.raises(ValueError, match="one signal for each of 2 recordings, got 3"):
-        stimuli.match_many(samples, np.ones((3, 10)), rate_hz=1000)
     with pytest.raises(ValueError, match="has no window"):
         stimuli.reduce_many(samples, "sax321", rate_hz=1000, window_s=0.1)
     assert stimuli.reduce_many([]) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -147,7 +148,7 @@ def test_a_reduced_signal_of_another_rate_is_refused_and_its_own_rate_counts(
     scene: Recording, metric: Any
 ) -> None:
     reduced = stimuli.reduce(scene, "say321")
-    slower = stimuli.reduce(scene.with_(rate_hz=5000.0), "say321")
+    slower = stimuli.reduce(replace(scene, rate_hz=5000.0), "say321")
     assert metric(scene.acceleration, reduced) == metric(scene, reduced)
     for compare in (metric, stimuli.match):
         with pytest.raises(ValueError, match="the recording's rate, 10000 Hz; got 5000 Hz"):

@@ -18,9 +18,7 @@ def noise(*shape: int, seed: int = 0) -> np.ndarray:
 
 
 @settings(max_examples=40)
-@given(
-    exponent=st.integers(-900, 900), seed=st.integers(0, 99), name=st.sampled_from(list(REDUCERS))
-)
+@given(exponent=st.integers(-90, 90), seed=st.integers(0, 99), name=st.sampled_from(list(REDUCERS)))
 def test_scaling_a_recording_changes_neither_metric(exponent: int, seed: int, name: str) -> None:
     acceleration = noise(3, 500, seed=seed)
     scaled = np.ldexp(acceleration, exponent)

@@ -35,11 +35,7 @@ def test_the_registry_holds_the_contract_in_its_order() -> None:
 
 LAWS = {  # name -> (reduce, recording) -> what must be equal
     "a louder recording": lambda f, a: (f(3.0 * a), 3.0 * f(a)),
-    "tiny units": lambda f, a: (f(a * 1e-250) / 1e-250, f(a)),
-    "huge units": lambda f, a: (f(a * 1e200) / 1e200, f(a)),
-    "the largest numbers": lambda f, a: (f(a * 2.0**1020) / 2.0**1020, f(a)),
     "silence": lambda f, a: (f(0 * a), np.zeros(a.shape[-1])),
-    "a batch of different sizes": lambda f, a: (f(np.array([1e-250 * a, a, 1e200 * a]))[1], f(a)),
     "a batch of batches": lambda f, a: (f(np.array([[a, 2 * a]] * 2))[1, 1], f(2 * a)),
     "an empty batch": lambda f, a: (f(np.zeros((0, *a.shape))), np.zeros((0, a.shape[-1]))),
     "memory layout": lambda f, a: (f(np.asfortranarray(a)), f(a)),
@@ -52,6 +48,7 @@ REFUSALS = {
     "three axes": np.zeros((2, 9)),
     "must be finite": np.full((3, 9), np.nan),
     "real numbers": np.ones((3, 9)) * 1j,
+    "peaks from 1e-60 to 1e": np.full((3, 9), 1e70),
 }
 
 

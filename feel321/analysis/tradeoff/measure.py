@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -55,10 +56,9 @@ from feel321.stimuli.match import (
     mean_over_axes,
 )
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.pairs import Pair, follow_band, follow_energy
 from feel321.stimuli.recording import AXES, Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.rivals import compare_depths, find_depths
+from feel321.stimuli.rivals import Pair, compare_depths, find_depths, follow_band, follow_energy
 from feel321.stimuli.thresholds import acceleration_threshold, felt_level
 from feel321.types import Metric, Progress, Reducer, Rng, Samples
 
@@ -269,7 +269,7 @@ def take_strongest(recording: Recording, longest_s: float) -> Recording:
     length = prev_fast_len(max(round(wanted), 1))
     energy = np.cumsum(np.square(recording.acceleration).sum(axis=0))
     start = int(np.argmax(energy[length - 1 :] - np.concatenate([[0.0], energy[:-length]])))
-    return recording.with_(acceleration=recording.acceleration[:, start : start + length])
+    return replace(recording, acceleration=recording.acceleration[:, start : start + length])
 
 
 class Reference:

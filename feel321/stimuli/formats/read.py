@@ -5,13 +5,12 @@ The first bytes decide which format a file is, and only then its suffix. What is
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from feel321 import intake
 from feel321.doors import as_path, describe
@@ -80,72 +79,34 @@ def _detect_text(path: Path, head: bytes) -> str:
 SATURATED_SAMPLES = 3
 """So many equal samples in a row at an axis's extreme count as saturated."""
 
-STILL_S = 0.05
-"""So long a run of equal samples counts as standing still."""
-
-
-class Runs(NamedTuple):
-    """Runs of equal samples on one axis, (n_runs,) each: where they begin, how long they are, their value in m/s²."""
-
-    start: NDArray[np.intp]
-    length: NDArray[np.intp]
-    value: Samples
-
 
 def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
-    """Report saturated runs, constant axes and axes that stand still, in samples (3, n) as recorded, not resampled.
+    """Report saturated runs and constant axes, in samples (3, n) as recorded, not resampled.
 
     A run is *saturated* if three or more equal samples stand at the axis's minimum or maximum and the signal came or
     went by more than twice the smallest difference between its values: the smooth crest of a slow, quantised signal is
-    not reported. An axis *stands still* if it holds one value for 50 ms while another axis moves.
+    not reported.
     """
-    runs = [find_runs(axis) for axis in acceleration]
-    held = [_held(axis_runs, rate_hz) for axis_runs in runs]
-    silence = np.logical_and.reduce(held)
-    findings: list[str] = []
-    for name, axis_runs, still in zip("xyz", runs, held, strict=True):
-        if axis_runs.start.size > 1:
-            findings += _find_saturated(name, axis_runs, rate_hz=rate_hz)
-            findings += _find_standing(name, still & ~silence, rate_hz=rate_hz)
-        elif axis_runs.length[0] > 1:
-            constant = f"{axis_runs.value[0]:.6g} m/s^2 in all {axis_runs.length[0]} samples"
-            findings.append(f"axis {name}: flat, {constant}")
+    findings = []
+    for name, axis in zip("xyz", acceleration, strict=True):
+        start = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1])
+        length, value = np.diff(np.append(start, axis.size)), axis[start]
+        if len(start) == 1:
+            if axis.size > 1:
+                constant = f"{value[0]:.6g} m/s^2 in all {axis.size} samples"
+                findings.append(f"axis {name}: flat, {constant}")
+            continue
+        jumps = np.abs(np.diff(value))
+        jump = np.maximum(np.append(0.0, jumps), np.append(jumps, 0.0))
+        for extreme in (value.min(), value.max()):
+            hit = (value == extreme) & (length >= SATURATED_SAMPLES)
+            hit &= hit.any() and jump > 2 * np.diff(np.unique(value)).min()
+            if hit.any():
+                findings.append(
+                    f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs "
+                    f"({length[hit].sum()} samples), the first at {start[hit][0] / rate_hz:.6g} s"
+                )
     return tuple(findings)
-
-
-def find_runs(axis: Samples) -> Runs:
-    """Find the runs of equal samples."""
-    start = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1])
-    return Runs(start, np.diff(np.append(start, axis.size)), axis[start])
-
-
-def _find_saturated(name: str, runs: Runs, *, rate_hz: float) -> Iterator[str]:
-    jumps = np.abs(np.diff(runs.value))
-    jump = np.maximum(np.append(0.0, jumps), np.append(jumps, 0.0))
-    for extreme in (runs.value.min(), runs.value.max()):
-        hit = (runs.value == extreme) & (runs.length >= SATURATED_SAMPLES)
-        if hit.any() and (hit := hit & (jump > 2 * np.diff(np.unique(runs.value)).min())).any():
-            yield (
-                f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs "
-                f"({runs.length[hit].sum()} samples), the first at {runs.start[hit][0] / rate_hz:.6g} s"
-            )
-
-
-def _held(runs: Runs, rate_hz: float) -> NDArray[np.bool_]:
-    """Which samples, (n_samples,), belong to a long run of equal ones."""
-    long = runs.length >= max(SATURATED_SAMPLES, STILL_S * rate_hz)
-    return np.repeat(long, runs.length)
-
-
-def _find_standing(name: str, still: NDArray[np.bool_], *, rate_hz: float) -> Iterator[str]:
-    runs = find_runs(still.astype(np.float64))
-    long = (runs.value > 0) & (runs.length >= STILL_S * rate_hz)
-    if long.any():
-        yield (
-            f"axis {name}: stands still while another moves, "
-            f"{long.sum()} times for {STILL_S * 1000:g} ms or longer "
-            f"({runs.length[long].sum()} samples), the first at {runs.start[long][0] / rate_hz:.6g} s"
-        )
 
 
 AGREEMENT = 0.01

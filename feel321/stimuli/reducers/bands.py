@@ -53,13 +53,13 @@ def dft321_bands(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """
     from scipy import fft
 
-    admitted = admit(acceleration, rate_hz)
-    n = admitted.samples.shape[-1]
+    samples, _ = admit(acceleration, rate_hz)
+    n = samples.shape[-1]
     if n == 0:
-        return np.zeros((*admitted.samples.shape[:-2], 0))
-    centred = admitted.samples - admitted.samples.mean(axis=-1, keepdims=True)
+        return np.zeros((*samples.shape[:-2], 0))
+    centred = samples - samples.mean(axis=-1, keepdims=True)
     main = with_sign(leading_axis(np.einsum("...in,...jn->...ij", centred, centred)))
-    spectra = fft.rfft(admitted.samples)
+    spectra = fft.rfft(samples)
     starts = np.searchsorted(np.arange(n // 2 + 1) * (rate_hz / n), EDGES_HZ)
     merged = np.empty_like(spectra[..., 0, :])
     for first, last in zip(starts, [*starts[1:], n // 2 + 1], strict=True):
@@ -67,7 +67,7 @@ def dft321_bands(acceleration: ArrayLike, rate_hz: float) -> Samples:
         single = [place for place in (0, n // 2 if n % 2 == 0 else 0) if first <= place < last]
         band = _project(spectra[..., first:last], np.asarray(single, int) - first, main=main)
         merged[..., first:last] = band
-    return admitted.restore(fft.irfft(merged, n))
+    return fft.irfft(merged, n)
 
 
 def _project(
@@ -106,9 +106,9 @@ def dft321_filtered(acceleration: ArrayLike, rate_hz: float) -> Samples:
     longer. The frames of `dft321_windowed` take 35 ms to do it for every bin; this does it for six bands at once,
     sample by sample. First-order bands overlap widely, and where the axes cancel nothing is left to be amplified.
     """
-    admitted = admit(acceleration, rate_hz)
-    bank = FilterBank(admitted.samples.shape[:-2], rate_hz)
-    return admitted.restore(bank.push(admitted.samples))
+    samples, _ = admit(acceleration, rate_hz)
+    bank = FilterBank(samples.shape[:-2], rate_hz)
+    return bank.push(samples)
 
 
 _AT_A_TIME = 2048

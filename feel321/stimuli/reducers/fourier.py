@@ -96,12 +96,12 @@ def dft321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """
     from scipy import fft
 
-    samples, energy, _ = admitted = admit(acceleration, rate_hz)
+    samples, energy = admit(acceleration, rate_hz)
     n = samples.shape[-1]
     if n == 0:
         return np.zeros((*samples.shape[:-2], 0))
     merged = merge_spectra(transform(samples), energy)
-    return admitted.restore(fft.irfft(merged, n, overwrite_x=True))
+    return fft.irfft(merged, n, overwrite_x=True)
 
 
 def dft321_windowed(
@@ -259,14 +259,14 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """
     from scipy import fft
 
-    admitted = admit(acceleration, rate_hz)
-    n = admitted.samples.shape[-1]
+    samples, _ = admit(acceleration, rate_hz)
+    n = samples.shape[-1]
     if n == 0:
-        return np.zeros((*admitted.samples.shape[:-2], 0))
+        return np.zeros((*samples.shape[:-2], 0))
     # Each by itself: those of a batch begin at different times.
-    begun = each_by_itself(lambda one: np.vstack(find_onset(one)), admitted.samples)
+    begun = each_by_itself(lambda one: np.vstack(find_onset(one)), samples)
     onset, anchor = begun[..., 0, :], begun[..., 1:, :]
-    spectra = transform(admitted.samples)
+    spectra = transform(samples)
     energy, covariance = measure(spectra)
     shares = share_out(covariance)
     axis = leading_axis(shares + PULL * anchor)
@@ -274,7 +274,7 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> Samples:
     axis = tilt(axis, shares, anchor)
     for few in _cut_bins(spectra):
         spectra[0, ..., few] = align(spectra[..., few], energy[..., few], axis=axis)
-    return admitted.restore(fft.irfft(spectra[0], n, overwrite_x=True))
+    return fft.irfft(spectra[0], n, overwrite_x=True)
 
 
 def find_onset(samples: Samples) -> tuple[Samples, Samples]:
