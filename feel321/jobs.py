@@ -74,7 +74,7 @@ class Workers:
 ALONE = Workers()
 """This process only."""
 
-AGAIN = "check scheduler and workers and run the command again: what is finished is kept"
+AGAIN = "check scheduler and workers and run the command again"
 
 
 def as_workers(workers: int | Workers) -> Workers:

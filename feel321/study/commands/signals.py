@@ -23,7 +23,6 @@ from feel321.study.commands.shared import (
     Reading,
     Seed,
     Several,
-    within,
 )
 from feel321.study.folder import StudyFolder, require_study
 
@@ -280,7 +279,6 @@ def tradeoff(  # noqa: PLR0913 - one per option
     online: bool = False,
     latency_ms: Number | None = None,
     mounting: Literal["any", "recorded"] = "any",
-    axes: Annotated[int, within(1, 3)] = 1,
     tolerance_db: Number | None = None,
     out: Out = None,
     seed: Seed = None,
@@ -306,8 +304,6 @@ def tradeoff(  # noqa: PLR0913 - one per option
         Longest delay online, device included, in ms.  [default: 45]
     mounting
         Mountings of the sensor that advice must hold for.
-    axes
-        Axes that the actuator can move.
     tolerance_db
         How far from the best is as good, in dB of energy.  [default: 1]
     """
@@ -343,7 +339,6 @@ def tradeoff(  # noqa: PLR0913 - one per option
             reducers=dict(REDUCERS) | reducers,
             metrics=metrics,
             windows_ms=windows if context.online else (),
-            axes=axes,
             thorough=thorough,
             rng=(settings.study.seed if settings else 0) if seed is None else seed,
             workers=crew.employ(),

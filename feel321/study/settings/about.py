@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from feel321.doors import name_of
 from feel321.names import EXPECTATIONS, MEASURES, PROVENANCE
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS
+from feel321.stimuli.sets.recipe import ANCHORS
 from feel321.study.settings import fields as kinds
 
 
