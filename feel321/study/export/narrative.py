@@ -16,9 +16,8 @@ from feel321.analysis.report.folder import METHODS
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.stimuli.match import HIGHEST_HZ
-from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.manifest import read_details, read_stimuli
 from feel321.study.actuator.certificate import list_certificates, read_certificate
-from feel321.study.folder import read_recipe
 from feel321.study.freeze import read_frozen
 from feel321.study.numbers import read_holders
 from feel321.study.people import find_rig_use
@@ -90,22 +89,17 @@ def write_methods(study: StudyFolder, report: Path) -> None:
 
 def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bool = True) -> str:
     """Make the text of the methods section; without days where it goes along with a dataset."""
-    from jinja2 import Environment, StrictUndefined
-
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli).stimuli
     with intake.open_text(study.manifest) as file:
         tests = [row for row in csv.DictReader(file) if row["role"] == "test"]
-    recipe = read_recipe(study.stimuli)
+    recipe = read_details(study.stimuli).recipe
     filters = (("high", "high_pass_hz"), ("low", "low_pass_hz"))
     steps = ((word, recipe["conditioning"].get(key)) for word, key in filters)
     certificates, unknown = find_used(study)
     protocols = [task.protocol for task in make_design(settings, study.path).tasks]
     usual = {name: f"[{name}]" for name in ("metrics", "draws", "seed", "margin")}
-    pages = Environment(  # noqa: S701 - the text is Markdown, in which nothing is escaped
-        undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True
-    )
-    template = pages.from_string(intake.read_text(Path(__file__).with_name("methods.md")))
-    return template.render(
+    return render(
+        "methods.md",
         count=_count,
         median=median,
         is_finite=math.isfinite,
@@ -136,6 +130,17 @@ def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bo
             if one["quantity"] == "n_flagged" and one["panel"] == "any"
         ],
     )
+
+
+def render(name: str, **values: object) -> str:
+    """Render a text of this folder, in which nothing is escaped."""
+    from jinja2 import Environment, StrictUndefined
+
+    pages = Environment(  # noqa: S701 - plain text
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    pages.policies["json.dumps_kwargs"] = {"ensure_ascii": False}
+    return pages.from_string(intake.read_text(Path(__file__).with_name(name))).render(**values)
 
 
 def find_used(study: StudyFolder) -> tuple[list[Certificate], set[str]]:
