@@ -119,15 +119,6 @@ def test_ratings_recordings_own_methods_seed_and_folder_are_taken_as_told(
     assert "loudness" in {one["metric"] for one in content["points"]}
 
 
-def test_thorough_also_looks_for_known_failures(
-    study: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(measure, "THOROUGH", measure.QUICK._replace(takes=1))
-    assert main(["tradeoff", str(study), "--thorough"]) == 0
-    scenes = {one["recording"] for one in read(study / "tradeoff")["verdicts"]}
-    assert scenes == {"bumps", *measure.BATTERY}
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -149,13 +140,3 @@ def test_bad_use_is_one_line(
     assert (out, len(err.splitlines())) == ("", 1)
     assert message in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_page_that_is_not_ours_is_refused_before_anything_is_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    monkeypatch.setattr("feel321.study.analyze.gather_recordings", lambda *_, **__: 1 / 0)
-    (tmp_path / "index.html").write_text("mine")
-    assert main(["tradeoff", "--scenes", "--out", str(tmp_path)]) == 1
-    assert "exists and is not of a former report" in capsys.readouterr().err
-    assert (tmp_path / "index.html").read_text() == "mine"
