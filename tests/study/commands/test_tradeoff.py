@@ -12,7 +12,7 @@ from feel321.analysis.tradeoff import cost, measure
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.settings.edit import edit_settings
+from feel321.study.settings.read import edit_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,17 +59,6 @@ def write_ratings(study: Path) -> None:
         for k, one in enumerate(tests)
     ]
     folder.ratings.write_text("\n".join(lines) + "\n")
-
-
-def test_one_line_per_recording_and_where_the_page_is(study: Path, capsys: Capture) -> None:
-    assert main(["tradeoff", str(study)]) == 0
-    advice, common, page = capsys.readouterr().out.splitlines()
-    assert advice.startswith("bumps: ")
-    assert common.endswith("suffices for the recording.")
-    assert page == str(study / "tradeoff" / "index.html")
-    content = read(study / "tradeoff")
-    assert [one["recording"] for one in content["choices"]] == ["bumps"]
-    assert "people" not in content
 
 
 def read(folder: Path) -> dict[str, Any]:
