@@ -254,7 +254,7 @@ def _band_energies(axes: Samples, rate_hz: float) -> Samples:
     padded = np.pad(axes, ((0, 0), (length, length)))
     starts = np.round((np.arange(count) + 0.5) * n / count + length / 2).astype(int)
     frames = np.lib.stride_tricks.sliding_window_view(padded, length, axis=-1)[:, starts]
-    size = fft.next_fast_len(length, real=True)
+    size = fft.next_fast_len(2 * length, real=True)
     place = (np.arange(length) + 0.5) / length
     window = (1 - np.cos(np.pi * np.clip(np.minimum(place, 1 - place) * 2 / RAMPS, 0, 1))) / 2
     spectrum = fft.rfft(frames * window, size)
