@@ -26,19 +26,15 @@ from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.judge import Context
 from feel321.analysis.tradeoff.page import Tradeoff
-from feel321.protocols.questions import Question
-from feel321.protocols.trial import Page, Part, Trials
+from feel321.protocols.trial import Trials
 from feel321.stimuli.recording import Signal
 from feel321.study.findings import Audit, Problems, Seal
 from feel321.study.power.page import StudyPower
-from feel321.study.session.events import SessionEvent
-from feel321.study.session.ports import Act, Place
 from feel321.study.status import Status
 
 __all__ = [
     "P1401",
     "About",
-    "Act",
     "Alignment",
     "Alpha",
     "Association",
@@ -58,16 +54,12 @@ __all__ = [
     "MixedFit",
     "NonInferiority",
     "P1401Difference",
-    "Page",
     "Paper",
     "PaperClaim",
-    "Part",
-    "Place",
     "PowerPlan",
     "Primaries",
     "Primary",
     "Problems",
-    "Question",
     "Ranking",
     "RaterModel",
     "ReducerDifference",
@@ -75,7 +67,6 @@ __all__ = [
     "Results",
     "Screening",
     "Seal",
-    "SessionEvent",
     "Signal",
     "Space",
     "Standing",

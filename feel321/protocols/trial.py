@@ -33,8 +33,15 @@ MATCHING = "matching"
 THRESHOLD = "threshold"
 """Protocol, scale and phase of the trials of a threshold block; its practice has the phase of all practice."""
 
-FLAGS = ("underrun", "clipped", "device_error", "not_delivered", "too_fast", "not_felt")
-"""What can be wrong with an attempt at a trial."""
+DEVICE_FLAGS = ("underrun", "clipped", "device_error", "not_delivered")
+FLAGS = (*DEVICE_FLAGS, "too_fast", "not_felt")
+"""What can be wrong with an attempt at a trial: by the device, or by the participant."""
+
+VALID, LOST, SPOILED = "valid", "lost", "spoiled"
+"""What becomes of an attempt. The device lost it, which uses up no attempt of the participant, or they spoiled it."""
+
+MOST_LOST = 12
+"""A trial that the device lost so often is given up all the same: then the stimulus is to blame, or nobody listens."""
 
 ASIDE = ("ready", "call_us", "timed_out")
 """Pages that no plan holds: they wait for the participant after an interruption or an answer that did not come in time,
@@ -45,20 +52,8 @@ or for the experimenter after a failure of the device, and change nothing about 
 class Scale:
     """The scale of an answer: a slider from 0 to 100 points, or a choice between parts.
 
-    Parameters
-    ----------
-    name : str
-        Short name, as in `ratings.csv`.
-    question : str
-        The question to the participant.
-    low_label, high_label : str
-        Meaning of 0 and of 100 points.
-    anchors : tuple of str
-        Words along the slider, evenly spaced from 0 to 100; may be none.
-    choices : tuple of str
-        Names of the parts to choose from; none where there is a slider.
-    further : tuple of Scale
-        The other scales of the same trial, where it asks for several.
+    name: as in `ratings.csv`. anchors: words along the slider, evenly spaced; may be none. choices: names of the parts
+    to choose from; none where there is a slider. further: the other scales of a trial that asks for several.
     """
 
     name: str
@@ -70,18 +65,7 @@ class Scale:
     further: tuple[Scale, ...] = ()
 
     def find(self, name: str) -> Scale:
-        """Find the scale of a judgement.
-
-        Parameters
-        ----------
-        name : str
-            Its name; empty for the trial's own.
-
-        Returns
-        -------
-        Scale
-            This one, or one of the others of the same trial.
-        """
+        """Find the scale of a judgement: one of the others of its trial, or this one."""
         return next((scale for scale in self.further if scale.name == name), self)
 
 
@@ -281,7 +265,7 @@ class Flow:
     min_response_s : float
         Faster answers, in s, are too fast.
     max_attempts : int
-        Attempts at a trial before it is given up; attempts that the device spoiled are not counted.
+        Attempts at a trial before it is given up; those that the device lost are not counted.
     reject : tuple of str
         Flags that make a trial bad, of `underrun`, `clipped`, `device_error`, `too_fast` and `not_felt`: its
         rating does not count, and it is tried again. Where no answer could be given, because the device

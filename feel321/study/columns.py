@@ -1,6 +1,15 @@
 """Columns of `participants.csv` and `ratings.csv`."""
 
-PARTICIPANT_COLUMNS = ("participant", "number", "simulated", "state", "sessions", "done", "total")
+PARTICIPANT_COLUMNS = (
+    "participant",
+    "number",
+    "simulated",
+    "state",
+    "sessions",
+    "answered",
+    "given_up",
+    "total",
+)
 """The first columns of `participants.csv`; one per factor in which participants differ follows.
 
 Last of all come those of `thresholds.list_columns`, where thresholds were measured."""

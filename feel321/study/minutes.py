@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 
 from feel321.protocols.agenda import SECONDS, Agenda
 from feel321.protocols.blocks import name_tone
-from feel321.protocols.trial import Page
+from feel321.protocols.trial import VALID, Page
 from feel321.study.observer.model import STROKE_S, UNHURRIED
+from feel321.study.session.engine import find_gap
 from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
-from feel321.study.session.pace import find_gap
 from feel321.study.session.plan import make_trials, replay
 
 if TYPE_CHECKING:
@@ -126,9 +126,7 @@ class Sitting:
                 least_s = (task.onset_s or 0.0) if task else 0.0
                 clock_s += max(self.measure_felt(step) + answer_s, least_s)
                 is_known = any(judgement.expected for judgement in step.judgements)
-                agenda.tell_trial(
-                    step.number, accepted=True, as_expected=is_known or None, time_s=clock_s
-                )
+                agenda.tell_trial(step.number, VALID, as_expected=is_known or None, time_s=clock_s)
         reached.setdefault(agenda.done, clock_s)
         return {done: clock_s - time_s for done, time_s in reached.items()}
 

@@ -15,7 +15,6 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.sensation import find_own_levels
-from feel321.study.session.codes import list_by_code
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -24,7 +23,14 @@ from feel321.study.session.events import (
     TrialShown,
 )
 from feel321.study.session.journal import Records, list_journals, name_journal
-from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
+from feel321.study.session.plan import (
+    TOMBSTONE_FILE,
+    Dossier,
+    Plan,
+    list_by_code,
+    read_as_written,
+    read_dossier,
+)
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 

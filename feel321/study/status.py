@@ -28,7 +28,13 @@ from feel321.study.people import (
     list_notes,
     make_progress,
 )  # fmt: skip
-from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
+from feel321.study.session.events import (
+    DeviceFailed,
+    PageRead,
+    SessionFinished,
+    SessionReleased,
+    TrialRated,
+)
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
 from feel321.study.thresholds import find_warnings, read_thresholds
 
@@ -189,7 +195,8 @@ class ParticipantStatus:
     state: str = ""
     number: int = 0
     groups: str = ""
-    done: int = 0
+    answered: int = 0
+    given_up: int = 0
     left: int = 0
     simulated: bool = False
     last_activity: str = ""
@@ -218,7 +225,9 @@ class Status(Result):
 
     def summary(self) -> str:
         """Write what `feel321 status` prints."""
-        lines = [f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}{'min':>5}  last activity"]
+        lines = [
+            f"{'participant':<14}{'state':<11}{'answered':>9}{'given up':>9}{'left':>5}{'min':>5}  last activity"
+        ]
         for entry in self.participants:
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         length = [] if self.length is None else [self.length.describe()]
@@ -241,11 +250,12 @@ class Status(Result):
 
 def _describe(entry: ParticipantStatus) -> str:
     if entry.problem:
-        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}{'':5}  {entry.problem}"
+        return f"{entry.participant:<14}{'?':<11}{'?':>9}{'?':>9}{'?':>5}{'':5}  {entry.problem}"
     notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
     tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
     left = "" if entry.left_min is None else f"{entry.left_min:.0f}"
-    return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{left:>5}{tail}"
+    counts = f"{entry.answered:>9}{entry.given_up:>9}{entry.left:>5}"
+    return f"{entry.participant:<14}{entry.state:<11}{counts}{left:>5}{tail}"
 
 
 def read_status(
@@ -311,8 +321,9 @@ def read_participant(
         state="aborted" if is_left else progress.state,
         number=progress.number,
         groups=", ".join(f"{factor}={level}" for factor, level in progress.groups.items()),
-        done=progress.done,
-        left=progress.total - progress.done,
+        answered=progress.answered,
+        given_up=progress.given_up,
+        left=progress.total - progress.answered - progress.given_up,
         simulated=progress.simulated,
         last_activity=progress.last_utc,
         warnings=tuple(warnings),
@@ -341,8 +352,9 @@ def find_flags(chain: Chain) -> Iterator[str]:
     yield from (f"{count} x {flag.replace('_', ' ')}" for flag, count in counts.items())
     if any(page.key == "training_failed" for page in chain.records.find(PageRead)):
         yield "training not passed"
-    if given_up := sum(end.given_up for end in chain.records.find(SessionFinished)):
-        yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
+    if calls := list(chain.records.find(DeviceFailed)):
+        times = "once" if len(calls) == 1 else f"{len(calls)} times"
+        yield f"the experimenter was called {times}: {calls[-1].reason}"
 
 
 def find_catches(plan: Plan, records: Records) -> list[bool]:

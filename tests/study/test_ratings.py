@@ -12,9 +12,9 @@ from feel321.protocols.tasks import make_task
 from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ratings import read_judgements, write_ratings
-from feel321.study.session.codes import list_codes
 from feel321.study.session.journal import START, create_journal, digest, write_line
-from feel321.study.session.plan import Stale, create_plan, make_plan
+from feel321.study.session.opening import Stale
+from feel321.study.session.plan import create_plan, list_codes, make_plan
 from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:

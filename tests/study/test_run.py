@@ -20,12 +20,13 @@ from feel321.study.actuator.rig import digest, read_rig
 from feel321.study.auditing.study import audit_study, list_remarks
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.lab import Visit, run_participant
+from feel321.study.lab import run_participant
 from feel321.study.people import write_roster
 from feel321.study.screen import window
 from feel321.study.session.events import RigAccepted
 from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
+from feel321.study.sessions import read_room
 from feel321.study.status import read_status
 from feel321.study.workflow import check_study
 
@@ -64,7 +65,9 @@ def present(scripted: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any
 
 
 def visit(study: StudyFolder, participant: str = "p01", **choices: Any) -> Any:
-    return run_participant(study, Visit(participant, **choices), now=lambda: datetime.now(UTC))
+    simulated = choices.pop("simulated", False)
+    room = replace(read_room(study, now=lambda: datetime.now(UTC)), **choices)
+    return run_participant(room, participant, simulated=simulated)
 
 
 def test_a_session_runs_to_its_end_and_no_window_opens_for_what_is_finished(
@@ -277,7 +280,8 @@ def test_what_was_mended_is_told(ready: StudyFolder, present: Callable[..., Any]
     ready.journals[0].write_bytes(ready.journals[0].read_bytes() + b"torn")
     told: list[str] = []
     present()
-    run_participant(ready, Visit("p01"), now=lambda: datetime.now(UTC), warn=told.append)
+    room = read_room(ready, now=lambda: datetime.now(UTC))
+    run_participant(room, "p01", warn=told.append)
     assert len(told) == 1
     assert "session-01.jsonl.torn1" in told[0]
 

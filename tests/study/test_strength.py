@@ -24,7 +24,8 @@ from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import read_rig
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.lab import Visit, run_participant
+from feel321.study.lab import run_participant
+from feel321.study.sessions import read_room
 from feel321.study.settings.read import read_settings
 from feel321.study.strength import (
     describe_built,
@@ -105,7 +106,7 @@ def test_sessions_of_what_cannot_be_felt_are_refused_and_simulated_with_a_warnin
     with pytest.raises(
         ValueError, match=r"12 of 12 stimuli, such as bumps__sax321__as_is, are below"
     ) as caught:
-        run_participant(study, Visit("p01"), now=now)
+        run_participant(read_room(study, now=now), "p01")
     assert 'accept it: below_threshold = "accept"' in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not study.participants
@@ -114,10 +115,10 @@ def test_sessions_of_what_cannot_be_felt_are_refused_and_simulated_with_a_warnin
     with pytest.raises(
         FileNotFoundError, match=r"rig\.toml: there is none"
     ):  # tried out all the same
-        run_participant(replace(study, is_rehearsal=True), Visit("p01"), now=now)
+        run_participant(read_room(replace(study, is_rehearsal=True), now=now), "p01")
     set_up(study, 'below_threshold = "accept"')  # needs no new set
     with pytest.raises(FileNotFoundError, match=r"rig\.toml: there is none"):
-        run_participant(study, Visit("p01"), now=now)
+        run_participant(read_room(study, now=now), "p01")
 
 
 def test_one_spike_costs_the_other_recordings_headroom(study: StudyFolder, capsys: Capture) -> None:

@@ -19,7 +19,7 @@ from feel321.study.folder import (
     read_template,
     require_study,
 )
-from feel321.study.session.identity import FROZEN_FILE
+from feel321.study.session.opening import FROZEN_FILE
 from feel321.study.study import Study
 
 

@@ -54,28 +54,34 @@ def run(  # noqa: PLR0913 - one parameter per option
     """
     if seed is not None and not simulated:
         shared.refuse_use("--seed needs --simulate-participant; people have no seed")
-    from feel321.study.lab import Visit, run_participant
+    from feel321.study.lab import run_participant
+    from feel321.study.sessions import read_room
 
     opened = shared.open_study(study)
-    visit = Visit(
-        participant,
-        windowed=windowed,
-        screen=screen,
-        device=device,
-        simulated=simulated,
-        seed=seed,
-        accept_rig=accept_rig,
-        lsl=lsl,
-    )
     folder = replace(opened.folder, is_rehearsal=rehearse)
     log = SessionLog(participant, _write_command(), folder.rig)
     with log.watch():
-        outcome = run_participant(folder, visit, now=opened.now, on_step=log.note, warn=shared.warn)
+        outcome = run_participant(
+            replace(
+                read_room(folder, now=opened.now),
+                windowed=windowed,
+                screen=screen,
+                device=device,
+                accept_rig=accept_rig,
+                lsl=lsl,
+            ),
+            participant,
+            simulated=simulated,
+            seed=seed,
+            on_step=log.note,
+            warn=shared.warn,
+        )
     if outcome.stopped:
         log.say_how_to_resume(outcome.stopped)
         return 1
     log.end_line()
-    shared.echo(f"{participant}: all {outcome.total} done")
+    gone = f", {outcome.given_up} given up" if outcome.given_up else ""
+    shared.echo(f"{participant}: {outcome.answered} of {outcome.total} answered{gone}")
     return 0
 
 
@@ -94,12 +100,12 @@ class SessionLog:
     def note(self, place: "Place") -> None:
         """Print where the session is now."""
         if self.place is None:
-            shared.echo(f"{self.participant}: {place.done} of {place.total} done so far")
+            shared.echo(f"{self.participant}: {_count(place)} so far")
         if place.fault:
             self._call(place.fault)
         elif shared.is_terminal():
             minutes = "" if place.left_s is None else f", about {place.left_s / 60:.0f} min left"
-            line = f"{self.participant}: {place.done} of {place.total} done{minutes}"
+            line = f"{self.participant}: {_count(place)}{minutes}"
             shared.echo(f"{line:<{LINE}}", over=True, err=True)
         self.place = place
 
@@ -133,11 +139,16 @@ class SessionLog:
         """Print the command that resumes the session."""
         if self.place is not None:
             self.end_line()
-            done = f"{self.place.done} of {self.place.total} done"
             shared.echo(
-                f"{self.participant}: {done} (aborted: {reason}); resume with: {self.command}",
+                f"{self.participant}: {_count(self.place)} (aborted: {reason}); resume with: {self.command}",
                 err=True,
             )
+
+
+def _count(place: "Place") -> str:
+    """Count answered trials, and those that were given up apart from them."""
+    gone = f", {place.given_up} given up" if place.given_up else ""
+    return f"{place.answered} of {place.total} answered{gone}"
 
 
 def _write_command() -> str:

@@ -51,7 +51,8 @@ FLAGS = {"rejected", "simulated", "training_passed"}
 OWN = {
     "participant_id": "participant of this dataset; numbers are unrelated to the order of participation",
     "state": "how the session ended: finished, or running if it was interrupted",
-    "done": "trials judged",
+    "answered": "trials with an answer that counts",
+    "given_up": "trials given up after all attempts",
     "total": "trials planned",
     "age_band": "age in years, in bands of five years; 80 or more as one",
     "rig": "rig of the sessions, numbered",
@@ -151,7 +152,7 @@ def describe(
 
 def _write_participants(people: Sequence[Person], path: Path) -> None:
     """Write the table of participants; without days, design numbers and names of rigs."""
-    first = ("participant_id", "simulated", "state", "sessions", "done", "total")
+    first = ("participant_id", "simulated", "state", "sessions", "answered", "given_up", "total")
     last = ("training_passed", "rig", "calibration")
     factors = dict.fromkeys(name for one in people for name in one.progress.groups)
     measured = dict.fromkeys(name for one in people for name in one.progress.thresholds)

@@ -27,8 +27,8 @@ from feel321.study import provenance, ratings
 from feel321.study.metrics import measure_declared
 from feel321.study.observer.model import make_model
 from feel321.study.power.page import StudyPower
-from feel321.study.session import codes
 from feel321.study.session import plan as plans
+from feel321.study.session.plan import list_by_code
 from feel321.study.settings import read, schema
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def tabulate_plan(
     for number in range(1, groups + 1):
         who = f"sim{number:03d}"
         plan = plans.make_plan(design, stimuli, who, number=number, simulated=True)
-        by_code = codes.list_by_code(stimuli, seed=plan.seed)
+        by_code = list_by_code(stimuli, seed=plan.seed)
         rows += [
             _list_row(one, judgement, by_code) | {WHO: who}
             for one in plan.trials if one.phase == "main"

@@ -26,8 +26,8 @@ from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, check_na
 from feel321.stimuli.sets.unread import Unread
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
-from feel321.study.session.identity import identify_frozen
 from feel321.study.session.journal import digest
+from feel321.study.session.opening import identify_frozen
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml

@@ -3,7 +3,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.study.session.codes import make_codes
+from feel321.study.session.plan import make_codes
 
 
 @given(st.sets(st.text(min_size=1), max_size=300), st.text())

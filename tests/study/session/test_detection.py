@@ -19,12 +19,11 @@ from feel321.study.auditing.replay import audit_steps
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
+from feel321.study.session.opening import Stale, open_session
 from feel321.study.session.plan import (
     Design,
-    Stale,
     create_plan,
     make_plan,
-    open_session,
     recall_detection,
     require_plan,
 )

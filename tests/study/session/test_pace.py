@@ -14,7 +14,7 @@ from feel321.study.auditing.replay import audit_steps
 from feel321.study.minutes import Sitting
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
-from feel321.study.session.pace import LATE_S, Schedule
+from feel321.study.session.engine import LATE_S, Schedule
 from feel321.study.session.plan import make_plan
 from feel321.study.session.ports import Confirm, Playback, TimedOut
 
@@ -184,7 +184,7 @@ def test_simulated_participants_keep_the_pace(make: MakePlan, stimuli: StimulusS
     plan = make(onset_s=30.0, answer_timeout_s=1.0)
     observer = SimulatedObserver(ObserverModel(), seed=1, number=1)
     from feel321.protocols.texts import read_scales
-    from feel321.study.session.codes import list_by_code
+    from feel321.study.session.plan import list_by_code
     from feel321.study.session.ports import Place
 
     by_code, late, onsets = list_by_code(stimuli, seed=plan.seed), 0, []

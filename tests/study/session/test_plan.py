@@ -8,9 +8,15 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.trial import Flow
-from feel321.study.session.codes import list_codes
 from feel321.study.session.journal import digest
-from feel321.study.session.plan import Plan, compare_plans, create_plan, make_plan, require_plan
+from feel321.study.session.plan import (
+    Plan,
+    compare_plans,
+    create_plan,
+    list_codes,
+    make_plan,
+    require_plan,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
