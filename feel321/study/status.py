@@ -206,6 +206,11 @@ class ParticipantStatus:
     left_min: float | None = None
     rig: RigUse | None = None
 
+    @property
+    def done(self) -> int:
+        """Trials that need no further attempt."""
+        return self.answered + self.given_up
+
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Status(Result):
@@ -338,6 +343,8 @@ def _find_warnings(
 ) -> Iterator[str]:
     for chain in dossier.chains[-1:]:
         yield from find_flags(chain)
+        for call in list(chain.records.find(DeviceFailed))[-1:]:
+            yield f"last called for: {call.reason}"
     yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
     caught = _judge_catches(trials, rated)
     if missed := caught.count(False):
@@ -353,8 +360,7 @@ def find_flags(chain: Chain) -> Iterator[str]:
     if any(page.key == "training_failed" for page in chain.records.find(PageRead)):
         yield "training not passed"
     if calls := list(chain.records.find(DeviceFailed)):
-        times = "once" if len(calls) == 1 else f"{len(calls)} times"
-        yield f"the experimenter was called {times}: {calls[-1].reason}"
+        yield f"experimenter called: {len(calls)} x"
 
 
 def find_catches(plan: Plan, records: Records) -> list[bool]:

@@ -154,11 +154,11 @@ def test_the_terminal_shows_what_is_left(
     log.note(Place(13, 48, left_s=13 * 60.0))
     log.note(Place(13, 48, fault="device 'pulse' stopped"))
     out, err = capsys.readouterr()
-    assert out == "p07: 12 of 48 done so far\n"
+    assert out == "p07: 12 of 48 answered so far\n"
     shown = [line.rstrip() for line in err.replace("\n", "\r").split("\r") if line.strip()]
     assert shown == [
-        "p07: 12 of 48 done, about 14 min left",
-        "p07: 13 of 48 done, about 13 min left",
+        "p07: 12 of 48 answered, about 14 min left",
+        "p07: 13 of 48 answered, about 13 min left",
         "p07: the device failed (device 'pulse' stopped); check it, then press F10 in the participant's window",
     ]
     monkeypatch.setattr(shared, "is_terminal", lambda: False)

@@ -75,7 +75,10 @@ def test_a_session_runs_to_its_end_and_no_window_opens_for_what_is_finished(
 ) -> None:
     presenter = present()
     assert main(["run", str(ready.path), "--participant", "p01"]) == 0
-    assert capsys.readouterr().out == f"p01: 0 of {TOTAL} done so far\np01: all {TOTAL} done\n"
+    assert (
+        capsys.readouterr().out
+        == f"p01: 0 of {TOTAL} answered so far\np01: {TOTAL} of {TOTAL} answered\n"
+    )
     assert (presenter.log[0], presenter.log[-1]) == ("opened", "closed")
     presenter.log.clear()
     assert main(["run", str(ready.path), "--participant", "p01"]) == 0
@@ -235,7 +238,7 @@ def test_who_stops_is_told_how_to_go_on(
 ) -> None:
     present(pages={"rest": [Abort(9.0, "tired")]})
     assert main(["run", str(ready.path), "--participant", "p01", "--windowed"]) == 1
-    line = f"p01: 1 of {TOTAL} done (aborted: tired); resume with: "
+    line = f"p01: 1 of {TOTAL} answered (aborted: tired); resume with: "
     line += f"feel321 run {ready.path} --participant p01 --windowed"
     assert capsys.readouterr().err == f"{line}\n"
 
@@ -257,7 +260,9 @@ def test_the_command_that_goes_on_has_every_option(
     assert main(["run", str(ready.path), *options]) == 130
     told, interrupted = capsys.readouterr().err.splitlines()
     command = f"feel321 run {ready.path} {' '.join(options)}"
-    assert told == f"p01: 1 of {TOTAL} done (aborted: KeyboardInterrupt); resume with: {command}"
+    assert (
+        told == f"p01: 1 of {TOTAL} answered (aborted: KeyboardInterrupt); resume with: {command}"
+    )
     assert interrupted == "feel321: interrupted; what is done is kept, the same command continues"
     assert read_status(ready).participants == ()
     assert read_status(replace(ready, is_rehearsal=True)).participants[0].done == 1

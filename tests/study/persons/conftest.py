@@ -80,7 +80,8 @@ class Lab:
             attempt = agenda.attempt(step.number)
             rated = (step.number, attempt, {"test": 50.0}, 1.5, 1.0, [], rejected)
             journal.write(TrialRated(*rated))
-            agenda.tell_trial(step.number, accepted=not rejected, as_expected=None, time_s=1.0)
+            outcome = SPOILED if rejected else VALID
+            agenda.tell_trial(step.number, outcome, as_expected=None, time_s=1.0)
         if agenda.done == TRIALS and not journal.records.has(SessionFinished):
             journal.write(SessionFinished(TRIALS, 0))
         return journal.path

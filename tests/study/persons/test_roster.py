@@ -45,7 +45,12 @@ def test_one_row_per_participant_by_plan_and_journals(lab: Any, now: Any) -> Non
 def test_who_is_planned_and_no_more_has_no_times(lab: Any) -> None:
     (lab.begin("p01") / "session-01.jsonl").unlink()
     (row,) = read(write_roster(lab.study))
-    assert (row["state"], row["sessions"], row["done"], row["total"]) == ("claimed", "0", "0", "4")
+    assert (row["state"], row["sessions"], row["answered"], row["total"]) == (
+        "claimed",
+        "0",
+        "0",
+        "4",
+    )
     assert (row["first_utc"], row["last_utc"]) == ("", "")
 
 

@@ -14,7 +14,6 @@ from feel321.study.auditing.replay import audit_steps
 from feel321.study.minutes import Sitting
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
-from feel321.study.session.engine import LATE_S, Schedule
 from feel321.study.session.plan import make_plan
 from feel321.study.session.ports import Confirm, Playback, TimedOut
 
@@ -163,21 +162,6 @@ def test_no_page_comes_between_trials_with_fixed_onsets(
     assert presenter.log[place - 1].startswith("show 3.1")
     assert presenter.log.count("refuse timed_out") == 1
     assert list(audit_steps(records, plan)) == []
-
-
-def test_small_delays_do_not_add_up(make: MakePlan) -> None:
-    plan = make(onset_s=6.0)
-    pace, trial = Schedule({"realism": plan.tasks[0]}), plan.trials[0]
-    assert pace.find_due(trial) is None
-    pace.note_onset(trial, 10.0)
-    for turn in range(1, 50):
-        due_s = pace.find_due(trial)
-        assert due_s == 10.0 + 6.0 * turn
-        pace.note_onset(trial, due_s + 0.9 * LATE_S)
-    pace.note_onset(trial, 400.0)
-    assert pace.find_due(trial) == 406.0
-    pace.restart()
-    assert pace.find_due(trial) is None
 
 
 def test_simulated_participants_keep_the_pace(make: MakePlan, stimuli: StimulusSet) -> None:
