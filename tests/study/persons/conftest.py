@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.trial import Page
+from feel321.protocols.trial import SPOILED, VALID, Page
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.numbers import Station, plan_participants
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
