@@ -14,8 +14,8 @@ from feel321.study.numbers import find_station, plan_participants
 from feel321.study.persons.answers import make_keeper
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.journal import Clock, Journal
-from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import Plan, list_by_code, make_plan
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Plan, Stale, list_by_code, make_plan
 from feel321.study.session.ports import Place, Presenter
 from feel321.study.settings.read import make_design, read_settings, read_study_texts
 

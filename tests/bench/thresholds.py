@@ -23,8 +23,8 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
-from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import Design, create_plan, make_plan
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Design, Stale, create_plan, make_plan
 from feel321.study.thresholds import is_usable, read_thresholds
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Records
-from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import Design, Plan, create_plan, make_plan
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Design, Plan, Stale, create_plan, make_plan
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
 from feel321.study.workflow import build_study
 

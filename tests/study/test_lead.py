@@ -11,7 +11,7 @@ from feel321.protocols.texts import read_scales
 from feel321.study.folder import StudyFolder
 from feel321.study.numbers import Station, plan_participants
 from feel321.study.persons.withdrawal import release_participant
-from feel321.study.session.opening import Stale
+from feel321.study.session.plan import Stale
 from feel321.study.sessions import Room, lead_session
 
 if TYPE_CHECKING:

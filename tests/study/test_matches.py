@@ -28,8 +28,8 @@ from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import Participant
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session.engine import run_session
-from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import Design, create_plan, make_plan, require_plan
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Design, Stale, create_plan, make_plan, require_plan
 from feel321.study.session.ports import Confirm, Feel, Move, Playback, Scaled
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study

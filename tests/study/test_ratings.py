@@ -13,8 +13,7 @@ from feel321.study.columns import RATING_COLUMNS
 from feel321.study.folder import StudyFolder
 from feel321.study.ratings import read_judgements, write_ratings
 from feel321.study.session.journal import START, create_journal, digest, write_line
-from feel321.study.session.opening import Stale
-from feel321.study.session.plan import create_plan, list_codes, make_plan
+from feel321.study.session.plan import Stale, create_plan, list_codes, make_plan
 from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:

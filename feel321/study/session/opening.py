@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import hold_lock
 from feel321.study.session import events
 from feel321.study.session import journal as journals
-from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Plan, require_plan
+from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Plan, Stale, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -36,17 +36,6 @@ UNCOMPARED = ("format", "session", "versions", "system", "clock", "frozen")
 
 ACCEPTABLE = ("presenter.rig", "calibration")
 """May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
-
-POLICIES = ("warm_up", "continue", "restart")
-"""Ways to resume a session after a long break: practice first, go on at once, or begin anew beside it."""
-
-
-@dataclass(frozen=True, slots=True)
-class Stale:
-    """The rule for a session that was left for `after_h` hours (None for never): one of `POLICIES`."""
-
-    after_h: float | None = 6.0
-    policy: str = "warm_up"
 
 
 def identify_frozen(folder: Path) -> dict[str, str]:

@@ -84,6 +84,18 @@ def list_by_code(stimuli: StimulusSet, *, seed: int) -> dict[str, Stimulus]:
     return {codes[row.stimulus_id]: row for row in stimuli.stimuli}
 
 
+POLICIES = ("warm_up", "continue", "restart")
+"""Ways to resume a session after a long break: practice first, go on at once, or begin anew beside it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stale:
+    """The rule for a session that was left for `after_h` hours (None for never): one of `POLICIES`."""
+
+    after_h: float | None = 6.0
+    policy: str = "warm_up"
+
+
 @dataclass(frozen=True, slots=True)
 class Design:
     """The decisions of a study about the sessions of all its participants; see `Plan` for the fields."""

@@ -31,7 +31,7 @@ from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.admission import OURS, name_protocols
 from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
-from feel321.study.session.opening import POLICIES, Stale
+from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.asking import Questions, Scales
 from feel321.study.settings.paper import PaperTable

@@ -23,8 +23,7 @@ from feel321.study.session.journal import (
     utc_now,
     write_line,
 )
-from feel321.study.session.opening import POLICIES, Stale
-from feel321.study.session.plan import require_plan
+from feel321.study.session.plan import POLICIES, Stale, require_plan
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study
 

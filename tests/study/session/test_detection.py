@@ -19,9 +19,10 @@ from feel321.study.auditing.replay import audit_steps
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
-from feel321.study.session.opening import Stale, open_session
+from feel321.study.session.opening import open_session
 from feel321.study.session.plan import (
     Design,
+    Stale,
     create_plan,
     make_plan,
     recall_detection,

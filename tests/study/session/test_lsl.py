@@ -15,8 +15,8 @@ from feel321.study import lsl as outlets
 from feel321.study.lsl import SENT, make_marker, name_source, open_outlet
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Record
-from feel321.study.session.opening import Stale, open_session
-from feel321.study.session.plan import create_plan
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Stale, create_plan
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -22,8 +22,7 @@ from feel321.study.all_settings import FILES, Setting, list_settings, read_meani
 from feel321.study.cli import main
 from feel321.study.folder import create_study, read_template, require_study
 from feel321.study.observer.model import ObserverModel
-from feel321.study.session.opening import Stale
-from feel321.study.session.plan import Design
+from feel321.study.session.plan import Design, Stale
 from feel321.study.settings.fields import TomlTable, list_tables
 from feel321.study.settings.read import make_design, make_recipe, open_recordings, read_settings
 from feel321.study.settings.schema import SceneTable, Settings

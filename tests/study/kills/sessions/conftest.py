@@ -29,8 +29,7 @@ from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import read_journal
-from feel321.study.session.opening import Stale
-from feel321.study.session.plan import Design, make_plan, require_plan
+from feel321.study.session.plan import Design, Stale, make_plan, require_plan
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 from feel321.study.sessions import Room, lead_session
 from feel321.study.settings.schema import ObserverTable
