@@ -18,8 +18,8 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
-from feel321.protocols.questions import Question, list_pages
 from feel321.protocols.tasks import measure_chance
+from feel321.protocols.texts import Question, list_pages
 from feel321.protocols.trial import (
     ASIDE,
     LOST,

@@ -15,7 +15,7 @@ from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import write_table
-from feel321.protocols.blocks import SECOND, Matching
+from feel321.protocols.threshold import SECOND, Matching
 from feel321.protocols.trial import MATCHING
 from feel321.study.session.events import TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, list_by_code, read_dossier

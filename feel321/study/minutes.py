@@ -14,7 +14,7 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from feel321.protocols.agenda import SECONDS, Agenda
-from feel321.protocols.blocks import name_tone
+from feel321.protocols.threshold import name_tone
 from feel321.protocols.trial import VALID, Page
 from feel321.study.observer.model import STROKE_S, UNHURRIED
 from feel321.study.session.engine import find_gap
@@ -24,7 +24,7 @@ from feel321.study.session.plan import make_trials, replay
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from feel321.protocols.questions import Question
+    from feel321.protocols.texts import Question
     from feel321.protocols.trial import Flow, Item, Task, Trial
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from feel321.doors import name_of
-from feel321.protocols.balance import count_rows
+from feel321.protocols.compare import count_rows
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.sets.recipe import ORIGINAL

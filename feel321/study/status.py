@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from feel321.doors import announce
 from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
-from feel321.protocols.balance import count_rows, measure_balance, pool_balances
-from feel321.protocols.order import TASK_ORDERS
+from feel321.protocols.compare import count_rows
+from feel321.protocols.order import TASK_ORDERS, measure_balance, pool_balances
 from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
@@ -104,8 +104,8 @@ def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> Balanc
                 cycle=(cycles if what == TASKS else of_trials) * round_of,
                 positions=balance.positions.find_ends(),
                 carry_over=balance.carry_over.find_ends(),
-                position_index=balance.position_index,
-                carry_over_index=balance.carry_over_index,
+                position_index=balance.positions.measure_variation(),
+                carry_over_index=balance.carry_over.measure_variation(),
             )
         )
     over = [one.records for one, _ in run if one.records.has(SessionFinished)]

@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from figures import Figure
 
-from feel321.protocols.blocks import ThresholdBlock
 from feel321.protocols.tasks import make_task
-from feel321.protocols.threshold import PROCEDURES, USUAL
+from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdBlock
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.observer.model import ObserverModel

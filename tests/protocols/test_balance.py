@@ -12,15 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.balance import count_rows, measure_balance, pool_balances, williams_row
-from feel321.protocols.order import make_order, select_share
+from feel321.protocols.compare import count_rows, williams_row
+from feel321.protocols.order import make_order, measure_balance, pool_balances, select_share
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import Item
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from feel321.protocols.balance import Balance
+    from feel321.protocols.order import Balance
 
 N_RECORDINGS, N_STIMULI, CYCLE = 8, 12, 24
 ITEMS = [

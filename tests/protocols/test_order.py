@@ -13,14 +13,16 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from feel321.protocols import order as orders_module
-from feel321.protocols.balance import count_rows, measure_balance, shuffle_rows, williams_row
+from feel321.protocols.compare import count_rows, williams_row
 from feel321.protocols.order import (
     ORDERS,
     arrange_sections,
     find_crowding,
     make_order,
     make_rehearsal,
+    measure_balance,
     order_tasks,
+    shuffle_rows,
 )
 from feel321.protocols.tasks import PROTOCOLS, find_other, make_task
 from feel321.protocols.trial import Item

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.blocks import INTERVALS
 from feel321.protocols.compare import CHOICES
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.texts import (
@@ -20,6 +19,7 @@ from feel321.protocols.texts import (
     read_texts,
     write_copy,
 )
+from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import MATCHING, SURFACE, THRESHOLD, Item
 
 if TYPE_CHECKING:

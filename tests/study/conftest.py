@@ -23,7 +23,7 @@ from feel321.study.workflow import build_study
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from feel321.protocols.questions import Question
+    from feel321.protocols.texts import Question
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.study.session.journal import Clock
     from feel321.study.session.ports import Place

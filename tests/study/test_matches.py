@@ -15,8 +15,8 @@ import pytest
 from scipy.stats import ttest_1samp
 
 from feel321.analysis.table.reading import Further
-from feel321.protocols.blocks import ATTENUATION_DB, DB_PER_POINT, MOST_START_DB, MatchingBlock
 from feel321.protocols.tasks import make_task
+from feel321.protocols.threshold import ATTENUATION_DB, DB_PER_POINT, MOST_START_DB, MatchingBlock
 from feel321.protocols.trial import MATCHING, Flow
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import analyze, metrics

@@ -17,7 +17,7 @@ from feel321.study.session.engine import Session, find_choices
 from feel321.study.session.journal import Journal, Record, utc_now
 
 if TYPE_CHECKING:
-    from feel321.protocols.questions import Question
+    from feel321.protocols.texts import Question
     from feel321.protocols.trial import Page, Part, Trial
     from feel321.study.session.plan import Plan
 

@@ -31,7 +31,7 @@ from feel321.study.settings.read import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.protocols.questions import Question
+    from feel321.protocols.texts import Question
     from feel321.study.export.people import Person
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings

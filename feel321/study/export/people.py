@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import write_text
-from feel321.protocols.questions import find_question
+from feel321.protocols.texts import find_question
 from feel321.study import people as progresses
 from feel321.study.persons.answers import list_answers
 from feel321.study.ratings import list_judgements

@@ -48,8 +48,8 @@ from itertools import accumulate
 from typing import TYPE_CHECKING, Annotated, Any
 from zlib import crc32
 
-from feel321.protocols.blocks import INTERVALS
 from feel321.protocols.tasks import PROTOCOLS
+from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Trial
 from feel321.stimuli.sets.recipe import ORIGINAL
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS

@@ -8,8 +8,15 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 from zlib import crc32
 
-from feel321.protocols.blocks import ASKED, DB_PER_POINT, FIRST, INTERVALS, MIDDLE, SECOND
-from feel321.protocols.threshold import predict_correct
+from feel321.protocols.threshold import (
+    ASKED,
+    DB_PER_POINT,
+    FIRST,
+    INTERVALS,
+    MIDDLE,
+    SECOND,
+    predict_correct,
+)
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Page, Part, Scale, Trial
 from feel321.stimuli.sets.anchors import to_db
 from feel321.stimuli.thresholds import acceleration_threshold
@@ -44,7 +51,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from feel321.protocols.questions import Answer, Question
+    from feel321.protocols.texts import Answer, Question
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.observer.percepts import Percept
     from feel321.study.session.journal import Record

@@ -12,10 +12,9 @@ from itertools import takewhile
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
-from feel321.protocols.blocks import ATTENUATION_DB, INTERVALS, MIDDLE, SECOND, Matching
-from feel321.protocols.questions import Question, find_question
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.texts import read_scales
+from feel321.protocols.texts import Question, find_question, read_scales
+from feel321.protocols.threshold import ATTENUATION_DB, INTERVALS, MIDDLE, SECOND, Matching
 from feel321.protocols.trial import (
     FREE,
     MATCHING,

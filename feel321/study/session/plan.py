@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import create_text
 from feel321.protocols import order as orders
 from feel321.protocols.agenda import Agenda
-from feel321.protocols.blocks import (
+from feel321.protocols.tasks import digest_protocols, is_as_expected
+from feel321.protocols.texts import PREFIX, Question
+from feel321.protocols.threshold import (
     Detection,
     MatchingBlock,
     ThresholdBlock,
@@ -27,8 +29,6 @@ from feel321.protocols.blocks import (
     draw_matching,
     make_block,
 )
-from feel321.protocols.questions import PREFIX, Question
-from feel321.protocols.tasks import digest_protocols, is_as_expected
 from feel321.protocols.trial import (
     THRESHOLD,
     VALID,

@@ -11,13 +11,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from feel321.protocols.blocks import name_tone
+from feel321.protocols.threshold import name_tone
 from feel321.study.session.events import Played
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.protocols.questions import Question
+    from feel321.protocols.texts import Question
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.stimuli.sets.manifest import Stimulus
 

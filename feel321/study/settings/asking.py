@@ -4,7 +4,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from feel321.protocols.questions import (
+from feel321.protocols.texts import (
     KINDS,
     LEAST_OPTIONS,
     MOST_OPTIONS,

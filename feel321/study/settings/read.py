@@ -12,9 +12,8 @@ from typing import Any
 from feel321.doors import name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
 from feel321.names import METRIC_INFO, WRITTEN
-from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
-from feel321.protocols.texts import MODEL, read_texts
+from feel321.protocols.texts import MODEL, Question, read_ready, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.own import find_format, read_own

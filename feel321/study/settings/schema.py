@@ -15,11 +15,17 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, 
 
 from feel321 import intake
 from feel321.doors import name_of
-from feel321.protocols.blocks import MatchingBlock, ThresholdBlock, name_tone
 from feel321.protocols.order import ORDERS, TASK_ORDERS
 from feel321.protocols.tasks import make_task, refine_task
 from feel321.protocols.texts import list_languages
-from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdPlan
+from feel321.protocols.threshold import (
+    PROCEDURES,
+    USUAL,
+    MatchingBlock,
+    ThresholdBlock,
+    ThresholdPlan,
+    name_tone,
+)
 from feel321.protocols.trial import CHOOSING, FLAGS, Flow, Task
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED

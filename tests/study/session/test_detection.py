@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.agenda import Agenda
-from feel321.protocols.blocks import ThresholdBlock
 from feel321.protocols.tasks import make_task
-from feel321.protocols.threshold import PROCEDURES, USUAL
+from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdBlock
 from feel321.protocols.trial import THRESHOLD, VALID, Flow, Page
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.observer.model import ObserverModel

@@ -6,8 +6,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.questions import READY, Question
-from feel321.protocols.texts import CATALOG, list_languages, make_scales, read_texts
+from feel321.protocols.texts import (
+    CATALOG,
+    READY,
+    Question,
+    list_languages,
+    make_scales,
+    read_texts,
+)
 from feel321.study.settings.read import make_design, read_settings, read_study_texts
 
 if TYPE_CHECKING:
