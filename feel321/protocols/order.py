@@ -24,7 +24,6 @@ from feel321.protocols.trial import (
 
 if TYPE_CHECKING:
     from numpy.random import Generator
-    from pandas import DataFrame
 
     from feel321.types import Rng
 
@@ -290,7 +289,7 @@ ORDERS: Registry[Callable[..., Iterable[Blocks]]] = Registry(
 
 
 def make_order(
-    items: Sequence[Item] | DataFrame,
+    items: Sequence[Item],
     tasks: Sequence[Task | str],
     *,
     number: int,
@@ -306,8 +305,8 @@ def make_order(
 
     Parameters
     ----------
-    items : sequence of Item, or DataFrame
-        All stimuli of the set; a table has the columns `stimulus_id, recording, reducer, level, role`.
+    items : sequence of Item
+        All stimuli of the set.
     tasks : sequence of Task or str
         The sections of the session, in order: tasks, or names of protocols.
     number : int
@@ -353,7 +352,7 @@ def make_order(
     if isinstance(tasks, str | Task):
         raise TypeError(f"tasks must be a list, got {describe(tasks)}; write [{tasks!r}]")
     own = [make_task(task) if isinstance(task, str) else task for task in tasks]
-    sections = _gather_trials(_as_items(items), own)
+    sections = _gather_trials(items, own)
     rounds = [(section, repeat) for section in sections for repeat in range(1, repeats + 1)]
     groups = [section.groups for section, _ in rounds]
     ordered = ORDERS[order](groups, number=number, rng=as_rng(rng))
@@ -366,15 +365,6 @@ def make_order(
                 draft = section.draft_trial(spot, turn=number + repeat - 1)
                 trials.append(replace(draft, number=len(trials) + 1, block=place, repeat=repeat))
     return Trials(trials)
-
-
-def _as_items(items: Any) -> Sequence[Item]:  # noqa: ANN401 - what make_order takes
-    if isinstance(items, Sequence):
-        return items
-    table = items.to_frame() if hasattr(items, "to_frame") else items  # a stimulus set
-    if missing := [name for name in Item.__slots__ if name not in table.columns]:
-        raise ValueError(f"items must have the columns {', '.join(missing)}; add them")
-    return [Item(*row) for row in table[list(Item.__slots__)].itertuples(index=False)]
 
 
 def select_share(

@@ -28,7 +28,7 @@ ORIGINAL = "original"
 """Name of the recording itself as a reference."""
 
 MATCHING = "matching"
-"""Protocol, scale and phase of the trials of a matching block (`protocols.blocks`)."""
+"""Protocol, scale and phase of the trials of a matching block (`protocols.threshold`)."""
 
 THRESHOLD = "threshold"
 """Protocol, scale and phase of the trials of a threshold block; its practice has the phase of all practice."""
