@@ -323,7 +323,7 @@ def check_question(question: Question) -> None:
         f"low and high must not be numbers for kind {kind!r}; use kind 'number', or remove them": (
             not is_number and (low is not None or high is not None)
         ),
-        f"low must be below high, got {low} and {high}": (
+        f"low must be below high, got {low or 0:g} and {high or 0:g}": (
             low is not None and high is not None and low >= high
         ),
     }

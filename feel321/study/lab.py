@@ -73,7 +73,7 @@ def run_participant(
     check_lab(room)
     if simulated:
         seed = settings.study.seed if seed is None else seed
-        room = replace(room, casting=cast_observers(settings, stimuli, seed=seed))
+        room = replace(room, casting=cast_observers(settings, seed=seed))
     plan = plan_sessions(room, settings, [participant], simulated=simulated)[0]
     own = read_progress(study.sessions / plan.participant)
     if own.state == "finished":  # No window is opened for it.

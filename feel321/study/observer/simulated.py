@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from math import ceil, floor
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 from zlib import crc32
 
@@ -53,7 +52,6 @@ if TYPE_CHECKING:
 
     from feel321.protocols.texts import Answer, Question
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.observer.percepts import Percept
     from feel321.study.session.journal import Record
 
 SIMULATED_TEXT = "simulated"
@@ -69,16 +67,10 @@ class Participant:
     """
 
     def __init__(
-        self,
-        model: ObserverModel,
-        *,
-        seed: int,
-        number: int,
-        percepts: Mapping[str, Percept] = MappingProxyType({}),
-        elapsed_s: float = 0.0,
+        self, model: ObserverModel, *, seed: int, number: int, elapsed_s: float = 0.0
     ) -> None:
         self._seed, self._number, self._time_s = seed, number, elapsed_s
-        self.touch = Touch(model, percepts, seed)
+        self.touch = Touch(model, seed)
         self.rater = draw_rater(model, self._draw_from(0, 0))
         self.before: Experience | None = None
 

@@ -278,11 +278,6 @@ def _plant(
 def _find_felt(settings: Settings, steps: Mapping[str, Step]) -> dict[str, float]:
     """Find the slopes that observers feel, before the ends of the scale; 0 for metrics that they do not feel."""
     model = make_model(settings)
-    if model.uses_percepts:
-        raise ValueError(
-            "simulated observers of [observer] feel more than the two matches, so their slopes are not known; give "
-            "one of every metric: --effect METRIC=POINTS"
-        )
     felt = {model.spectral_metric: model.spectral, "temporal_match": model.temporal}
     return {name: felt.get(name, 0.0) * step.size for name, step in steps.items()}
 

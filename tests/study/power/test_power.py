@@ -14,7 +14,7 @@ import pytest
 from feel321.analysis.power.plan import SENTENCES, find_row
 from feel321.jobs import ALONE
 from feel321.study import cli
-from feel321.study.folder import StudyFolder, create_study
+from feel321.study.folder import StudyFolder
 from feel321.study.power import setup
 from feel321.study.simulation import simulate_study
 
@@ -154,19 +154,6 @@ def test_answer_is_for_the_given_slopes_and_one_scale_goes_first(
     found = plan_study(task, tmp_path, participants=12, studies=0)
     assert found.plan.hypothesis == ("similarity", "temporal_match")
     assert any("Slopes without --effect" in note for note in found.notes)
-
-
-def test_observers_who_feel_more_than_the_matches_need_given_slopes(
-    built: StudyFolder, tmp_path: Path
-) -> None:
-    study = create_study(tmp_path / "study")
-    study.settings.write_text(
-        built.settings.read_text("utf-8") + "[observer]\nlevel = 1.0\n", "utf-8"
-    )
-    with pytest.raises(ValueError, match=r"more than the two matches, .* give one of every metric"):
-        setup.set_up(study)
-    given = setup.set_up(study, effects=dict.fromkeys(METRICS, 2.0))
-    assert set(given.effects["points"]) == {2.0}
 
 
 @pytest.mark.parametrize("odd", [{"studies": -1}, {"participants": 12.5}, {"recordings": [0]}])
