@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.protocols.texts import CATALOG, read_texts
-from feel321.study.session.ports import REFUSALS
 from feel321.study.settings.read import find_language, read_settings, read_study_texts
+
+REFUSALS = ("not_felt", "not_answered", "no_replay", "unknown_part", "too_early")
 
 if TYPE_CHECKING:
     from pathlib import Path
