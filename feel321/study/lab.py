@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -33,10 +33,15 @@ from feel321.study.minutes import read_pace
 from feel321.study.observer.model import cast_observers, find_person, identify_observer
 from feel321.study.observer.simulated import Participant
 from feel321.study.people import read_progress
-from feel321.study.provenance import require_current_set
 from feel321.study.session.engine import Outcome
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
-from feel321.study.sessions import Room, lead_session, list_rig_problems, plan_sessions
+from feel321.study.sessions import (
+    Room,
+    lead_session,
+    list_rig_problems,
+    plan_sessions,
+    require_current_set,
+)
 from feel321.study.settings import read
 from feel321.study.strength import find_unfelt
 
@@ -218,7 +223,10 @@ def _make_check(room: Room) -> DeliveryCheck | None:
         return None
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 
-    recordings, _ = read.try_recordings(settings, folder)
+    recordings = []
+    for source in read.list_unread(settings, folder):
+        with suppress(OSError, TypeError, ValueError):  # its stimuli have no delivered metrics
+            recordings.append(source.read())
     return DeliveryCheck(
         room.stimuli,
         rig,

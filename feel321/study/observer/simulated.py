@@ -17,8 +17,7 @@ from feel321.protocols.threshold import (
     predict_correct,
 )
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Page, Part, Scale, Trial
-from feel321.stimuli.sets.anchors import to_db
-from feel321.stimuli.thresholds import acceleration_threshold
+from feel321.stimuli.thresholds import acceleration_threshold, to_db
 from feel321.study.observer.model import (
     HALF,
     RANDOM_CLICKER,
