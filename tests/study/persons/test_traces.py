@@ -75,6 +75,9 @@ class Confiding:
         act = self.presenter.show_question(question, place)
         return replace(act, values={question.name: SECRET})
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.presenter, name)
+
 
 @pytest.fixture
 def planted(smallest: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
