@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 from feel321.protocols.agenda import SECONDS, Agenda
 from feel321.protocols.threshold import name_tone
 from feel321.protocols.trial import VALID, Page
-from feel321.study.observer.model import STROKE_S, UNHURRIED
 from feel321.study.session.engine import find_gap
 from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
 from feel321.study.session.plan import make_trials, replay
@@ -31,6 +30,10 @@ if TYPE_CHECKING:
     from feel321.study.session.journal import Records
     from feel321.study.session.plan import Course, Design, Dossier, Plan
 
+UNHURRIED = (0.7, 0.4)
+"""Mean and standard deviation of the logarithm of a response time in s: a median of 2.0 s."""
+
+STROKE_S = 3.0  # duration of a stroke over the real surface
 PAGE_S = 10.0
 """Time for a page that may be left at once, until real participants have read some."""
 

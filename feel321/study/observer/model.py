@@ -48,6 +48,7 @@ from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Trial
 from feel321.stimuli.sets.recipe import ORIGINAL
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
+from feel321.study.minutes import UNHURRIED
 from feel321.study.settings.about import ObserverTable
 from feel321.study.settings.fields import one_of
 
@@ -69,11 +70,10 @@ RANDOM_CLICKER, SCALE_REVERSER = "random_clicker", "scale_reverser"
 KINDS = (NORMAL, STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER)  # kinds of raters
 STRAIGHT_SD = 1.0  # standard deviation, in points, of the place to which a straight-liner returns
 
-UNHURRIED, HASTY = (0.7, 0.4), (-0.7, 0.3)
-"""Mean and standard deviation of the logarithm of a response time in s: medians of 2.0 s and 0.5 s."""
+HASTY = (-0.7, 0.3)
+"""Mean and standard deviation of the logarithm of a hasty response time in s: a median of 0.5 s."""
 
 SPECTRAL = ("spectral_match_bounded", "spectral_match")  # that participants may feel by
-STROKE_S = 3.0  # duration of a stroke over the real surface
 HALF = 0.5  # of the favourites of straight-liners, who then choose the first
 NODES = 15  # of the quadrature over gains and over sizes of the noise
 

@@ -18,12 +18,12 @@ from feel321.protocols.threshold import (
 )
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Page, Part, Scale, Trial
 from feel321.stimuli.thresholds import acceleration_threshold, to_db
+from feel321.study.minutes import STROKE_S
 from feel321.study.observer.model import (
     HALF,
     RANDOM_CLICKER,
     REAL,
     STRAIGHT_LINER,
-    STROKE_S,
     Experience,
     Location,
     ObserverModel,
