@@ -42,16 +42,8 @@ METRIC_INFO: Mapping[str, MetricInfo] = Registry(
         "temporal_match_windowed": MetricInfo("temporal match in windows", low=0.0, high=1.0),
         "level_difference": MetricInfo("level difference", "worse", 0.0, MOST_DB, "dB"),
         "log_spectral_distance": MetricInfo("log-spectral distance", "worse", 0.0, MOST_DB, "dB"),
-        "itakura_saito_distance": MetricInfo("Itakura-Saito distance", "worse", 0.0),
-        "balance_difference": MetricInfo(
-            "difference in high/low balance", "worse", 0.0, MOST_DB, "dB"
-        ),
         "pacinian_power_difference": MetricInfo(
             "Pacinian power difference", "worse", 0.0, MOST_DB, "dB"
-        ),
-        "spectral_intensity_distance": MetricInfo("spectral intensity distance", "worse", 0.0, 1.0),
-        "segment_intensity_difference": MetricInfo(
-            "segment intensity difference", "worse", 0.0, MOST_DB, "dB"
         ),
         "envelope_correlation": MetricInfo("envelope correlation", "better", -1.0, 1.0),
         "modulation_distance": MetricInfo("modulation spectrum distance", "worse", 0.0),
