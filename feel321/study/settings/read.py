@@ -15,9 +15,8 @@ from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
 from feel321.files import create_text, make_folder, temporary_folder, write_text
 from feel321.names import METRIC_INFO, WRITTEN
-from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
-from feel321.protocols.texts import MODEL, read_texts
+from feel321.protocols.texts import MODEL, Question, read_ready, read_texts
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import find_format, read_own, read_recording
@@ -28,8 +27,8 @@ from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, Unread, 
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
 from feel321.study.folder import TEMPLATES, StudyFolder
-from feel321.study.session.identity import identify_frozen
 from feel321.study.session.journal import digest
+from feel321.study.session.opening import identify_frozen
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
@@ -524,26 +523,3 @@ def _list_groups(
     factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
     for levels in product(*factors.values()):
         yield select_group(items, tasks, dict(zip(factors, levels, strict=True)))
-
-
-def list_remarks(settings: Settings) -> list[str]:
-    """List what is allowed in `study.toml` and may not be meant."""
-    session, stale = settings.session, settings.session.stale
-    warms_up = stale.policy == "warm_up" and stale.after_h is not None
-    remarks = [
-        f"tasks.{name}: has no effect, {name} is not in session.protocols; add it there or remove this"
-        for name in settings.tasks
-        if name not in session.protocols
-    ]
-    if "mushra" in session.protocols and not settings.stimuli.anchors:
-        remarks.append(
-            "stimuli.anchors: false, but a page of mushra should have two anchors (ITU-R BS.1534-3); set it to true"
-        )
-    if warms_up and not session.rehearsal.practice:
-        remarks.append(
-            "session.stale.policy: 'warm_up' needs practice, but session.rehearsal.practice is 0; "
-            "set that to 1 or more, or the policy to 'continue'"
-        )
-    if not session.breaks.rest_s:
-        remarks.append("session.breaks.rest_s: 0 leaves fingertips no rest; 60 s are usual")
-    return remarks
