@@ -89,9 +89,9 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
         assert found["value"] > 0.9
         assert found["low"] > 0.5
         assert other["high"] < found["low"]
-    (form,) = correlations.FURTHER.tables
+    (form,) = correlations.SECTIONS[1].tables
     assert form.caption.startswith("Exploratory")
-    assert not correlations.FURTHER.front
+    assert not correlations.SECTIONS[1].front
 
 
 def test_declared_ones_are_in_the_model_and_each_points_its_way(small: object) -> None:
@@ -311,7 +311,7 @@ def test_inputs_hold_digests_of_whatever_decided(small: object) -> None:
 
 def test_the_report_holds_them(small: object, monkeypatch: pytest.MonkeyPatch) -> None:
     # All others are another test's, and slow.
-    monkeypatch.setattr(report, "SECTIONS", (correlations.FURTHER,))
+    monkeypatch.setattr(report, "SECTIONS", correlations.SECTIONS[1:2])
     values = draw_column(small)
     folder = small.ratings.with_name("report")
     results = report.write_report(

@@ -13,9 +13,8 @@ import pytest
 
 from feel321.analysis.association.correlate import tabulate_correlations
 from feel321.analysis.contrasts.compare import profile_reducers
-from feel321.analysis.report import pairs
 from feel321.analysis.report.answer import find_row
-from feel321.analysis.report.parts import split_parts
+from feel321.analysis.report.section import split_parts
 from feel321.analysis.report.write import write_report
 from feel321.analysis.table.reading import Table, read_table
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
@@ -371,10 +370,3 @@ def test_groups_that_felt_different_levels_are_counted_apart(
     people = rows[rows["quantity"] == "n_participants"].set_index(["scale", "level"])["value"]
     assert people.to_dict() == {("mushra", "equal_intensity"): 2, ("realism", "as_is"): 4}
     assert rows.loc[rows["quantity"] == "n_missing", "value"].max() == 0
-
-
-def test_both_orders_of_a_pair_count_alike(write: Callable[..., tuple[Path, Path]]) -> None:
-    orders = (("mag321", "dft321", 20), ("dft321", "mag321", 40))
-    table = read_table(*write([("p", "dissimilarity", *order) for order in orders]))
-    arm = pairs._gather(table, table.rows, "as_is")
-    assert arm.matrices.tolist() == [[[0, 30], [30, 0]]]

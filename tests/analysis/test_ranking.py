@@ -10,7 +10,7 @@ import pytest
 
 from feel321.analysis.association.rivals import _score, find_influences, rank_metrics
 from feel321.analysis.page import render_words
-from feel321.analysis.report import rivals
+from feel321.analysis.report import primary
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.metrics import list_rivals
@@ -229,7 +229,7 @@ def add_columns(study: object, **columns: np.ndarray) -> None:
 def rank(study: object, **more: object) -> object:
     further = Further(pd.DataFrame(), rivals=tuple(list_rivals(study.manifest)))
     table = read_table(study.ratings, study.manifest, further=further, **more)
-    return rivals.compute(table, Choices(draws=100))
+    return primary.compute_rivals(table, Choices(draws=100))
 
 
 def say(study: object, **more: object) -> tuple[str, ...]:
@@ -273,4 +273,6 @@ def test_the_answer_says_why_metrics_are_not_ranked(files: Callable[..., object]
 
 def test_no_comparison_where_none_is_asked_for(files: Callable[..., object]) -> None:
     study = files(scales=("realism",))
-    assert rivals.compute(read_table(study.ratings, study.manifest), Choices(draws=10)).is_empty
+    assert primary.compute_rivals(
+        read_table(study.ratings, study.manifest), Choices(draws=10)
+    ).is_empty

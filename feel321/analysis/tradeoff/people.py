@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.contrasts.compare import equivalence
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.report.parts import split_arms
+from feel321.analysis.report.section import split_arms
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -53,7 +53,7 @@ def compare_rated(ratings: Table | DataFrame | None, *, margin: float | None = N
 def read_ratings(ratings: Table | DataFrame) -> DataFrame:
     """Take ratings of test stimuli; of a data frame every row is one, and nobody simulated, if not said."""
     from feel321.analysis.arrays import check_columns
-    from feel321.analysis.report.parts import select_tests
+    from feel321.analysis.report.section import select_tests
     from feel321.analysis.table.items import Table, leave_rejected, name_items, open_ratings
 
     if isinstance(ratings, Table):
@@ -69,8 +69,9 @@ def _compare_all(rows: DataFrame, margin: float | None) -> list[dict[str, Any]]:
     if not (isfinite(margin) and margin > 0):
         raise ValueError(f"margin must be a number of points above 0, got {margin:g}")
     found = []
-    for _, _, part in split_arms(rows):
-        for recording, own in part.groupby(part["recording"].astype(str), sort=False):
+    for part in split_arms(rows):
+        scenes = part.rows["recording"].astype(str)
+        for recording, own in part.rows.groupby(scenes, sort=False):
             found += [{"recording": str(recording), **one} for one in _compare(own, margin)]
     return found
 

@@ -15,7 +15,7 @@ from feel321.analysis.power import plan as planning
 from feel321.analysis.power import truth as planted
 from feel321.analysis.power.simulate import find_power
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.report import parts
+from feel321.analysis.report import section as parts
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table import reading
 from feel321.doors import check_name
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from feel321.analysis.power.truth import PowerDesign, Truth
-    from feel321.analysis.report.parts import RatingsPart
+    from feel321.analysis.report.section import Part
     from feel321.analysis.table.metrics import Step
     from feel321.analysis.table.reading import Further, Table
     from feel321.jobs import Workers
@@ -206,9 +206,7 @@ def _foresee(one: build.Foreseen, duration_s: float, rate_hz: float) -> manifest
     )  # fmt: skip
 
 
-def _make_design(
-    rated: Sequence[RatingsPart], slopes: DataFrame, settings: Settings
-) -> PowerDesign:
+def _make_design(rated: Sequence[Part], slopes: DataFrame, settings: Settings) -> PowerDesign:
     """Make the design of the study itself, with a usual number of people who rate each attribute."""
     metrics, attributes = (tuple(slopes[name].unique()) for name in ("metric", "attribute"))
     items = rated[0].rows[[SCENE, REDUCER, ITEM, *metrics]].drop_duplicates(ITEM)
@@ -219,7 +217,7 @@ def _make_design(
     return planted.PowerDesign(items, metrics, attributes, participants=PEOPLE, repeats=repeats)
 
 
-def _list_notes(rated: Sequence[RatingsPart], slopes: DataFrame, share: int) -> list[str]:
+def _list_notes(rated: Sequence[Part], slopes: DataFrame, share: int) -> list[str]:
     levels, notes = list(dict.fromkeys(part.level for part in rated)), list[str]()
     if len(levels) > 1:
         others = ", ".join(levels[1:])
@@ -240,7 +238,7 @@ def _list_notes(rated: Sequence[RatingsPart], slopes: DataFrame, share: int) -> 
 
 def _plant(
     settings: Settings,
-    rated: Sequence[RatingsPart],
+    rated: Sequence[Part],
     *,
     steps: Mapping[str, Step],
     effects: Mapping[str, float],

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.association.correlate import correlate
-from feel321.analysis.report.parts import split_parts
+from feel321.analysis.report.section import split_parts
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.metrics import describe_further, describe_manifest
 from feel321.analysis.table.reading import read_table
