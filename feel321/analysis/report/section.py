@@ -435,10 +435,11 @@ def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tu
         half = len(names) // 2
         if half < FEWEST:
             break
-        kept = rng.choice(names, size=half, replace=False)
+        kept = list(rng.choice(names, size=half, replace=False))
         if longer == SCENE and not sources.is_unique:
             shuffled = sources.loc[rng.permutation(names)]
-            kept = shuffled.groupby(shuffled).cumcount().sort_values(kind="stable").index[:half]
+            copy = shuffled.groupby(shuffled).cumcount()
+            kept = list(copy.sort_values(kind="stable").index[:half])
         left = left[left[longer].isin(kept)]
     if len(left) == len(rows):
         return rows, ""
