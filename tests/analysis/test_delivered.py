@@ -12,8 +12,8 @@ from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.report import primary, raters
 from feel321.analysis.report.answer import find_row
-from feel321.analysis.report.section import split_parts
 from feel321.analysis.resampling import Choices
+from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:
@@ -59,26 +59,9 @@ def test_the_difference_is_what_was_lost_on_the_way(small: object) -> None:
     assert section.pictures[0].figure.axes
 
 
-def test_what_is_measured_in_part_is_counted_by_its_source(small: object) -> None:
-    n = len(pd.read_csv(small.ratings))
-    by = np.where(np.arange(n) < 5, "certificate", np.where(np.arange(n) < 12, "sensor", ""))
-    errors = np.where(by == "", np.nan, 0.5)
-    section = raters.compute_delivered(
-        deliver(small, level_error_db=errors, delivered_by=by), Choices()
-    )
-    levels = {row["source"]: row["n"] for row in section.rows["level_errors"]}
-    assert sum(levels.values()) < n
-    assert levels.keys() == {"certificate", "sensor"}
-
-
-def test_nothing_delivered_is_no_section(small: object) -> None:
-    table = read_table(small.ratings, small.manifest)
-    assert raters.compute_delivered(table, Choices()).is_empty
-
-
 def test_a_constant_loss_changes_no_slope_but_a_lost_metric_does(small: object) -> None:
     def vary(table: Table) -> pd.DataFrame:
-        (part,) = split_parts(table)
+        (part,) = split_tests(table)
         found = vary_primary(part.rows, table.metrics, leave_out=False)
         return found.set_index(["variant", "metric"])["estimate"]
 
@@ -117,17 +100,10 @@ def test_a_rig_on_which_people_feel_otherwise_is_named(small: object, column: st
     assert f"without {column} {USUAL}" not in variants
 
 
-def test_one_rig_for_all_is_not_named(small: object) -> None:
-    write_roster(small, ())
-    table = read_table(small.ratings, small.manifest)
-    assert "rig" not in table.rows
-    assert not any("rig" in note for note in table.notes)
-
-
 def test_a_rig_as_a_factor_takes_out_what_the_rig_adds(small: object) -> None:
     write_roster(small, ("p01", "p04"))
     before = read_table(small.ratings, small.manifest)
-    rows = next(split_parts(before)).rows
+    rows = next(split_tests(before)).rows
     # Unbalanced, or people's recordings would take it out by themselves.
     left = (rows["rig"] == USUAL) | (rows["recording"] != "rec0") | (rows["spectral_match"] > 0.5)
     rows = rows[left]

@@ -55,14 +55,6 @@ def test_an_endless_interval_gets_an_arrow_and_squeezes_nothing() -> None:
     assert "no estimate" in [text.get_text() for text in axes.texts]
 
 
-@pytest.mark.parametrize("lines", [1, 2, 3])
-def test_a_text_has_so_many_lines_of_so_many_letters(lines: int) -> None:
-    fitted = style.fit_text(LONG, 2.0, lines=lines).splitlines()
-    assert len(fitted) <= lines
-    assert max(map(len, fitted)) <= 2.0 * style.LETTERS_PER_CM + 1
-    assert style.fit_text("short", 2.0) == "short"
-
-
 def test_equivalence_is_filled_and_all_have_one_margin() -> None:
     near, far = (equivalence(value, se, 20, low=-5, high=5) for value, se in ((0.1, 0.5), (4.9, 2)))
     (axes,) = kinds.draw_equivalence({"a − b": near, "a − c": far}).axes

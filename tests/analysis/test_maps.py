@@ -98,20 +98,6 @@ def test_planted_places_lie_within_the_ellipses_of_their_interaction(
     assert np.hypot(*off.T).max() < 4
 
 
-def test_turning_a_map_turns_its_angles(groups: list[maps.GroupMap]) -> None:
-    place = groups[0].space.positions
-    for turn in (np.array([[0.6, 0.8], [-0.8, 0.6]]), np.array([[0.6, 0.8], [0.8, -0.6]])):
-        other, (start, sign) = maps.turn_map(
-            Space(place, 0.0, False), Space(place @ turn, 0.0, False)
-        )
-        assert other.positions == pytest.approx(place @ turn)
-        for degrees in (0.0, 30.0, 110.0):
-            line = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
-            x, y = line @ turn
-            expected = math.degrees(math.atan2(y, x))
-            assert math.cos(math.radians(start + sign * degrees - expected)) == pytest.approx(1)
-
-
 def spread(ellipses: Ellipses) -> np.ndarray:
     """The matrix of each ellipse: its axes turned by its angle."""
     angle = np.radians(ellipses.angle)

@@ -58,17 +58,6 @@ def test_contrasts_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     assert n_differ == sum(row["p"] < 0.05 for row in differences) > 0
 
 
-def test_raters_who_ignore_the_scale_show_no_equivalence(tidy: Callable[..., pd.DataFrame]) -> None:
-    rows = tidy(1, participants=12, recordings=6)
-    noise = np.random.default_rng(2).uniform(0, 100, len(rows))
-    found = reducers.compute_contrasts(Table(rows.assign(rating=noise), METRICS, ()), CHOICES)
-    assert all(np.isnan(row["p"]) for row in pick(found.rows["contrasts"], "difference_90"))
-    assert not pick(found.rows["contrasts"], "equivalent")
-    assert not found.pictures
-    (line,) = render_words("contrasts", **found.facts)
-    assert "equivalence is not tested" in line
-
-
 @pytest.mark.parametrize(
     ("people", "scenes", "hint"),
     [(6, 5, ""), (6, 1, "with 1 recording"), (1, 6, "with 1 participant"), (6, 3, "with 3 recordings")],
@@ -109,14 +98,6 @@ def test_levels_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     assert "the slope on spectral match is larger at as is than at equal intensity (" in told[2]
     assert "It is unclear whether the effect of temporal match" in told[3]
     assert not any("hint" in line for line in told)
-
-
-def test_levels_of_one_participant_are_a_hint(tidy: Callable[..., pd.DataFrame]) -> None:
-    rows = make_arms(tidy, participants=1, recordings=8, noise=2.0)
-    found = reducers.compute_levels(Table(rows, METRICS, ()), CHOICES)
-    *_, spectral, temporal = render_words("levels", **found.facts)
-    assert spectral.endswith("; with 1 participant a hint rather than a result.")
-    assert "hint" not in temporal
 
 
 # Raters.
@@ -162,20 +143,6 @@ def test_one_rater_left_of_several_gives_no_slope(read: Callable[..., Table]) ->
 
 
 # What a section does not do, and says so.
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"draws": 1}, "draws must be 2 or more, got 1"),
-        ({"margin": 0.0}, "margin must be above 0.*got 0.0"),
-        ({"margin": float("nan")}, "margin must be above 0.*got nan"),
-        ({"margin": float("inf")}, "margin must be above 0.*got inf"),
-    ],
-)
-def test_choices_that_cannot_be_are_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Choices(**changes)
 
 
 @pytest.mark.parametrize(("module", "limit"), [(primary, "MOST_CELLS"), (parts, "MOST_DENSE")])

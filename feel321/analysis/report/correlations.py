@@ -20,17 +20,9 @@ from feel321.analysis.association.classic import compare_dependent, repeated_mea
 from feel321.analysis.association.correlate import correlate_items, make_panel
 from feel321.analysis.figures import kinds
 from feel321.analysis.figures.style import assign_looks
-from feel321.analysis.report.section import (
-    Found,
-    Part,
-    Picture,
-    Row,
-    Section,
-    list_rows,
-    split_parts,
-)
+from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows
 from feel321.analysis.standard import p1401
-from feel321.analysis.table.items import make_items
+from feel321.analysis.table.items import Part, make_items, split_tests
 from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart
 from feel321.analysis.table.schema import APART, CHOSEN, PAIRED, RECAST
@@ -51,7 +43,7 @@ def compute(table: Table, choices: Choices) -> Found:
     """Correlate mean ratings of stimuli with every metric."""
     rows: dict[str, list[Row]] = {"associations": [], "differences": [], "stimuli": []}
     notes, panels, told = list(_note_roles(table)), [], []
-    for part in split_parts(table):
+    for part in split_tests(table):
         rng, draws = choices.make_rng("metrics", *part.place), choices.draws
         panel = make_panel(part.rows, table.metrics, draws=draws, rng=rng, info=table.info)
         panels.append((part, panel))
@@ -193,7 +185,7 @@ def compute_further(table: Table, choices: Choices) -> Found:
     """Correlate mean ratings of stimuli with every metric that the analysis was not planned for."""
     rows: list[Row] = []
     notes: list[str] = []
-    for part in split_parts(table):
+    for part in split_tests(table):
         items, own = make_items(part.rows, table.further), []
         for place, metric in enumerate(table.further):
             alone = replace(items, metrics=items.metrics[[place]])
@@ -204,7 +196,7 @@ def compute_further(table: Table, choices: Choices) -> Found:
         rows += [row for one in own for row in list_association(part, one)]
         notes += _gather_notes(own, f"{part.lead}, further metrics", most=len(own))
     known = describe_explored(table.metrics)
-    meanings = {name: known[name].meaning for name in table.further}
+    meanings = {name: known[name] for name in table.further}
     facts = {"meanings": meanings} if rows else {}
     return Found({"further_associations": rows}, facts, notes=notes)
 
@@ -219,7 +211,7 @@ def compute_standard(table: Table, choices: Choices) -> Found:  # noqa: ARG001 -
     """Compute what other studies print."""
     notes: list[str] = []
     rows: dict[str, list[Row]] = {"p1401": [], "dependent": [], "repeated": []}
-    for part in split_parts(table):
+    for part in split_tests(table):
         items = make_items(part.rows, [*table.metrics, *table.further])
         rows["p1401"] += _judge(part, table, items, notes=notes)
         rows["dependent"] += _compare_classically(part, items, table.metrics, notes=notes)

@@ -20,8 +20,8 @@ from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
 from feel321.analysis.figures import kinds
 from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.section import Found, Part, Picture, Row, Section, list_rows, make_row
-from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST
+from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
+from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
 from feel321.analysis.table.schema import ANSWERED, APART, CHOSEN, HIGHEST, LABELS, PAIRED
 from feel321.analysis.words import ONE_WAY, format_count, format_level, format_name, join_words
 
@@ -48,7 +48,7 @@ def compute_choices(table: Table, choices: Choices) -> Found:
     told: list[Row] = []
     notes: list[str] = []
     pictures: list[Picture] = []
-    for part in parts.split_arms(table.rows[table.rows["scale"].isin(CHOSEN)]):
+    for part in split_arms(table.rows[table.rows["scale"].isin(CHOSEN)]):
         own = replace(table, rows=part.rows.reset_index(drop=True))
         found: list[str] = [*_count_catches(part, own, rows["choices_sizes"])]
         rng = choices.make_rng("choices", *part.place)

@@ -20,8 +20,8 @@ from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, conclude
 from feel321.analysis.replication.park import explain_spread
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.section import Found, Part, Picture, Row, Section, list_rows, make_row
-from feel321.analysis.table.items import format_recordings
+from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
+from feel321.analysis.table.items import Part, format_recordings, split_tests
 from feel321.analysis.table.schema import AMPLITUDE, STAND_INS
 from feel321.analysis.words import SATTERTHWAITE, TWO_WAY, format_count
 
@@ -215,7 +215,7 @@ def find_better(row: Mapping[Any, Any]) -> str:
 def _count_units(model: Primary) -> dict[str, int]:
     scene = SOURCE if model.n_sources < model.n_recordings else SCENE
     reducers = {REDUCER: model.n_reducers} if model.n_reducers else {}
-    return {parts.WHO: model.n_participants, scene: model.n_sources} | reducers
+    return {"participant": model.n_participants, scene: model.n_sources} | reducers
 
 
 # Rows.
@@ -299,7 +299,7 @@ def _compare_unbounded(
         keys: Row = {**part.keys, "metric": UNBOUNDED}
         ends: Row = {"low": ranks.low, "high": ranks.high, "n": ranks.n_items, "interval": TWO_WAY}
         yield make_row("ranks", ranks.value, **ends, **keys)
-        rest = cells.leave_out(parts.ITEM, item)
+        rest = cells.leave_out("item", item)
         for quantity, some in (("slope", cells), ("slope_without", rest)):
             row = fit_slopes(some).table.loc[UNBOUNDED].to_dict()
             keys |= {"n": len(some.table), "interval": SATTERTHWAITE}
@@ -392,7 +392,7 @@ def compute_rivals(table: Table, choices: Choices) -> Found:
     notes: list[str] = []
     pictures: list[Picture] = []
     rows: dict[str, list[Row]] = {"rivals": [], "rivals_picked": []}
-    for part in parts.split_parts(table) if table.rivals else ():
+    for part in split_tests(table) if table.rivals else ():
         try:
             ranking = _rank(part, table, choices)
         except ValueError as error:  # it was asked for, so the answer says why there is none
@@ -472,8 +472,8 @@ def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001
     notes: list[str] = []
     rows: list[Row] = []
     pictures: list[Picture] = []
-    for part in parts.split_parts(table):
-        cells = len(part.rows.groupby([parts.WHO, parts.ITEM], observed=True))
+    for part in split_tests(table):
+        cells = len(part.rows.groupby(["participant", "item"], observed=True))
         try:
             if cells > MOST_CELLS or parts.is_large(part.rows, len(table.metrics)):
                 raise ValueError(f"{cells} participant x stimulus cells are too many.")  # noqa: TRY301 - as a model's reasons

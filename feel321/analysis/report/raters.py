@@ -13,10 +13,10 @@ from feel321.analysis.primary.model import adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, list_changes
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.section import Found, Part, Picture, Row, Section, list_rows, make_row
+from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
 from feel321.analysis.screening.consistency import rater_model
 from feel321.analysis.screening.screen import screen_raters
-from feel321.analysis.table.items import recast_pairs
+from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
 from feel321.analysis.words import SATTERTHWAITE, format_name
 from feel321.names import MATCHES
@@ -56,7 +56,7 @@ def compute(table: Table, choices: Choices) -> Found:
     screening = screen_raters(single, own=choices.rules, rng=choices.make_rng("raters"))
     models: Models = []
     notes = list(screening.notes)
-    for part in parts.split_arms(single):  # hidden references and anchors included
+    for part in split_arms(single):  # hidden references and anchors included
         try:
             model = rater_model(part.rows)
         except ValueError as error:
@@ -130,11 +130,13 @@ def _list_screening(screening: Screening) -> dict[str, list[Row]]:
     keys = {"scale": "scale", "panel": "panel", "n": "n_items"}
     each = {"share": "share", "limit": "limit", "count": "count", "flagged": "hit"}
     expertise = {"expertise": "value - - p", "floor": "floor"}
+    shapes = ("multimodality", "outliers", "low_fence", "high_fence")
     return {
         "screening_rules": rules,
         "reliability": list_rows(panel, AGREEMENT, keys),
         "screening": list_rows(screening.table, each, ["rule", "participant", "n"]),
         "expertise": list_rows(screening.gauge, expertise, ["participant", "measure"]),
+        "shapes": list_rows(screening.items, shapes, {"stimulus": "item", "n": "n"}),
     }
 
 
@@ -161,11 +163,11 @@ def _list_models(models: Models) -> dict[str, list[Row]]:
 
 def _list_repeats(table: Table) -> Iterator[Row]:
     """Give the pooled standard deviation of a rater's repeated ratings of a stimulus."""
-    for part in parts.split_parts(table):
-        cells = part.rows.groupby([parts.WHO, parts.ITEM], observed=True)["rating"]
+    for part in split_tests(table):
+        cells = part.rows.groupby(["participant", "item"], observed=True)["rating"]
         repeated = cells.transform("size") > 1
         if n := int(repeated.sum()):
-            groups = part.rows[repeated].groupby([parts.WHO, parts.ITEM], observed=True)
+            groups = part.rows[repeated].groupby(["participant", "item"], observed=True)
             left = (part.rows["rating"] - cells.transform("mean"))[repeated]
             sd = float(np.sqrt((left**2).sum() / (n - len(groups))))
             yield make_row("sd", sd, n=n, **part.keys)
@@ -199,11 +201,11 @@ def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[Row]
 
 
 def _fit(part: Part, out: Sequence[Hashable], metrics: Sequence[str]) -> list[Row]:
-    left = part.rows.loc[~part.rows[parts.WHO].isin(out), parts.WHO].nunique()
+    left = part.rows.loc[~part.rows["participant"].isin(out), "participant"].nunique()
     own: Row = {"n_people": left, "reason": ""}
     try:
-        rest = make_cells(part.rows, metrics).leave_out(parts.WHO, *out)
-        if rest.count(parts.WHO) == 1 < part.rows[parts.WHO].nunique():
+        rest = make_cells(part.rows, metrics).leave_out("participant", *out)
+        if rest.count("participant") == 1 < part.rows["participant"].nunique():
             why = "One rater is left: an interval would not know how people differ."
             raise ValueError(why)  # noqa: TRY301 - a reason like those of the model
         slopes = fit_slopes(rest).table.reset_index().to_dict("records")

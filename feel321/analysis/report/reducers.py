@@ -18,8 +18,14 @@ from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.section import Found, Part, Picture, Row, Section, list_rows, make_row
-from feel321.analysis.table.items import find_sources, format_recordings
+from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
+from feel321.analysis.table.items import (
+    Part,
+    find_sources,
+    format_recordings,
+    select_tests,
+    split_arms,
+)
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, PAIR, PAIRED, ROLES
 from feel321.analysis.words import SATTERTHWAITE, STUDENT, format_count, join_words
@@ -61,7 +67,7 @@ def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - 
         "participants": list_rows(people, {"mean": "rating"}, PERSONAL, n=1),
     }
     told, drawn = [], []
-    for part in parts.split_arms(table.rows[table.rows["role"] == TEST]):
+    for part in split_arms(table.rows[table.rows["role"] == TEST]):
         own, whose = (
             frame[(frame["scale"] == part.scale) & (frame["level"] == part.level)]
             for frame in (profile, people)
@@ -209,7 +215,7 @@ def describe_hint(rows: DataFrame) -> list[str]:
 
 def compute_levels(table: Table, choices: Choices) -> Found:
     """Compare the levels at which stimuli were rated."""
-    tests, steps = parts.select_tests(table), parts.find_table_steps(table)
+    tests, steps = select_tests(table), parts.find_table_steps(table)
     if tests["level"].nunique() < NAMED:
         return Found()
     found: list[Row] = []

@@ -18,16 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from feel321.analysis.table.dictionary import DICTIONARY
-from feel321.analysis.table.items import find_sources, recast_pairs
+from feel321.analysis.table.items import Part, find_sources, split_tests
 from feel321.analysis.table.metrics import Step, find_steps
-from feel321.analysis.table.schema import APART
-from feel321.analysis.words import (
-    capitalise,
-    format_estimate,
-    format_level,
-    format_name,
-    format_number,
-)
+from feel321.analysis.words import format_estimate, format_name, format_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -330,73 +323,6 @@ def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]
     return pd.DataFrame(rows, columns=list(DESCRIBED))
 
 
-# Parts of the ratings: what one model or one correlation is about.
-
-ITEM, WHO, SCENE = "item", "participant", "recording"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """Ratings on one scale and one level; several: whether there are other levels; thinned: a note."""
-
-    scale: str
-    level: str
-    rows: DataFrame
-    several: bool = False
-    thinned: str = ""
-
-    @property
-    def ratings(self) -> str:
-        """How to call it within a sentence."""
-        return f"{format_name(self.scale)} ratings" + self._where
-
-    @property
-    def subject(self) -> str:
-        """How to call it at the head of a line."""
-        return capitalise(format_name(self.scale)) + self._where
-
-    @property
-    def _where(self) -> str:
-        return format_level(self.level * self.several)
-
-    @property
-    def place(self) -> tuple[str, str]:
-        """Scale and level."""
-        return self.scale, self.level
-
-    @property
-    def lead(self) -> str:
-        """What leads a note."""
-        return f"{self.scale}, {self.level}"
-
-    @property
-    def keys(self) -> dict[str, str]:
-        """What a row says of it."""
-        return {"scale": self.scale, "level": self.level}
-
-
-def split_arms(rows: DataFrame) -> Iterator[Part]:
-    """Split rows by scale, in their order, and level, by name."""
-    arms = dict(tuple(rows.groupby(["scale", "level"], observed=True)))
-    order = {scale: place for place, scale in enumerate(rows["scale"].unique())}
-    several = len({level for _, level in arms}) > 1
-    for scale, level in sorted(arms, key=lambda arm: (order[arm[0]], arm[1])):
-        yield Part(str(scale), str(level), arms[scale, level], several)
-
-
-def select_tests(table: Table, *, matched: bool = True) -> DataFrame:
-    """Select the ratings of single test stimuli, with metrics where asked for."""
-    rows = recast_pairs(table.rows)
-    rated = rows[(rows["role"] == "test") & ~rows["scale"].isin(APART)]
-    rated = rated[rated["matched"]] if matched and "matched" in rated else rated
-    return rated.assign(**{ITEM: rated["stimulus_id"]})
-
-
-def split_parts(table: Table, *, matched: bool = True) -> Iterator[Part]:
-    """Split the ratings of test stimuli by scale and level."""
-    return split_arms(select_tests(table, matched=matched))
-
-
 def find_table_steps(table: Table) -> dict[str, Step]:
     """Find the step of every metric of the primary analysis; one for all scales and levels."""
     tests = table.rows[table.rows["role"] == "test"].drop_duplicates("stimulus_id")
@@ -417,7 +343,7 @@ def thin_parts(
 ) -> Iterator[Part]:
     """Split the ratings of test stimuli into parts that a mixed model can be fitted to."""
     size = len(table.metrics) if n_slopes is None else n_slopes
-    for part in split_parts(table, matched=matched):
+    for part in split_tests(table, matched=matched):
         rng = choices.make_rng("thin", *part.place)
         rows, thinned = thin_rows(part.rows, n_slopes=size, rng=rng)
         yield replace(part, rows=rows, thinned=thinned and f"{part.lead}: {thinned}")
@@ -430,13 +356,13 @@ def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tu
     """
     sources, left = find_sources(rows), rows
     while is_large(left, n_slopes):
-        longer = max((WHO, SCENE), key=lambda name: left[name].nunique())
+        longer = max(("participant", "recording"), key=lambda name: left[name].nunique())
         names = sorted(left[longer].unique())
         half = len(names) // 2
         if half < FEWEST:
             break
         kept = list(rng.choice(names, size=half, replace=False))
-        if longer == SCENE and not sources.is_unique:
+        if longer == "recording" and not sources.is_unique:
             shuffled = sources.loc[rng.permutation(names)]
             copy = shuffled.groupby(shuffled).cumcount()
             kept = list(copy.sort_values(kind="stable").index[:half])
@@ -444,7 +370,8 @@ def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tu
     if len(left) == len(rows):
         return rows, ""
     told = " and ".join(
-        f"{left[name].nunique()} of {rows[name].nunique()} {name}s" for name in (WHO, SCENE)
+        f"{left[name].nunique()} of {rows[name].nunique()} {name}s"
+        for name in ("participant", "recording")
     )
     why = f"{len(rows)} ratings are too many for one fit"
     return left, f"mixed models use {told}, drawn at random: {why}."
@@ -452,10 +379,10 @@ def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tu
 
 def is_large(rows: DataFrame, n_slopes: int) -> bool:
     """Check whether a mixed model of these ratings would take gigabytes, or hours."""
-    cells = rows.groupby([WHO, ITEM], observed=True).size()
+    cells = rows.groupby(["participant", "item"], observed=True).size()
     levels = [
-        rows[WHO].nunique() * (1 + n_slopes), rows[SCENE].nunique(), rows[ITEM].nunique(),
-        len(rows[[WHO, SCENE]].drop_duplicates()),
+        rows["participant"].nunique() * (1 + n_slopes), rows["recording"].nunique(), rows["item"].nunique(),
+        len(rows[["participant", "recording"]].drop_duplicates()),
     ]  # fmt: skip
     # Unequal repeats bring a spread of their own.
     levels += [len(cells)] if cells.min() < cells.max() else []

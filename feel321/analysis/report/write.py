@@ -22,10 +22,10 @@ from feel321.analysis.report.folder import DETAILS, PAGE, ResultsFolder, list_fi
 from feel321.analysis.report.section import FIXED, Found, Row, Section
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
-from feel321.analysis.screening.rules import RULES, find_rules
-from feel321.analysis.table.items import find_sources, format_recordings
-from feel321.analysis.table.reading import Further, Table, find_tables, read_table
-from feel321.analysis.table.roster import ROSTER_FILE
+from feel321.analysis.screening.rules import RULES
+from feel321.analysis.screening.screen import find_rules
+from feel321.analysis.table.items import Table, find_sources, format_recordings
+from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import RECAST
 from feel321.doors import announce, as_seed, follow
 from feel321.records import Result, to_json_value

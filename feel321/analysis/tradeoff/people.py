@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.contrasts.compare import equivalence
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.report.section import split_arms
+from feel321.analysis.table.items import split_arms
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -53,8 +53,13 @@ def compare_rated(ratings: Table | DataFrame | None, *, margin: float | None = N
 def read_ratings(ratings: Table | DataFrame) -> DataFrame:
     """Take ratings of test stimuli; of a data frame every row is one, and nobody simulated, if not said."""
     from feel321.analysis.arrays import check_columns
-    from feel321.analysis.report.section import select_tests
-    from feel321.analysis.table.items import Table, leave_rejected, name_items, open_ratings
+    from feel321.analysis.table.items import (
+        Table,
+        leave_rejected,
+        name_items,
+        open_ratings,
+        select_tests,
+    )
 
     if isinstance(ratings, Table):
         return select_tests(ratings)

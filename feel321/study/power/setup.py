@@ -18,6 +18,7 @@ from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.report import section as parts
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table import reading
+from feel321.analysis.table.items import split_tests
 from feel321.doors import check_name
 from feel321.files import make_folder
 from feel321.protocols import trial
@@ -35,9 +36,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from feel321.analysis.power.truth import PowerDesign, Truth
-    from feel321.analysis.report.section import Part
+    from feel321.analysis.table.items import Part, Table
     from feel321.analysis.table.metrics import Step
-    from feel321.analysis.table.reading import Further, Table
+    from feel321.analysis.table.reading import Further
     from feel321.jobs import Workers
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
@@ -109,7 +110,7 @@ def set_up(
     choosing = {name: levels for name, levels in settings.between.items() if name in trial.CHOOSING}
     share = schema.count_groups(choosing)
     table = tabulate_plan(study, settings, stimuli, groups=share, further=further)
-    rated = list(parts.split_parts(table))
+    rated = list(split_tests(table))
     if not rated:
         names = ", ".join(settings.session.protocols)
         raise ValueError(
@@ -287,7 +288,7 @@ def _find_felt(settings: Settings, steps: Mapping[str, Step]) -> dict[str, float
 
 def _fit_pilot(table: Table, known: Mapping[str, Any], name: str) -> tuple[Truth, list[str]]:
     """Take the standard deviations of a pilot: the root mean square of those of all attributes."""
-    rated = list(parts.split_parts(table))
+    rated = list(split_tests(table))
     if not rated:
         raise ValueError(f"{name}: holds no rating of a single test stimulus; give other ratings")
     people = len({who for part in rated for who in part.rows[WHO]})

@@ -140,19 +140,6 @@ def test_a_scale_of_few_steps_is_known_by_its_steps() -> None:
     assert len(screen_raters(lazy, rules=["straight_lining"]).hits["straight_lining"]) == PEOPLE
 
 
-def test_neighbours_of_the_step_that_most_chose_are_no_outliers() -> None:
-    names = [f"s{number}" for number in range(10)]
-    rows = [
-        (f"p{who}", name, 75.0 if who != place % 8 else 50.0)
-        for who in range(8)
-        for place, name in enumerate(names)
-    ]
-    table = pd.DataFrame(rows, columns=["participant", "stimulus_id", "rating"])
-    assert screen_raters(table, rules=["outliers"]).count["outliers"].sum() == 0
-    far = table.assign(rating=table["rating"].where(table["participant"] != "p1", 25.0))
-    assert screen_raters(far, rules=["outliers"]).hits["outliers"] == ("p1",)
-
-
 @pytest.mark.skipif(
     not REAL.is_dir(), reason=f"{REAL} is missing: the real ratings are not part of the project"
 )
