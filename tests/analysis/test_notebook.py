@@ -58,25 +58,9 @@ def test_files_frames_and_a_folder_are_one_table(
 def test_a_table_has_the_shapes_that_others_take(realism: results.Table) -> None:
     assert realism.votes().shape == (36, 6)
     assert len(realism.items()) == 48
-    assert realism.wide().shape == (6, 48)
     assert realism.to_frame().equals(realism.rows)
     assert realism.summary().startswith("576 judgements: 6 participants, 48 stimulus")
     assert len(repr(realism)) <= 200
-    frame = realism.model_frame()
-    assert len(frame) == 6 * 36 * 2
-    primary = analysis.fit_primary(realism.rows, realism.metrics)
-    fitted = primary.fit
-    terms = fitted.fixed.index.drop("(Intercept)")
-    keys = ["participant", "recording", "item", "reducer"]
-    cells = frame.groupby(keys)[["rating", *terms]].mean().reset_index()
-    again = analysis.fit_mixed(fitted.formula, cells)
-    columns = ["estimate", "se", "t"]
-    pd.testing.assert_frame_equal(again.fixed[columns], fitted.fixed[columns])
-    most = 2.0 * (primary.n_sources - 1)
-    assert fitted.fixed["df"].tolist() == pytest.approx(again.fixed["df"].clip(upper=most).tolist())
-    assert {name.replace("`", "") for name in terms} <= set(frame)
-    of_recording = frame.groupby("recording")[["spectral_match_w"]].mean()
-    assert np.allclose(of_recording, 0, atol=1e-12)
 
 
 def test_ratings_in_memory_need_a_manifest(table: results.Table) -> None:

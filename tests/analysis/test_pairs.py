@@ -182,9 +182,6 @@ def test_a_dissimilarity_from_the_original_is_a_similarity_turned_round(
     assert recast["value"].to_numpy() == pytest.approx(plain["value"].to_numpy())
     assert recast["n_items"].to_list() == plain["n_items"].to_list()
     assert (plain["value"] > 0.3).all()
-    frame = Table(turned.assign(source=turned["recording"]), ("spectral_match",), ()).model_frame()
-    tested = likeness[likeness["role"] == "test"]
-    assert sorted(frame["rating"]) == pytest.approx(sorted(tested["rating"]))
 
 
 @pytest.mark.usefixtures("sketched")

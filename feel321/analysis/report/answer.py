@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 OPPOSITE = "opposite"
 NAMED = 2
-"""Exceptional reducers that the sentence names before it only counts."""
+"""Exceptional reducers, and findings of other protocols, that the sentence names before it only counts."""
 
 PLACE = ("scale", "level", "metric")
 BLANK = dict.fromkeys(("value", "low", "high"), math.nan)
@@ -93,7 +93,9 @@ def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
     if "raters" in found and any(card["unflagged"] for card in cards):
         clauses.append(_tell_unflagged(by_metric, found["raters"].facts))
     told = [text for one in found.values() for text in one.clauses]
-    return clauses + [{"kind": "other", "text": text} for text in told]
+    # More of them stand beneath the cards, where they would be said a second time.
+    shown = told if len(told) <= NAMED or not clauses else []
+    return clauses + [{"kind": "other", "text": text} for text in shown]
 
 
 def _group(cards: Sequence[Row], metrics: Sequence[str]) -> Iterator[Row]:

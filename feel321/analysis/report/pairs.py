@@ -22,10 +22,11 @@ from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
-from feel321.analysis.table.schema import ANSWERED, APART, CHOSEN, HIGHEST, LABELS, PAIRED
+from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, LABELS, PAIRED
 from feel321.analysis.words import ONE_WAY, format_count, format_level, format_name, join_words
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
@@ -109,8 +110,19 @@ def _predict(
         "chance. Band: the majority of the other participants, and of all."
     )
     slug = parts.make_slug("choices", *part.place)
-    pictures.append(Picture(slug, caption, partial(kinds.draw_shares, found)))
+    pictures.append(Picture(slug, caption, partial(_draw_shares, found)))
     return found.notes
+
+
+def _draw_shares(found: VotePrediction) -> Figure:
+    table = found.to_frame().sort_values("share", ascending=False, kind="stable")
+    frame = 100 * table[["share", "low", "high"]]
+    frame["name"] = table["metric"].map(format_name)
+    known = [100 * share for share in (found.others, found.majority) if np.isfinite(share)]
+    band = (min(known), max(known)) if known else (np.nan, np.nan)
+    label, columns = "Choices predicted (%)", "share low high"
+    lines = {"-": 50.0}
+    return kinds.draw_estimates(frame, label, columns=columns, lines=lines, band=band)
 
 
 def describe_prediction(part: Part, table: Table, found: VotePrediction) -> Row:
@@ -230,6 +242,8 @@ WILSON = "95 % interval that follows from Wilson's"
 
 def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
+    from pandas import DataFrame
+
     rows = table.rows[(table.rows["scale"] == ANSWERED) & (table.rows["role"] != "reference")]
     right = rows["rating"] == HIGHEST
     trials = rows.assign(first=rows["reducer"], second="reference", correct=right)
@@ -253,12 +267,16 @@ def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: AR
     listed = list_rows(records, quantities, keys, interval=WILSON)
     apart, n = sum(p < parts.SIGNIFICANCE for p in adjusted), len(found)
     listed += parts.count_rows({"n_distinguished": apart, "n_compared": n}, n=n)
-    named = {f"{reducer} ({format_name(str(level))})": one for (level, reducer), one in found.items()}  # fmt: skip
     caption = (
         "d' in ABX trials of each reducer against its reference, with 95 % intervals that follow from Wilson's; 0 is "
         "guessing. In brackets: correct answers of trials."
     )
-    picture = Picture("discrimination", caption, partial(kinds.draw_discrimination, named))
+    frame = DataFrame(records).rename(columns={"d_independent": "d"})
+    tried = frame["n_correct"].astype(str) + "/" + frame["n_trials"].astype(str)
+    frame["name"] = frame["reducer"] + " (" + frame["level"].map(format_name) + ") (" + tried + ")"
+    columns = "d d_independent_low d_independent_high"
+    draw = partial(kinds.draw_estimates, frame, "d′", columns=columns)
+    picture = Picture("discrimination", caption, draw)
     clause = f"{apart} of {n} reducers and anchors were distinguished from their reference"
     facts = {"apart": apart, "n": n}
     return Found({"discrimination": listed}, facts, [picture], notes, clauses=[clause])
@@ -314,7 +332,7 @@ def compute_space(table: Table, choices: Choices) -> Found:
     notes: list[str] = []
     pictures: list[Picture] = []
     told: list[Row] = []
-    tables = ("space", "space_stress", "space_metrics", "space_properties")
+    tables = ("space", "space_stress", "space_metrics")
     rows: dict[str, list[Row]] = {name: [] for name in tables}
     for level in sorted(dissimilar["level"].unique()):
         rng, draws = choices.make_rng("space", level), min(DRAWS, max(choices.draws, 3))
@@ -338,7 +356,9 @@ def compute_space(table: Table, choices: Choices) -> Found:
         for number, value in enumerate(stress, start=1):
             rows["space_stress"].append(make_row("stress", value, dimensions=number, **keys))
         try:
-            attributes = _measure(table, names, level)
+            rated = table.rows[table.rows["level"] == level].drop_duplicates("stimulus_id")
+            means = rated.groupby("reducer", observed=True)[list(table.metrics)].mean()
+            attributes = means.reindex(list(names))
             rng = choices.make_rng("space", level, "procrustes")
             found = _relate(ellipses, attributes, rows, keys=keys, draws=choices.draws, rng=rng)
             told.append({"level": level, **found})
@@ -370,38 +390,20 @@ def _list_places(
     return list_rows(records, quantities, ["reducer"], **keys)
 
 
-def _measure(table: Table, names: Sequence[str], level: str) -> DataFrame:
-    """Average metrics and ratings per reducer; NaN where there are none."""
-    import pandas as pd
-
-    rows = table.rows[table.rows["level"] == level]
-    stimuli = rows.drop_duplicates("stimulus_id").groupby("reducer", observed=True)
-    single, ratings = rows[~rows["scale"].isin(APART)], pd.DataFrame()
-    if len(single):
-        ratings = single.pivot_table("rating", "reducer", "scale", observed=True)
-    metrics = stimuli[list(table.metrics)].mean()
-    return metrics.join(ratings.add_prefix("rated ")).reindex(list(names))
-
-
 def _relate(
     ellipses: spaces.Ellipses, attributes: DataFrame, rows: dict[str, list[Row]], *, keys: Row, draws: int,
     rng: np.random.Generator,
 ) -> Row:  # fmt: skip
-    """Compare the map with metrics and mean ratings."""
+    """Compare the map with the metrics of its stimuli."""
     known = attributes.notna().all(axis=1).to_numpy()
-    attributes = attributes[known]
-    attributes = attributes.loc[:, attributes.std() > 0]
-    metrics = attributes[[name for name in attributes if not str(name).startswith("rated ")]]
-    positions = ellipses.space.positions[known]
+    metrics = attributes[known]
+    metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
+    positions = ellipses.space.positions[known]
     aligned = spaces.align_spaces(positions, scaled, permutations=draws, rng=rng)
-    named = {str(name): attributes[name] for name in attributes}
-    found = spaces.regress_attributes(positions, named).rename_axis("property").reset_index()
-    found["p"] = adjust_holm(found["p"].tolist())
     note = f"{aligned.permutations} pairings"
     row = make_row("procrustes", aligned.correlation, p=aligned.p, note=note, **keys)
     rows["space_metrics"].append(row)
-    rows["space_properties"] += list_rows(found, {"r2": "r2 - - p"}, ["property"], **keys)
     return {"r": aligned.correlation, "p": aligned.p, "shown": aligned.p < parts.SIGNIFICANCE}
 
 

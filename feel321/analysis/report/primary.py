@@ -23,7 +23,7 @@ from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
 from feel321.analysis.table.items import Part, format_recordings, split_tests
 from feel321.analysis.table.schema import AMPLITUDE, STAND_INS
-from feel321.analysis.words import SATTERTHWAITE, TWO_WAY, format_count
+from feel321.analysis.words import SATTERTHWAITE, TWO_WAY, format_count, format_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -436,7 +436,11 @@ def _draw_ranking(part: Part, one: Ranking, *, detail: bool) -> Picture:
     level = one.table["value"].to_dict().get(one.baseline, np.nan)
     scenes = format_recordings(one.n_recordings, one.n_sources)
     size = f"{one.n_participants} participants, {scenes}, {one.n_items} stimuli"
-    draw = partial(kinds.draw_ranking, one.table, ceiling=one.ceiling, level=level, size=size)
+    frame = one.to_frame().rename(columns={"may_be_best": "filled"})
+    frame["name"] = frame["metric"].map(format_name)
+    lines = {"-": 0.0, "--": one.ceiling, ":": level}
+    title, label = f"{len(frame)} metrics, {size}.", "Correlation within recordings, out of fold"
+    draw = partial(kinds.draw_estimates, frame, label, lines=lines, title=title)
     return Picture(parts.make_slug("rivals", *part.place), caption, draw, detail)
 
 
@@ -486,7 +490,10 @@ def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001
             "intervals; hollow: singular fit."
         )
         slug = parts.make_slug("variants", *part.place)
-        draw = partial(kinds.draw_variants, varied)
+        frame = varied.rename(columns={"variant": "name"}).assign(filled=~varied["singular"])
+        columns = "standardised standardised_low standardised_high"
+        label = "SD of ratings per SD of metric"
+        draw = partial(kinds.draw_estimates, frame, label, columns=columns, series="metric")
         pictures.append(Picture(slug, caption, draw, detail=bool(pictures)))
         rows += _list_variants(part, varied)
         own = varied.drop_duplicates("variant").set_index("variant")["reason"]

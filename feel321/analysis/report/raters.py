@@ -22,6 +22,7 @@ from feel321.analysis.words import SATTERTHWAITE, format_name
 from feel321.names import MATCHES
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
@@ -83,14 +84,25 @@ def compute(table: Table, choices: Choices) -> Found:
         "Flagged raters should be followed up, not automatically excluded."
     )
     flagged = {str(who) for rule in screening.hits.values() for who in rule}
-    drawn = [(part.subject, model) for part, model in models]
-    picture = Picture("raters", caption, partial(kinds.draw_raters, drawn, flagged))
+    picture = Picture("raters", caption, partial(_draw_raters, models, flagged))
     listed = _list_screening(screening) | _list_models(models)
     listed |= {
         "repeats": list(_list_repeats(table)),
         "slopes_without_hits": _list_slopes(table, slopes),
     }
-    return Found(listed, facts, [picture] if drawn else [], notes)
+    return Found(listed, facts, [picture] if models else [], notes)
+
+
+def _draw_raters(models: Models, flagged: set[str]) -> Figure:
+    from pandas import concat
+
+    frame = concat(model.to_frame().assign(series=part.subject) for part, model in models)
+    half = NORMAL * frame["inconsistency_se"]
+    frame = frame.assign(low=frame["inconsistency"] - half, high=frame["inconsistency"] + half)
+    frame["name"] = frame["participant"].astype(str)
+    frame = frame.assign(filled=frame["name"].isin(flagged)).sort_values("name", kind="stable")
+    label, columns = "Inconsistency (points)", "inconsistency low high"
+    return kinds.draw_estimates(frame, label, columns=columns, series="series")
 
 
 def list_flagged(screening: Screening, group: str) -> list[Hashable]:

@@ -101,7 +101,7 @@ def _caption_profiles(drawn: list[tuple[str, DataFrame, DataFrame]]) -> str:
         caption += "; one participant each, so no intervals."
     else:
         caption += ", with 95 % t intervals over participants: other people, these recordings."
-    caption += " Grey: each participant's mean; clouds: their distribution."
+    caption += " Grey: each participant's mean."
     if any((rows["scale"] == ANSWERED).any() for _, rows, _ in drawn):
         caption += " Guessing gives 50 in ABX."
     there = {role for _, rows, _ in drawn for role in rows["role"]}
@@ -188,8 +188,10 @@ def _list_pair(part: Part, pair: Row) -> Iterator[Row]:
 
 
 def _picture_equivalence(part: Part, pairs: list[Row], margin: float | None) -> Iterator[Picture]:
-    tests = {f"{one['first']} − {one['second']}": one["test"] for one in pairs if "test" in one}
-    if not tests:
+    from pandas import DataFrame
+
+    tested = [one | {"name": f"{one['first']} − {one['second']}"} for one in pairs if "test" in one]
+    if not tested or margin is None:
         return
     scenes = find_sources(part.rows)
     people = format_count(part.rows["participant"].nunique(), "participant")
@@ -199,7 +201,11 @@ def _picture_equivalence(part: Part, pairs: list[Row], margin: float | None) -> 
         f"{format_recordings(len(scenes), scenes.nunique())}."
     )
     slug = parts.make_slug("equivalence", *part.place)
-    yield Picture(slug, caption, partial(kinds.draw_equivalence, tests), detail=True)
+    frame = DataFrame(tested).rename(columns={"equivalent": "filled"})
+    label, columns = "Difference (points of rating)", "estimate low90 high90"
+    band = (-margin, margin)
+    draw = partial(kinds.draw_estimates, frame, label, columns=columns, band=band)
+    yield Picture(slug, caption, draw, detail=True)
 
 
 def describe_hint(rows: DataFrame) -> list[str]:

@@ -143,29 +143,6 @@ class Table(Result):
         rows, _ = open_tests(self)
         return rows.pivot_table("rating", STIMULUS, "participant", observed=True)
 
-    def model_frame(self) -> DataFrame:
-        """Make the table that a mixed model takes, here or in R.
-
-        Returns
-        -------
-        DataFrame
-            A row per judgement of a test stimulus: participant, item, recording, source, reducer, scale, level,
-            repetition, rating, and of every metric the value, its part within the recording (``_w``: minus the mean
-            over the recording's stimuli) and between recordings (``_b``: that mean).
-        """
-        kept = ["participant", "item", "recording", "source", "reducer", *ARMS, "repetition"]
-        parts = []
-        for part in split_tests(self):
-            rows = part.rows.rename(columns={"repeat": "repetition"})
-            items = rows.drop_duplicates("item").set_index("item")
-            means = items.groupby("recording", observed=True)[list(self.metrics)].transform("mean")
-            within = items[list(self.metrics)] - means
-            both = within.add_suffix("_w").join(means.add_suffix("_b"))
-            parts.append(rows[[*kept, "rating", *self.metrics]].join(both, on="item"))
-        from pandas import concat
-
-        return concat(parts, ignore_index=True)
-
     def to_frame(self) -> DataFrame:
         """Return the judgements.
 

@@ -93,7 +93,6 @@ def test_rules_of_mushra_are_not_applied_to_other_protocols(protocol: str) -> No
     bound = [name for name, rule in RULES.items() if rule.protocols == SIGHTED]
     found = screen_raters(table)
     assert found.share[bound].isna().all(axis=None)
-    assert found.excerpts.empty
     note = f"Rules {', '.join(map(repr, bound))} not applied: for MUSHRA ratings, where the reference is in sight; "
     assert f"{note}these are of {protocol}." in found.notes
     # The same ratings as MUSHRA: nearly nobody knows the reference again.

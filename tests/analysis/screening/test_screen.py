@@ -147,9 +147,6 @@ def test_an_excerpt_that_the_anchor_did_not_degrade_does_not_count(
         lenient & (table["reducer"] == "anchor_mid") & (table["recording"] == "r0"), "rating"
     ] = 95.0
     found = screen_raters(table, rules=["mid_anchor", "hidden_reference"])
-    assert found.excerpts.set_index("recording")["counts"].to_dict() == {
-        f"r{n}": n > 0 or counts for n in range(10)
-    }
     assert (found.table["n"] == (20 if counts else 18)).all()
 
 
