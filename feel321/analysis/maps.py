@@ -90,17 +90,8 @@ def map_groups(rows: DataFrame, *, draws: int, rng: np.random.Generator) -> list
         except ValueError:
             continue
         if own_names == names:
-            found.append(
-                GroupMap(
-                    kind,
-                    name,
-                    names,
-                    own,
-                    space,
-                    ellipses,
-                    n_recordings=len(part["recording"].unique()),
-                )
-            )
+            n = len(part[RECORDING].unique())
+            found.append(GroupMap(kind, name, names, own, space, ellipses, n))
     return found
 
 

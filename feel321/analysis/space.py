@@ -22,8 +22,6 @@ from feel321.doors import as_rng
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import ArrayLike
     from pandas import DataFrame
 
@@ -388,61 +386,6 @@ def align_spaces(
     disparity = max(0.0, 1 - agreement**2)
     aligned = _align(one, other)
     return Alignment(disparity, float(np.sqrt(1 - disparity)), p, aligned, permutations)
-
-
-def regress_attributes(
-    positions: Space | ArrayLike, attributes: Mapping[str, ArrayLike]
-) -> DataFrame:
-    """Find the direction of the map along which each attribute grows.
-
-    Returns a row per attribute: ``r2``, ``f``, ``df``, ``p`` of the regression on all dimensions, and the unit vector
-    ``axis_1``, ``axis_2``, ... in which it grows.
-
-    Notes
-    -----
-    Ordinary least squares of the attribute on the positions ("property fitting"). Dimensions of a map may be
-    turned freely, so that only the direction and R² have a meaning, not single coefficients. With S stimuli
-    and D dimensions R² is D / (S - 1) by chance; p is for one attribute: apply Holm to several.
-
-    References
-    ----------
-    Borg & Groenen (2005), Modern Multidimensional Scaling, chapter 4, doi 10.1007/0-387-28981-X.
-    """
-    import statsmodels.api as sm
-    from pandas import DataFrame
-
-    place = _check_positions(positions, "positions")
-    n, width = place.shape
-    if n < width + 2:
-        raise ValueError(
-            f"positions must be of {width + 2} stimuli or more for a regression in {width} dimensions, got {n}"
-        )
-    rows = {}
-    for name, given in attributes.items():
-        values = _read_attribute(given, name, n)
-        if np.linalg.matrix_rank(place - place.mean(axis=0)) < width:
-            raise ValueError(
-                f"positions must have independent dimensions, got {width}, one of which follows from the others; "
-                "leave it out"
-            )
-        fit = sm.OLS(values, sm.add_constant(place, has_constant="add")).fit()
-        axis = fit.params[1:] / np.linalg.norm(fit.params[1:])
-        tests = {"r2": fit.rsquared, "f": fit.fvalue, "df": int(fit.df_resid), "p": fit.f_pvalue}
-        rows[name] = tests | {f"axis_{number}": part for number, part in enumerate(axis, start=1)}
-    return DataFrame.from_dict(rows, orient="index")
-
-
-def _read_attribute(given: ArrayLike, name: str, n: int) -> Values:
-    values = read_numbers(given, what=f"attribute '{name}'")
-    if values.shape != (n,) or not np.isfinite(values).all():
-        raise ValueError(
-            f"attribute '{name}' must be {n} finite numbers, one per stimulus, got shape {values.shape}"
-        )
-    if ((values - values.mean()) ** 2).sum() <= FLAT * (values**2).sum():
-        raise ValueError(
-            f"attribute '{name}' must differ between stimuli, got one value; leave it out"
-        )
-    return values
 
 
 def bootstrap_space(

@@ -59,24 +59,6 @@ def test_the_difference_is_what_was_lost_on_the_way(small: object) -> None:
     assert section.pictures[0].figure.axes
 
 
-def test_a_constant_loss_changes_no_slope_but_a_lost_metric_does(small: object) -> None:
-    def vary(table: Table) -> pd.DataFrame:
-        (part,) = split_tests(table)
-        found = vary_primary(part.rows, table.metrics, leave_out=False)
-        return found.set_index(["variant", "metric"])["estimate"]
-
-    slopes = vary(deliver(small))
-    for name in ("spectral_match", "temporal_match"):
-        assert slopes["delivered metrics", name] == pytest.approx(slopes["primary", name], rel=1e-4)
-    ratings = pd.read_csv(small.ratings)
-    codes = ratings["stimulus_id"].factorize()[0]
-    noise = np.random.default_rng(3).uniform(0, 1, codes.max() + 1)
-    slopes = vary(deliver(small, spectral_match_delivered=noise[codes]))
-    assert abs(slopes["delivered metrics", "spectral_match"]) < 0.4 * abs(
-        slopes["primary", "spectral_match"]
-    )
-
-
 def write_roster(study: object, odd: tuple[str, ...], *, column: str = "rig") -> None:
     people = pd.read_csv(study.ratings)["participant"].unique()
     values = [ODD if who in odd else USUAL for who in people]

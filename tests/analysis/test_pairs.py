@@ -130,20 +130,6 @@ def test_pairs_are_told_apart_by_both_where_repeats_count(
         read_table(*paths)
 
 
-def test_other_references_than_the_recording_are_noted(
-    write: Callable[..., tuple[Path, Path]],
-) -> None:
-    references = ["surface", "surface", "dft321", "ghost", "orig", ""]
-    table = read_table(*write([("p", "similarity", "mag321", name, 40) for name in references]))
-    assert [note for note in table.notes if note.startswith("Scale")] == [
-        "Scale 'similarity': 2 judgements were made against the real surface; the metrics compare with the recording.",
-        "Scale 'similarity': 1 judgements were made against what 'dft321' made of the recording; the metrics compare "
-        "with the recording: none enters an association or a slope.",
-        "Scale 'similarity': 1 judgements were made against what the manifest does not list; the metrics compare with "
-        "the recording.",
-    ]
-
-
 def test_metrics_speak_only_of_what_was_judged_against_its_recording(
     write: Callable[..., tuple[Path, Path]],
 ) -> None:

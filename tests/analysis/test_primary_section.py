@@ -142,22 +142,6 @@ def test_a_declared_metric_without_a_slope_is_not_passed_over(
     assert list(verdicts) == list(TIDY)
 
 
-@pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize("n_reducers", [2, 3, 4, 5])
-def test_few_reducers_are_handled_as_few_people_are(
-    tidy: Callable[..., pd.DataFrame], n_reducers: int
-) -> None:
-    rows = tidy(1, participants=8, recordings=6, spectral=0.0, temporal=60.0)
-    kept = rows["reducer"].isin(["sax321", "soc321", "dft321", "saz321", "pca321"][:n_reducers])
-    found = compute(rows[kept], TIDY[1:])
-    lacks, few = n_reducers < 3, n_reducers < 5
-    (verdict,) = found.verdicts
-    assert verdict["verdict"] == ("not_estimable" if lacks else "predicts")
-    assert verdict["few"] == ([f"{n_reducers} reducers"] if few else [])
-    if lacks:
-        assert all(math.isnan(row["low"]) for row in found.rows["slopes"])
-
-
 # What single stimuli, recordings and reducers do to the slopes: planted, found and named.
 
 

@@ -225,6 +225,7 @@ def test_pages_read_well_without_eyes(report: Path, name: str) -> None:
     assert all(image["alt"] for image in page.find("img"))
     assert len(page.find("table")) == len(page.find("caption"))
     assert all(cell.get("scope") for cell in page.find("th"))
+    assert '<th scope="row"></th>' not in text
     levels = [int(tag[1]) for tag, _ in page.tags if tag in {"h1", "h2", "h3", "h4"}]
     assert levels.count(1) == 1 == levels[0]
     assert all(below <= above + 1 for above, below in pairwise(levels))

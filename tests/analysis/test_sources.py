@@ -109,25 +109,6 @@ def test_sources_are_left_out_whole(rows: pd.DataFrame) -> None:
     assert names == ["without source 0", "without source 1", "without source 2"]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda rows: rows.drop(columns="reducer"),
-            "15 recordings of 5 sources and no column 'reducer'",
-        ),
-        (lambda rows: rows.assign(source=rows["reducer"]), "got two sources of recording 0"),
-        (lambda rows: rows.assign(reducer=rows["participant"]), "got item 0 with two reducers"),
-    ],
-)
-def test_sources_that_contradict_the_table_are_refused(
-    rows: pd.DataFrame, change: Callable[[pd.DataFrame], pd.DataFrame], message: str
-) -> None:
-    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared below
-        fit_primary(change(rows), METRICS)
-    assert message in str(caught.value)
-
-
 def copy_files(files: Callable[..., object], **design: object) -> tuple[object, dict[str, str]]:
     """Write a study in which every recording occurs three times, rated the same."""
     study = files(participants=6, recordings=4, scales=("realism",), anchors=False, **design)

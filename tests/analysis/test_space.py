@@ -9,7 +9,6 @@ from feel321.analysis.space import (
     bootstrap_space,
     fit_space,
     refit_space,
-    regress_attributes,
     stress_by_dimension,
 )
 
@@ -140,19 +139,6 @@ def test_a_map_with_fewer_dimensions_is_filled_up() -> None:
     )
 
 
-def test_an_attributes_direction_is_found() -> None:
-    place, _ = make_people(stimuli=40)
-    rng = np.random.default_rng(0)
-    attributes = {"rough": place @ [3, 4] + rng.normal(0, 0.1, 40), "noise": rng.normal(size=40)}
-    table = regress_attributes(place, attributes)
-    assert table.loc["rough", ["axis_1", "axis_2"]].to_numpy(float) == pytest.approx(
-        [0.6, 0.8], abs=0.03
-    )
-    assert table.loc["rough", "r2"] > 0.99
-    assert table.loc["noise", "p"] > 0.01
-    assert table.loc["noise", "df"] == 37
-
-
 def test_ellipses_shrink_with_participants_and_follow_the_movement() -> None:
     few = bootstrap_space(make_people(6, noise=0.6)[1], draws=40, rng=np.random.default_rng(0))
     many = bootstrap_space(make_people(48, noise=0.6)[1], draws=40, rng=np.random.default_rng(0))
@@ -250,22 +236,6 @@ def test_impossible_requests_are_refused() -> None:
         ValueError, match="reference must have a shape, got all stimuli in one place"
     ):
         align_spaces(place, np.full((4, 2), 33.3), rng=rng)
-    with pytest.raises(
-        ValueError,
-        match="positions must be of 4 stimuli or more for a regression in 2 dimensions, got 3",
-    ):
-        regress_attributes(place[:3], {})
-    with pytest.raises(ValueError, match="attribute 'a' must be 4 finite numbers"):
-        regress_attributes(place, {"a": [1, 2]})
-    with pytest.raises(ValueError, match="attribute 'a' must differ between stimuli"):
-        regress_attributes(place, {"a": [33.3] * 4})
-    with pytest.raises(
-        ValueError,
-        match="positions must have independent dimensions, got 2, one of which follows from the others",
-    ):
-        regress_attributes(place, {"a": [1, 2, 3, 5]})
-    with pytest.raises(ValueError, match="positions must hold numbers, got 'x'"):
-        regress_attributes([["x", 1], [2, 3], [4, 5], [5, 9]], {"a": [1, 2, 3, 5]})
     with pytest.raises(ValueError, match="dissimilarities must be of two participants or more"):
         bootstrap_space(GOOD, rng=rng)
     with pytest.raises(ValueError, match="draws must be 3 or more, got 2"):

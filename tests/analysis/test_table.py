@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 import pytest
 
-from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.reading import read_table
-from feel321.stimuli.reducers.registry import REDUCERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -92,28 +90,11 @@ def test_without_trials_the_repeat_tells_judgements_apart(files: Callable[..., o
         read(study)
 
 
-def test_a_match_above_one_is_noted(files: Callable[..., object]) -> None:
-    study = files()
-    edit(study.manifest, set_cell("spectral_match", 1.5, row=2))
-    (note,) = read(study).notes
-    assert note.startswith(
-        "'spectral_match' is above 1, which no match can be, for 1 stimuli, first 'rec0_"
-    )
-
-
 def test_a_missing_file_is_an_oserror_that_names_it(files: Callable[..., object]) -> None:
     study = files()
     study.manifest.unlink()
     with pytest.raises(OSError, match=re.escape(os.fspath(study.manifest))):
         read(study)
-
-
-def test_reducers_keep_the_one_order() -> None:
-    assert order_reducers(["zebra", *reversed(list(REDUCERS)), "ape"]) == [
-        *REDUCERS,
-        "ape",
-        "zebra",
-    ]
 
 
 def add_columns(study: object, **columns: object) -> None:

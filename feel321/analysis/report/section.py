@@ -160,6 +160,8 @@ def show_table(form: TableForm, rows: Sequence[Row]) -> dict[str, Any]:
     >>> show_table(form, [make_row("r", 0.5, low=0.1, high=0.8, p=0.02, scale="mushra")])["rows"]
     [('MUSHRA', '0.50', '0.10 to 0.80', '0.020')]
     """
+    known = {column.quantity for column in form.columns}
+    rows = [row for row in rows if row["quantity"] in known]
     keys = {
         key: head.lstrip("?")
         for key, head in form.keys.items()

@@ -88,22 +88,6 @@ def test_what_cannot_be_read_is_one_line_and_no_report(
     assert not out.exists()
 
 
-ONLY = {
-    "references only": lambda f: f[f["reducer"] == "original"],
-    "anchors only": lambda f: f[f["reducer"] == "anchor_low"],
-}
-
-
-@pytest.mark.parametrize("change", ONLY.values(), ids=ONLY)
-def test_without_test_stimuli_there_is_no_analysis(
-    small: object, folder: Path, change: Change
-) -> None:
-    edit(small.ratings, change)
-    with pytest.raises(ValueError, match="must be of one stimulus or more with role 'test'"):
-        write_report(small.ratings, small.manifest, folder, draws=2, rng=0)
-    assert not folder.exists()
-
-
 def set_ratings(make: Callable[[pd.DataFrame], object]) -> Change:
     return lambda frame: frame.assign(rating=make(frame))
 

@@ -166,15 +166,6 @@ def test_scales_are_not_pooled(name: str, tidy: Callable[..., pd.DataFrame]) -> 
         CALLS[name](both)
 
 
-def test_references_of_another_level_and_levels_in_decibels_are_no_arms(
-    rated: pd.DataFrame,
-) -> None:
-    named = rated.assign(level=rated["level"].mask(rated["role"] != "test", "reference"))
-    check_equal(CALLS["fit_primary"](named), CALLS["fit_primary"](rated))
-    numbers = rated.assign(level=rated.groupby("stimulus_id").ngroup() % 7)
-    assert analysis.correlate(numbers, "level", draws=2, rng=make_rng()).metric == "level"
-
-
 def test_no_table_and_doubled_columns_are_refused(rated: pd.DataFrame) -> None:
     no_table: Any = {"rating": [1.0]}
     with pytest.raises(
