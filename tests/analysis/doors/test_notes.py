@@ -15,7 +15,7 @@ from feel321.analysis.table.metrics import describe_further, describe_manifest
 from feel321.analysis.table.reading import ROSTER, read_table
 from feel321.analysis.table.schema import LABELS, RATINGS
 from feel321.stimuli.sets.manifest import COLUMN_UNITS
-from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
+from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.settings.read import list_origins, read_settings
 
 if TYPE_CHECKING:
