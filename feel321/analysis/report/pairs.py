@@ -410,6 +410,11 @@ def _relate(
 # Maps of groups of recordings: interactions and surfaces.
 
 
+ATTRIBUTE = {
+    "r2": "r2 - - p_holm", "axis_1": "axis_1", "axis_2": "axis_2", "p_unadjusted": "p", "p_least": "p_least",
+}  # fmt: skip
+
+
 def compute_maps(table: Table, choices: Choices) -> Found:
     """Map dissimilarities per interaction and surface, beside the map of all recordings."""
     rows = table.rows[table.rows["scale"] == PAIRED]
@@ -454,10 +459,7 @@ def compute_maps(table: Table, choices: Choices) -> Found:
             notes += [f"{lead}: {note}" for note in _note_points(points, attributes)]
         except ValueError as error:
             notes.append(f"{lead}: axes are not compared with attributes. {error}")
-        quantities = {"r2": "r2 - - p_holm", "axis_1": "axis_1", "axis_2": "axis_2"}
-        quantities |= {"p_unadjusted": "p", "p_least": "p_least"}
-        names = ["property", "n"]
-        found["maps_attributes"] += list_rows(attributes, quantities, names, level=level)
+        found["maps_attributes"] += list_rows(attributes, ATTRIBUTE, ["property", "n"], level=level)
         told.append({
             "level": level, "agreement": list(_find_least(agreement)), "attributes": attributes,
             "clear": [row for row in attributes if row["p_holm"] < parts.SIGNIFICANCE],
