@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from feel321.analysis.association.correlate import Panel
     from feel321.analysis.primary.model import Primary
-    from feel321.analysis.space import Ellipses
+    from feel321.records import Statistic
 
     Values = NDArray[np.float64]
 
@@ -438,7 +438,7 @@ ORIGINAL, STAR = "original", Look(style.BLACK, "*")
 """The hidden reference, and how it is drawn."""
 
 
-def draw_space(ellipses: Ellipses, names: Sequence[str]) -> Figure:
+def draw_space(ellipses: Statistic, names: Sequence[str]) -> Figure:
     """Draw the group's map with an ellipse per stimulus; a star is the original."""
     from matplotlib.patches import Ellipse
 

@@ -7,7 +7,7 @@ and is made in `feel321.analysis.report.primary`; correlations are beside it, fo
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
@@ -29,9 +29,10 @@ from feel321.analysis.table.schema import APART, CHOSEN, PAIRED, RECAST
 from feel321.analysis.words import TWO_WAY, format_method, format_name
 
 if TYPE_CHECKING:
-    from feel321.analysis.association.correlate import Association, Panel
+    from feel321.analysis.association.correlate import Panel
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Items, Table
+    from feel321.records import Statistic
 
 LEADING, RANKED, DRAWN = "pearson", "spearman", "within"
 """The method that the words give, the one it is checked against, and the one that scatters and cards give."""
@@ -53,7 +54,7 @@ def compute(table: Table, choices: Choices) -> Found:
             quantities = {"difference": "value low high", "difference_z": "z_value z_low z_high"}
             pair = {"metric": "first", "second_metric": "second", "n": "n_items"}
             own: Row = {"method": format_method(two.method), "interval": TWO_WAY, **part.keys}
-            rows["differences"] += list_rows([asdict(two)], quantities, pair, **own)
+            rows["differences"] += list_rows([two], quantities, pair, **own)
         keys = {"stimulus": "stimulus_id", "recording": "recording", "reducer": "reducer"}
         keys["n"] = "n_participants"
         mean = {"mean": "mean low high"}
@@ -80,10 +81,10 @@ def _find_ranges(panels: Sequence[Row]) -> list[Row]:
     return [{"metric": name, "low": min(r), "high": max(r)} for name, r in found.items()]
 
 
-def list_association(part: Part, one: Association) -> list[Row]:
+def list_association(part: Part, one: Statistic) -> list[Row]:
     """List the rows of one correlation."""
     keys = {"metric": one.metric, "method": format_method(one.method), "n": one.n_items}
-    record = asdict(one)
+    record = dict(one)
     own: Row = {**part.keys, **keys}
     rows = list_rows([record], {"r": "value low high"}, interval=TWO_WAY, **own)
     narrow = {"r_participants_only": "value participants_low participants_high"}
@@ -218,7 +219,7 @@ def compute_standard(table: Table, choices: Choices) -> Found:  # noqa: ARG001 -
         for name in table.metrics:
             columns = [part.rows[key].to_numpy() for key in (name, "rating", "participant")]
             try:
-                found = asdict(repeated_measures_correlation(*columns))
+                found = repeated_measures_correlation(*columns)
             except ValueError as error:
                 notes.append(f"{part.lead}, repeated-measures correlation with {name}: {error}")
                 continue
@@ -237,7 +238,7 @@ def _judge(part: Part, table: Table, items: Items, *, notes: list[str]) -> Itera
         higher = table.info[name].higher if name in table.info else None
         votes, values = items.ratings.T, items.metrics[place]
         try:
-            found = asdict(p1401(votes, values, order=order, groups=groups, higher=higher))
+            found = dict(p1401(votes, values, order=order, groups=groups, higher=higher))
         except ValueError as error:
             notes.append(f"{part.lead}, P.1401 of {name}: left out. {error}")
             continue
@@ -259,7 +260,7 @@ def _compare_classically(
             continue
         r = np.corrcoef(columns)
         try:
-            found = asdict(compare_dependent(r[0, 1], r[0, 2], r[1, 2], len(means)))
+            found = dict(compare_dependent(r[0, 1], r[0, 2], r[1, 2], len(means)))
         except ValueError as error:
             notes.append(f"{part.lead}, dependent correlations of {one} and {other}: {error}")
             continue

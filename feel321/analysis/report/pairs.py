@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +11,9 @@ import numpy as np
 
 from feel321.analysis import maps
 from feel321.analysis import space as spaces
-from feel321.analysis.choices.model import fit_votes
-from feel321.analysis.choices.predict import CHANCE, VotePrediction, predict
-from feel321.analysis.choices.votes import gather_votes
-from feel321.analysis.contrasts.bradley_terry import BradleyTerry, bradley_terry
-from feel321.analysis.contrasts.discrimination import discriminate_pairs
-from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
+from feel321.analysis.choices import CHANCE, fit_votes, gather_votes, predict
+from feel321.analysis.contrasts.bradley_terry import bradley_terry
+from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original, discriminate_pairs
 from feel321.analysis.figures import kinds
 from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
@@ -31,6 +28,7 @@ if TYPE_CHECKING:
 
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
+    from feel321.records import Statistic
 
 # Choices between two stimuli: which metric predicts them, and what they say of the reducers.
 
@@ -111,10 +109,10 @@ def _predict(
     )
     slug = parts.make_slug("choices", *part.place)
     pictures.append(Picture(slug, caption, partial(_draw_shares, found)))
-    return found.notes
+    return tuple(found.notes)
 
 
-def _draw_shares(found: VotePrediction) -> Figure:
+def _draw_shares(found: Statistic) -> Figure:
     table = found.to_frame().sort_values("share", ascending=False, kind="stable")
     frame = 100 * table[["share", "low", "high"]]
     frame["name"] = table["metric"].map(format_name)
@@ -125,7 +123,7 @@ def _draw_shares(found: VotePrediction) -> Figure:
     return kinds.draw_estimates(frame, label, columns=columns, lines=lines, band=band)
 
 
-def describe_prediction(part: Part, table: Table, found: VotePrediction) -> Row:
+def describe_prediction(part: Part, table: Table, found: Statistic) -> Row:
     """Decide which metrics may be said to predict the choices, and whether any predicts more than another."""
     shares = found.shares
     sizes = {"participant": found.n_participants, "recording": found.n_recordings}
@@ -220,10 +218,10 @@ def _scale(
     keys = {"reducer": "item", "n": "n"}
     own = {"interval": ONE_WAY, **part.keys}
     rows["choices_abilities"] += list_rows(records, quantities, keys, **own)
-    return fitted.notes
+    return tuple(fitted.notes)
 
 
-def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> BradleyTerry:
+def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> Statistic:
     """Fit abilities with intervals over participants; shrunken ones without, where a reducer always won or lost."""
     try:
         alone = len(pairs["participant"].unique()) == 1
@@ -232,7 +230,7 @@ def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> Br
         if "separation" not in str(error):
             raise
     shrunken = bradley_terry(pairs, prior=0.5, order_effect=True)
-    return replace(shrunken, fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
+    return shrunken.replace(fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
 
 
 # ABX trials: how well what a reducer made is distinguished from its reference.
@@ -256,7 +254,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: AR
     notes, records = [], []
     adjusted = adjust_holm([one.p for one in found.values()])
     for ((level, reducer), one), p in zip(found.items(), adjusted, strict=True):
-        records.append(asdict(one) | {"level": level, "reducer": reducer, "p_holm": p})
+        records.append(dict(one) | {"level": level, "reducer": reducer, "p_holm": p})
         notes += [f"ABX, {reducer}, {level}: {note}" for note in one.notes]
     quantities = {
         "share_correct": "share wilson_low wilson_high p_holm",
@@ -374,7 +372,7 @@ def compute_space(table: Table, choices: Choices) -> Found:
 
 
 def _list_places(
-    names: Sequence[str], space: spaces.Space, *, ellipses: spaces.Ellipses | None, keys: Row
+    names: Sequence[str], space: Statistic, *, ellipses: Statistic | None, keys: Row
 ) -> list[Row]:
     """List the places on a map, with their ellipses where these were drawn."""
     records = [
@@ -391,7 +389,7 @@ def _list_places(
 
 
 def _relate(
-    ellipses: spaces.Ellipses, attributes: DataFrame, rows: dict[str, list[Row]], *, keys: Row, draws: int,
+    ellipses: Statistic, attributes: DataFrame, rows: dict[str, list[Row]], *, keys: Row, draws: int,
     rng: np.random.Generator,
 ) -> Row:  # fmt: skip
     """Compare the map with the metrics of its stimuli."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from feel321.analysis.primary import sensitivity
 from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, fit_slopes, tabulate_slopes
 from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, conclude
-from feel321.analysis.replication.park import explain_spread
+from feel321.analysis.replication.measures import explain_spread
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
 from feel321.analysis.table.items import Part, format_recordings, split_tests
@@ -28,12 +28,12 @@ from feel321.analysis.words import SATTERTHWAITE, TWO_WAY, format_count, format_
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.association.rivals import Ranking
     from feel321.analysis.primary.model import Primary
     from feel321.analysis.primary.sensitivity import Influence
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.metrics import Step
+    from feel321.records import Statistic
     from feel321.types import MetricInfo
 
 HIGHER, LOWER = "higher", "lower"
@@ -164,10 +164,10 @@ def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primar
         one, other = str(row["first"]), str(row["second"])
         for prefix, sizes in (("", (1.0, 1.0)), ("standardised_", (scales[one], scales[other]))):
             weights = {f"{one}_w": signs[one] * sizes[0], f"{other}_w": -signs[other] * sizes[1]}
-            found = asdict(contrast(model.fit, weights)) if math.isfinite(row["low"]) else {}
+            found = dict(contrast(model.fit, weights)) if math.isfinite(row["low"]) else {}
             row |= {f"{prefix}{key}": value for key, value in found.items()}
         rows.append(row)
-    return replace(model, differences=type(model.differences)(rows))
+    return model.replace(differences=type(model.differences)(rows))
 
 
 # What is concluded of a slope.
@@ -417,7 +417,7 @@ def compute_rivals(table: Table, choices: Choices) -> Found:
     return Found(rows, {"parts": told} if told else {}, pictures, notes)
 
 
-def _rank(part: Part, table: Table, choices: Choices) -> Ranking:
+def _rank(part: Part, table: Table, choices: Choices) -> Statistic:
     rows, names = part.rows, list(table.rivals)
     # Where no metric of the set is about level alone, the level as played is.
     if not set(rivals.BASELINES) & set(names) and AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all():
@@ -427,7 +427,7 @@ def _rank(part: Part, table: Table, choices: Choices) -> Ranking:
     return rivals.rank_metrics(rows, names, draws=choices.draws, rng=rng, info=table.info)
 
 
-def _draw_ranking(part: Part, one: Ranking, *, detail: bool) -> Picture:
+def _draw_ranking(part: Part, one: Statistic, *, detail: bool) -> Picture:
     caption = (
         f"How well each metric predicts {part.ratings} within recordings, out of fold: correlation with simultaneous "
         "95 % intervals; hollow: not in the confidence set of the best metric. Dashed: noise ceiling; dotted: level "
@@ -444,7 +444,7 @@ def _draw_ranking(part: Part, one: Ranking, *, detail: bool) -> Picture:
     return Picture(parts.make_slug("rivals", *part.place), caption, draw, detail)
 
 
-def describe_ranking(part: Part, ranking: Ranking) -> Row:
+def describe_ranking(part: Part, ranking: Statistic) -> Row:
     """Decide which metric may be said to predict best: verdict, and the numbers that its sentence needs."""
     table, row = ranking.table, ranking.to_frame().to_dict("records")[0]
     shown = list(map(str, table.index[(table["p"] < rivals.LEVEL) & (table["value"] > 0)]))
@@ -481,7 +481,7 @@ def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001
         try:
             if cells > MOST_CELLS or parts.is_large(part.rows, len(table.metrics)):
                 raise ValueError(f"{cells} participant x stimulus cells are too many.")  # noqa: TRY301 - as a model's reasons
-            varied = sensitivity.vary_primary(part.rows, table.metrics, leave_out=False)
+            varied = sensitivity.vary_primary(part.rows, table.metrics)
         except ValueError as error:
             notes.append(f"{part.lead}: no variants. {error}")
             continue

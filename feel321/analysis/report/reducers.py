@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
 from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -157,7 +156,7 @@ def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
     fit, terms, n = compare.fit_reducers(rows, names)
     pairs: list[Row] = []
     for one, two in combinations(names, 2):
-        found = asdict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
+        found = dict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
         pairs.append({"first": one, "second": two, "n": n, **found})
     adjusted = adjust_holm([pair["p"] for pair in pairs])
     for place, holm in enumerate(adjusted):
@@ -170,7 +169,7 @@ def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
             test = compare.equivalence(*numbers, low=-margin, high=margin)
             pair |= {"p_equivalence": test.p, "equivalent": test.equivalent, "test": test}
             pair["p_not_worse"] = compare.non_inferiority(*numbers, margin=-margin).p
-    return pairs, compare.compare_terms(fit, list(terms.values()))._asdict()
+    return pairs, dict(compare.compare_terms(fit, list(terms.values())))
 
 
 def _list_pair(part: Part, pair: Row) -> Iterator[Row]:
@@ -271,7 +270,7 @@ def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> Iterator[Row]
             wanted[name] = weights, f"points per {steps[name].per} of the metric"
         pair: Row = {"first_level": first, "second_level": second, "n": len(cells)}
         for what, (weights, unit) in wanted.items():
-            yield pair | {"of": what, "unit": unit} | asdict(contrast(fit, weights))
+            yield pair | {"of": what, "unit": unit} | dict(contrast(fit, weights))
 
 
 def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
@@ -283,6 +282,7 @@ def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
         keys = ["participant", "recording", "item"]
         cells = make_cells(arm, metrics).table.groupby(keys, observed=True)
         means = cells.mean(numeric_only=True).reset_index()
+        means = means.astype(dict.fromkeys(keys, object))
         reducers = means["item"].map(arm.drop_duplicates("item").set_index("item")["reducer"])
         base, source = means["recording"] + "/" + reducers, means["recording"].map(sources)
         tables.append(means.assign(level=level, reducer=reducers, base=base, source=source))
