@@ -228,7 +228,7 @@ def _find_device_fault(setup: Setup, flags: Iterable[str]) -> str:
     """Find what was wrong with the last playback."""
     played = list(setup.journal.records.find(events.PartPlayed))
     last = played[-1] if played else None
-    found = last and (last.error or events.find_loss(last.delivered, setup.flow))
+    found = last and (last.error or last.fault or events.find_loss(last.delivered, setup.flow))
     return found or ", ".join(flags)
 
 

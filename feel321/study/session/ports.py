@@ -146,7 +146,8 @@ class Playback(Played):
     onset_s : float or None
         Time at which it did; None if it never did.
     underruns : int
-        Number of times that the device ran dry.
+        Number of times that the device ran dry within the samples; `gap_underruns` of `measured` are those in the
+        silence around them, which spoil nothing.
     clipped : int
         Number of samples that were limited.
     completed : bool
@@ -163,6 +164,8 @@ class Playback(Played):
         it, without if a certificate predicts it; empty if neither did.
     delivered_sha256 : str
         Digest of the file of what was measured or rendered; empty if there is none.
+    fault : str
+        What is wrong with the rig by this playback, with the coil named (`actuator.faults`); empty if nothing is.
     act : Pause, Abort or None
         Act of the participant that ended it before its time, beyond stopping it.
     """
