@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isnan
 from threading import Thread
 from time import perf_counter, sleep
@@ -48,6 +48,7 @@ class Take:
     """One playback as the sink sees it, block by block; the callback writes it, the session reads it once it is out.
 
     latency_s: of the sink, there and back; sensor: room for what a sensor measures, shape (n, axes), if there is one.
+    dry_frames: first frames of the blocks before which the sink had run dry.
     """
 
     rate_hz: float
@@ -59,7 +60,7 @@ class Take:
     end_s: float | None = None
     is_out: bool = False
     n_blocks: int = 0
-    n_underruns: int = 0
+    dry_frames: list[int] = field(default_factory=list)
     n_sensor_gaps: int = 0
     longest_s: float = 0.0
     sensor_latency_s: float = 0.0
@@ -69,7 +70,8 @@ class Take:
     def add_block(self, block: BlockTimes, *, frame: int) -> None:
         """Take account of a block that the mixer has filled."""
         self.n_blocks += 1
-        self.n_underruns += block.has_run_dry
+        if block.has_run_dry:
+            self.dry_frames.append(frame)
         self.n_sensor_gaps += block.has_lost_input
         cue = self.cue
         if cue is None:
@@ -90,6 +92,17 @@ class Take:
         # Times of inputs are less true than those of outputs, so the sensor is recorded by frames.
         n_sensed = round((self.latency_s + SENSOR_TAIL_S) * self.rate_hz)
         self.is_out = is_heard and (self.sensor is None or n_since >= n_sensed)
+
+    def find_underruns(self) -> list[int]:
+        """List the samples of the stimulus at which the sink ran dry; in the silence around them it spoils nothing.
+
+        What was handed over before is played to its end as a rule, but a device that begins anew may drop what it held.
+        """
+        cue, held = self.cue, round(self.latency_s * self.rate_hz)
+        if cue is None or not cue.n_played:
+            return []
+        places = [frame - cue.onset_frame for frame in self.dry_frames]
+        return [min(at, cue.n_played) for at in places if 0 < at < cue.n_played + held]
 
     def record(self, samples: Frames, *, frame: int) -> None:
         """Keep what the sensor measured, shape (n, axes), since the onset's frame went out; it comes back later."""
@@ -146,7 +159,7 @@ class Output:
             n_room, n_axes = longest + round(BEYOND_S * rate_hz), len(rig.sensor.inputs)
             self._room = np.zeros((n_room, n_axes), dtype=np.float32)
         self._sink: Sink | None = None
-        self._n_frames = 0
+        self._n_frames = self._n_dry = self._n_dry_before = 0
         self._opening: Thread | None = None
         self._opening_error = self._error = ""
         self._take: Take | None = None
@@ -259,15 +272,21 @@ class Output:
             except OSError as problem:
                 self._error = self._error or str(problem)
         is_completed = cue.is_complete and take.is_out
-        is_whole = is_completed and not take.n_underruns and not take.n_sensor_gaps
+        underruns = take.find_underruns()
+        is_whole = is_completed and not underruns and not take.n_sensor_gaps
         delivered: Mapping[str, float] = {}
-        if self._check is not None and is_whole and cue.scale == 1:  # the level is the set's
+        fault = ""
+        if self._check is not None and is_whole:
             sensed = None if self._room is None else self.captured
-            delivered = self._check.describe(self._name, cue.sound, sensed)
+            keeps_latency = self._n_dry == self._n_dry_before
+            fault = self._check.diagnose(cue.sound, sensed, keeps_latency=keeps_latency)
+            if cue.scale == 1:  # the level is the set's
+                delivered = self._check.describe(self._name, cue.sound, sensed)
+            self._n_dry_before = self._n_dry
         return Playback(
             requested_s=self._requested_s,
             onset_s=onset_s,
-            underruns=take.n_underruns,
+            underruns=len(underruns),
             clipped=cue.clipped,
             completed=is_completed,
             error=self._error,
@@ -275,6 +294,7 @@ class Output:
             dac_source=take.dac_source,
             delivered=delivered,
             delivered_sha256=sha256,
+            fault=fault,
         )
 
     def _capture(self, take: Take) -> Frames | None:
@@ -300,6 +320,11 @@ class Output:
             return measured
         latency_s = self._rig.device.latency_s if self._sink is None else self._sink.latency_s
         measured |= {"blocks": float(take.n_blocks), "callback_ms_max": take.longest_s * 1e3}
+        underruns = take.find_underruns()
+        if gaps := len(take.dry_frames) - len(underruns):
+            measured["gap_underruns"] = float(gaps)
+        if underruns:
+            measured["underrun_sample"] = float(underruns[0])
         measured["latency_s"] = latency_s
         if take.onset_s is not None:
             measured["dac_time_s"] = take.onset_s
@@ -316,6 +341,7 @@ class Output:
         begin_s, take, frame = perf_counter(), self._take, self._mixer.frame
         self._mixer.fill(out)
         self._n_frames += len(out)
+        self._n_dry += block.has_run_dry
         if take is None or take.is_out:
             return
         take.add_block(block, frame=frame)
@@ -338,6 +364,7 @@ class Output:
 
     def _reopen(self) -> None:
         self._opening_error = ""
+        self._n_dry += 1
         self.close()
         try:
             SINKS.get(self._rig.device.name, DeviceStream).refresh()
