@@ -19,7 +19,7 @@ from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
-from feel321.study.actuator.calibrate import calibrate_rig
+from feel321.study.actuator.calibrate import Calibration
 from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 from feel321.study.actuator.output import open_output
 from feel321.study.actuator.render import render_stimulus
@@ -99,7 +99,9 @@ def measure() -> Iterator[Figure]:
         begin_s = perf_counter()
         reduced = reduce_stimuli(stimuli, recordings, RECIPE)
         print(f"{len(reduced)} reductions made again in {perf_counter() - begin_s:.2f} s")
-        certificate = calibrate_rig(rig, rate_hz=RATE_HZ, made=datetime.now(UTC))
+        certificate = Calibration(
+            rig=rig, rate_hz=RATE_HZ, made=datetime.now(UTC), folder=Path(folder)
+        ).run()
         for name, coil in certificate.coils.items():
             print(
                 f"{name}: +-{coil.largest_db:.2f} dB, coherence {coil.least_coherence:.3f} or more"

@@ -24,7 +24,7 @@ from scipy import fft, signal
 
 from feel321.files import create_text, file_named, make_folder, write_bytes
 from feel321.records import to_json_value
-from feel321.study.actuator.response import Band, Spectrum
+from feel321.study.actuator.response import BAND_HZ, Band, Spectrum, find_inside
 from feel321.study.actuator.rig import AXES, Rig, SensorTable, digest
 from feel321.study.settings.fields import AtLeastOne, Count, Positive, Words
 from feel321.types import Samples
@@ -58,7 +58,7 @@ class CoilCertificate:
     """One coil, as measured without its filter, and with it.
 
     channel: of the device, from 1. full_scale_m_s2: median response in the band without the filter; target: response
-    everywhere in the band with it. latency: samples from sending to the sensor; delay: samples that the filter adds.
+    everywhere in its band with it. latency: samples from sending to the sensor; delay: samples that the filter adds.
     frequency_hz, response (complex, along `direction`, latency removed), coherence, distortion and equalised (with the
     filter; NaN where not measured): shape (k,). direction: unit vector, shape (3,). fir: shape (n,), [1] for no filter.
     levels, linearity_db: amplitudes of the ladder (of full scale) and deviations from linear there, shape (m,).
@@ -71,6 +71,7 @@ class CoilCertificate:
     channel: AtLeastOne
     full_scale_m_s2: Positive
     target: Positive
+    band_hz: Band = BAND_HZ
     latency: Count
     delay: Count = 0
     gain_db: OrNaN = 0.0
@@ -106,6 +107,13 @@ class CoilCertificate:
         response = np.interp(grid_hz, self.frequency_hz, self.response)
         moved: Samples = fft.irfft(fft.rfft(drive, n) * response, n)[: len(drive)]
         return moved
+
+    def find_filter(self, at_hz: Samples, *, rate_hz: float) -> Spectrum:
+        """Find the response of the filter at some frequencies, its delay left out."""
+        n = fft.next_fast_len(4 * len(self.fir), real=True)
+        grid_hz = fft.rfftfreq(n, 1 / rate_hz)
+        turned = fft.rfft(self.fir, n) * np.exp(2j * np.pi * grid_hz * self.delay / rate_hz)
+        return np.asarray(np.interp(at_hz, grid_hz, turned), dtype=np.complex128)
 
     def equalise(self, samples: Samples) -> Samples:
         """Filter samples, shape (n,), so that full scale becomes `target` m/s²; shape (n + tail,)."""
@@ -411,3 +419,62 @@ def judge_certificates(
     if not candidates:
         return None, ["no certificate of calibration; run feel321 calibrate"]
     return None, min(candidates, key=lambda candidate: candidate[0])[1]
+
+
+# A picture of a certificate.
+
+PANEL_CM = 4.6
+FLOOR_DB = -60.0
+
+
+def draw_certificate(certificate: Certificate, stem: Path) -> None:
+    """Draw each coil: its response, its filter, what is left with it, its harmonics and the limits; save it as SVG."""
+    from feel321.analysis.figures import style
+
+    coils, (low, high) = list(certificate.coils.values()), certificate.band_hz
+    most_db = float(certificate.settings["max_deviation_db"])
+    with style.print_style():
+        figure = style.new_canvas(PANEL_CM * len(coils) + 0.5)
+        panels = figure.subplots(len(coils), sharex=True, squeeze=False)[:, 0]
+        for axes, coil in zip(panels, coils, strict=True):
+            at_hz = coil.frequency_hz[find_inside(coil.frequency_hz, band_hz=(low, high))]
+            own = np.interp(at_hz, coil.frequency_hz, coil.response) / coil.target
+            left = np.interp(at_hz, coil.frequency_hz, coil.equalised) / coil.target
+            bent = np.interp(at_hz, coil.frequency_hz, coil.distortion)
+            inverse = coil.find_filter(at_hz, rate_hz=certificate.rate_hz)
+            for size, name, colour in (
+                (own, "without filter", style.RED),
+                (inverse, "filter", style.OKABE_ITO[2]),
+                (left, "with filter", style.BLUE),
+                (bent, "harmonics", style.GREY),
+            ):
+                level_db = 20 * np.log10(np.maximum(np.abs(size), 1e-9))
+                axes.plot(at_hz, np.maximum(level_db, FLOOR_DB), color=colour, label=name)
+            axes.fill_between(
+                coil.band_hz,
+                -most_db,
+                most_db,
+                color=style.GREY,
+                alpha=0.2,
+                linewidth=0,
+                label="limits",
+            )
+            axes.set_xscale("log")
+            axes.margins(x=0)
+            axes.set_ylim(FLOOR_DB - 2, None)
+            axes.set_ylabel("Level (dB)")
+            axes.set_title(
+                f"{coil.name}: {coil.target:.3g} m/s² at full scale, within {coil.largest_db:.1f} dB"
+            )
+        panels[-1].set_xlabel("Frequency (Hz)")
+        round_hz = [digit * 10**power for power in range(5) for digit in (1, 2, 5)]
+        shown = [one for one in round_hz if low <= one <= high]
+        panels[-1].set_xticks(shown, [f"{one:g}" for one in shown])
+        panels[-1].set_xticks([], minor=True)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=5, frameon=False, handlelength=1.5
+        )
+        passed = "passed" if certificate.passed else "did not pass"
+        style.add_title(figure, f"{certificate.id} ({certificate.method}): {passed}")
+        style.save_figure(figure, stem, formats=("svg",))

@@ -8,7 +8,7 @@ that runs dry, stands still or disappears is reported in the playback, not raise
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import isnan
@@ -29,7 +29,8 @@ from feel321.study.actuator.device import (
     join,
 )
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
-from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify
+from feel321.study.actuator.response import Sweep, find_slip
+from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify, require_sensor
 from feel321.study.actuator.simulated import FileSink, SimulatedStream
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.delivered import DeliveryCheck
+    from feel321.types import Samples
 
 SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
@@ -412,3 +414,100 @@ def open_output(
         yield output
     finally:
         output.close()
+
+
+# A bench for measurements: sounds through the output that sessions use, and what the sensor records of them.
+
+OnStep = Callable[[int, int], None]
+N_TRIES = 4  # of a playback in which the device ran dry, or samples were lost
+CLIPPED = 0.999  # of the sensor's full scale
+
+
+class SweepStopped(Exception):  # noqa: N818 - nothing went wrong
+    """A key was pressed; the coils are silent."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Bench:
+    """An open output, and what the measurements on it share; sounds: those that it plays, to which more are added."""
+
+    rig: Rig
+    rate_hz: float
+    output: Output
+    sounds: dict[str, Frames]
+    total_s: float = 0.0
+    on_step: OnStep | None = None
+    is_stopping: Callable[[], bool] = lambda: False
+    done_s: float = 0.0
+
+    def play(self, samples: Mapping[int, Samples], *, n: int) -> Samples:
+        """Play samples by channel, shape (n,), and return what the sensor measured, shape (axes, n) in m/s²."""
+        sound = np.zeros((n, self.rig.n_channels), dtype=np.float32)
+        for channel, own in samples.items():
+            sound[:, channel - 1] = own
+        self.sounds[""] = sound
+        for _ in range(N_TRIES):
+            played, recorded = self._play_once()
+            if played.error or recorded is None or recorded.shape[1] < n:
+                raise OSError(
+                    played.error or "the sensor's input gave too few samples; check its device"
+                )
+            if played.completed and not played.underruns + played.measured["sensor_gaps"]:
+                break
+        else:
+            raise OSError(
+                f"device {self.rig.device.name!r} ran dry {N_TRIES} times in a row; close other programs, or raise "
+                "latency_s in rig.toml"
+            )
+        self._check(recorded[:, :n], clipped=played.clipped)
+        self.done_s += n / self.rate_hz
+        if self.on_step is not None:
+            self.on_step(round(self.done_s), round(self.total_s))
+        return recorded[:, :n].astype(np.float64)
+
+    def _play_once(self) -> tuple[Playback, Frames | None]:
+        self.output.start("", gap_s=0.05)
+        while self.output.is_playing:
+            if self.is_stopping():
+                self.output.stop()
+                raise SweepStopped
+            sleep(0.002)
+        return self.output.collect(), self.output.captured
+
+    def _check(self, recorded: Frames, *, clipped: int) -> None:
+        if clipped:
+            raise ValueError(
+                f"the rig's limits cut {clipped} samples; lower level under [calibration], or sweep_s below duration_s"
+            )
+        full_scale = require_sensor(self.rig).full_scale_m_s2
+        if np.abs(recorded).max() >= CLIPPED * full_scale:
+            raise ValueError(
+                f"the sensor's input is clipped (full scale is {full_scale:g} m/s²); lower its gain and raise "
+                "full_scale_m_s2 under [sensor] with it, or lower level under [calibration]"
+            )
+
+    def play_sweep(self, sent: Samples, sweep: Sweep, channel: int) -> Samples:
+        """Play sweeps, shape (n,), until their recordings are in step."""
+        return self.insist(
+            lambda: self.play({channel: sent}, n=len(sent)), lambda found: find_slip(found, sweep)
+        )
+
+    def insist(self, play: Callable[[], Samples], slip_of: Callable[[Samples], int]) -> Samples:
+        """Play until nothing has slipped, a few times: a sound server may drop samples without saying so."""
+        for _ in range(N_TRIES):
+            recorded = play()
+            if not (slip := slip_of(recorded)):
+                return recorded
+        raise OSError(
+            f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are "
+            "lost between output and sensor, or the sensor's device has a clock of its own; put both on one sound "
+            "card, named itself, raise latency_s in rig.toml, or lower sweep_s and repeats under [calibration]"
+        )
+
+
+@contextmanager
+def open_bench(rig: Rig, *, rate_hz: float, n_longest: int, **choices: Any) -> Iterator[Bench]:  # noqa: ANN401 - fields of a bench
+    """Open the output; n_longest: samples of the longest sound, by which room is made to record it."""
+    sounds: dict[str, Frames] = {"": np.zeros((n_longest, rig.n_channels), dtype=np.float32)}
+    with open_output(rig, sounds, rate_hz=rate_hz, clock=perf_counter) as output:
+        yield Bench(rig=rig, rate_hz=rate_hz, output=output, sounds=sounds, **choices)

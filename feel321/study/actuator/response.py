@@ -34,6 +34,11 @@ ORDERS = (2, 3, 4, 5)  # harmonics that count as distortion
 LEAD_PERIODS = 4.0
 SMOOTH_HZ = 1.0  # spectra of sweeps, which are finer, are averaged over so many Hz
 TINY = float(np.finfo(float).tiny)
+DB = 20 / math.log(10)
+ALIVE = 0.8  # least median coherence of a coil that moves at all; of two sweeps of noise it is 0.5
+IN_STEP = 2  # samples by which noise may shift what is in step
+MOST_TURNED = 0.3  # rad by which a third octave of equal sweeps may differ
+PEAK = 10.0  # least height of a correlation's peak over its standard deviation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -384,3 +389,41 @@ def _make_fir(
     delay = (n_taps - 1) // 2
     line = np.roll(line, delay)[: 2 * delay + 1]
     return line * signal.windows.tukey(len(line), 0.5), delay
+
+
+# Whether samples were lost between equal sweeps.
+
+
+def find_slip(recorded: Samples, sweep: Sweep) -> int:
+    """Find by how many samples later sweeps are out of step with the first one, at most; 0 where noise hides it.
+
+    Over the whole band by correlation with equal weights (Knapp & Carter's phase transform); and by the phase of each
+    third octave, because samples may be lost while the sweep passes through it.
+    """
+    periods = recorded.reshape(len(recorded), sweep.n_repeats, sweep.period)
+    spectra = fft.rfft(periods, axis=-1)
+    frequency_hz = fft.rfftfreq(sweep.period, 1 / sweep.rate_hz)
+    inside = find_inside(frequency_hz, band_hz=sweep.band_hz)
+    cross = (spectra[:, 1:] * spectra[:, :1].conj()).sum(axis=0)
+    pulses = fft.irfft(inside * cross / np.maximum(np.abs(cross), TINY), sweep.period)
+    places = np.argmax(pulses, axis=-1)
+    clear = pulses.max(axis=-1) > PEAK * pulses.std(axis=-1)
+    lags = np.where(clear, np.minimum(places, sweep.period - places), 0)
+    energy = np.square(np.abs(spectra)).sum(axis=0)
+    together, size, middle_hz = (
+        average_thirds(one, frequency_hz, band_hz=sweep.band_hz)
+        for one in (cross, np.sqrt(energy[1:] * energy[:1]), frequency_hz)
+    )
+    turned = np.abs(np.angle(together)) * (np.abs(together) > ALIVE * size)
+    lost = turned * (turned > MOST_TURNED) / (2 * math.pi * middle_hz) * sweep.rate_hz
+    slip = max(int(lags.max()), round(float(lost.max())))
+    return slip if slip > IN_STEP else 0
+
+
+def average_thirds(values: Samples, frequency_hz: Samples, *, band_hz: Band) -> Samples:
+    """Average values, shape (..., k), in third octaves of a band; empty ones are left out."""
+    low, high = band_hz
+    n_bands = max(round(3 * math.log2(high / low)), 1)
+    number = np.floor(n_bands * np.log(np.maximum(frequency_hz, 1e-9) / low) / math.log(high / low))
+    found = [values[..., number == band] for band in range(n_bands)]
+    return np.stack([one.mean(axis=-1) for one in found if one.shape[-1]], axis=-1)

@@ -194,12 +194,13 @@ Decibels = Annotated[fields.Positive, Field(le=60)]
 class CalibrationTable(fields.TomlTable):
     """`[calibration]`: how `calibrate` measures the coils, and what a certificate must keep to pass.
 
+    max_gain_db: of a filter; where it is not given, gain and band are proposed for each coil by what was measured.
     level: peak of the loudest sweep, as a part of what device and limits allow. sensor_uncertainty_db: from
     its data sheet; gain_uncertainty_db: of typed gains.
     """
 
     band_hz: BandHz = (20.0, 1000.0)
-    max_gain_db: Decibels = 20.0
+    max_gain_db: Decibels | None = None
     phase: Annotated[str, fields.one_of(("corrected", "minimum", "linear"))] = "corrected"
     level: Level = 0.5
     sweep_s: Annotated[fields.Positive, Field(le=60)] = 4.0

@@ -1,10 +1,12 @@
 """Verbs of the rig: calibrate, doctor."""
 
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +18,8 @@ from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate, CoilCertificate
-    from feel321.study.actuator.doctor import Examination
+    from feel321.study.actuator.doctor import Examination, Probe
+    from feel321.study.actuator.mixer import Frames
     from feel321.study.actuator.rig import Rig
 
 Device = Annotated[
@@ -34,15 +37,17 @@ def calibrate(
     device: Device = None,
     manual: Annotated[tuple[str, ...], Parameter(metavar="NAME=GAIN")] = (),
     flip: bool = False,
+    redesign: bool = False,
     as_json: Json = False,
 ) -> int:
     """Measure the coils of the rig and make filters for them.
 
     Plays sweeps and noise on one coil after another, through the same stream as in a session, recorded by the sensor of
-    rig.toml: response, distortion, noise, latency, direction and uncertainty of each coil, and a filter that makes its
-    response flat, verified by playing through it. The certificate is stored in the study's folder calibration; run
-    uses the newest that is valid. Press any key to stop. The exit code is 1 if the limits of [calibration] in rig.toml
-    are not met; run then does not use the certificate.
+    rig.toml: response, distortion, noise, latency, direction and uncertainty of each coil. From that it proposes the
+    band and the gain of a filter that makes each response flat, says what that costs in level, and asks; then it
+    verifies the filters by playing through them. Any key stops what plays; coils that are done are kept. The
+    certificate is stored in the study's folder calibration; run uses the newest that is valid. The exit code is 1 if
+    the limits of [calibration] in rig.toml are not met; run then does not use the certificate.
 
     Example: feel321 calibrate my-study
 
@@ -52,9 +57,10 @@ def calibrate(
         Type a gain instead of measuring, in m/s² at full scale; once for each.
     flip
         Scale a DC-coupled sensor by turning it over.
+    redesign
+        Design anew from the stored sweeps, without playing.
     """
-    from feel321.study.actuator.certificate import write_certificate
-    from feel321.study.actuator.figure import draw_certificate
+    from feel321.study.actuator.certificate import draw_certificate, write_certificate
 
     folder = require_study(study)
     rig, rate_hz = _find_rig(folder, device) if folder.rig.is_file() else (None, RATE_HZ)
@@ -66,8 +72,11 @@ def calibrate(
         shared.echo(_flip(rig, rate_hz=rate_hz))
         return 0
     made = datetime.now(UTC)
-    make = _measure if not manual else _type_gains
-    certificate = write_certificate(make(rig, manual, rate_hz=rate_hz, made=made), folder.path)
+    if manual:
+        certificate = _type_gains(rig, manual, rate_hz=rate_hz, made=made)
+    else:
+        certificate = _measure(folder, rig, rate_hz=rate_hz, made=made, redesign=redesign)
+    certificate = write_certificate(certificate, folder.path)
     if not manual:  # of which there is nothing to see
         draw_certificate(certificate, folder.calibration / certificate.id)
     if as_json:
@@ -130,24 +139,88 @@ def _type_gains(
 
 
 def _measure(
-    rig: "Rig", _manual: Sequence[str], *, rate_hz: float, made: datetime
+    folder: StudyFolder, rig: "Rig", *, rate_hz: float, made: datetime, redesign: bool
 ) -> "Certificate":
-    from feel321.study.actuator.bench import SweepStopped
-    from feel321.study.actuator.calibrate import calibrate_rig
+    from feel321.study.actuator.calibrate import Calibration
+    from feel321.study.actuator.output import SweepStopped
     from feel321.study.actuator.rig import FILE_DEVICE
 
+    own = Calibration(
+        rig=rig, rate_hz=rate_hz, made=made, folder=folder.path, agree=partial(_agree, folder, rig)
+    )
+    if redesign:
+        return own.redesign()
     if rig.device.name == FILE_DEVICE:
         raise ValueError(
             'rig.toml plays to files, which no sensor measures; name a device there or with --device ("simulated" '
             "needs no hardware), or type gains with --manual"
         )
+    if kept := own.find_kept():
+        shared.echo(f"kept, as they were measured a while ago: {', '.join(kept)}", err=True)
     try:
-        with shared.show_progress("s of sweeps") as progress, _watch_keys() as is_pressed:
-            return calibrate_rig(
-                rig, rate_hz=rate_hz, made=made, on_step=progress, is_stopping=is_pressed
-            )
+        with shared.show_progress("s of sweeps") as own.on_step, _watch_keys() as own.is_stopping:
+            return own.run()
     except SweepStopped:
         raise KeyboardInterrupt from None
+
+
+def _agree(folder: StudyFolder, rig: "Rig", proposed: "Certificate") -> bool:
+    """Show what is proposed for each coil and what it costs in level; ask, where somebody is there."""
+    lines = []
+    for coil in proposed.coils.values():
+        low, high = coil.band_hz
+        least = coil.target * 10 ** (-coil.gain_db / 20)
+        lines.append(
+            f"{coil.name}: flat from {low:.0f} to {high:.0f} Hz within {coil.largest_db:.1f} dB by a gain of up to "
+            f"{coil.gain_db:.0f} dB; so it plays up to {coil.target:.3g} m/s², and {least:.2g} where it is weakest"
+        )
+    lines += _find_cost(folder, rig, proposed)
+    shared.echo("\n".join(lines), err=True)
+    if sys.stdin is None or not sys.stdin.isatty():
+        return True
+    shared.echo(
+        "Enter takes it; n stops, and --redesign tries other settings of [calibration].", err=True
+    )
+    return not sys.stdin.readline().strip().lower().startswith("n")
+
+
+def _find_cost(folder: StudyFolder, rig: "Rig", proposed: "Certificate") -> Iterator[str]:
+    """Say how much of full scale the study's stimuli take through the filters, and how weak the weakest then is."""
+    import numpy as np
+
+    from feel321.stimuli.sets.manifest import read_stimuli
+    from feel321.study.actuator.render import find_rig_problems
+    from feel321.study.settings.read import read_settings
+
+    if not (folder.stimuli.is_dir() and folder.settings.is_file()):
+        yield "the study has no stimuli yet; build them, and calibrate --redesign says how strong they come"
+        return
+    stimuli, own = read_stimuli(folder.stimuli), read_settings(folder.settings).rig
+    sounds: dict[str, Frames] = {}
+    find_rig_problems(
+        rig,
+        stimuli,
+        rate_hz=own.rate_hz,
+        full_scale_m_s2=own.full_scale_m_s2,
+        certificate=proposed,
+        sounds=sounds,
+    )
+    peaks = {name: float(np.abs(sound).max()) for name, sound in sounds.items()}
+    strongest = max(peaks, key=peaks.__getitem__)
+    headroom_db = -20 * math.log10(max(peaks[strongest], 1e-9))
+    told = f"headroom {headroom_db:.1f} dB"
+    if headroom_db < 0:
+        told = f"{-headroom_db:.1f} dB too much: lower gain or headroom in study.toml by that, and build again"
+    yield f"strongest stimulus {strongest}: {peaks[strongest]:.0%} of full scale, {told}"
+    levels = {
+        one.stimulus_id: one.sensation_level_db
+        for one in stimuli
+        if math.isfinite(one.sensation_level_db)
+    }
+    if levels:
+        weakest = min(levels, key=levels.__getitem__)
+        left_db = levels[weakest] + min(headroom_db, 0.0)
+        yield f"weakest stimulus {weakest}: {left_db:.1f} dB over the threshold of feeling"
 
 
 @contextmanager
@@ -204,10 +277,12 @@ def _describe_coil(coil: "CoilCertificate", certificate: "Certificate") -> str:
         return f"{coil.target:.4g} m/s² at full scale, typed, to ± {coil.uncertainty_db:.1f} dB; no filter"
     direction = ", ".join(f"{part:z.2f}" for part in coil.direction)
     bent_db = max(coil.linearity_db, key=abs)
+    seen = f"coherence {coil.least_coherence_after:.3f}"
+    if math.isnan(coil.least_coherence_after):
+        seen = "by calculation"
     return (
         f"{coil.target:.4g} m/s² at full scale, ± {coil.uncertainty_db:.2f} dB; within {coil.largest_db:.2f} dB with "
-        f"its filter ({coil.before_db:.1f} dB without; gain up to {coil.gain_db:.0f} dB), coherence "
-        f"{coil.least_coherence_after:.3f}\n"
+        f"its filter ({coil.before_db:.1f} dB without; gain up to {coil.gain_db:.0f} dB), {seen}\n"
         f"  latency {1e3 * coil.latency / certificate.rate_hz:.2f} ms, direction ({direction}), cross-axis "
         f"{coil.crossed_db:.0f} dB; distortion {coil.total_distortion:.1%}, nonlinearity {bent_db:+z.2f} dB; noise "
         f"{coil.noise_m_s2:.2g} m/s² RMS"
@@ -225,12 +300,12 @@ def doctor(
     seconds: Annotated[float, within(0, 3600)] = 5.0,
     as_json: Json = False,
 ) -> int:
-    """Test the rig: list devices, measure latency and jitter.
+    """Test the rig: list devices, measure latency and jitter, try each coil.
 
-    Checks rig.toml and plays quiet pulses on every actuator, through the same stream as in a session. A sensor named in
-    rig.toml must show the pulses, about as strong as they were sent; otherwise the exit code is 1. With a certificate
-    of calibrate, a second of tones on each coil must show the response that it holds. Without a study, or where the rig
-    plays to files, --device names what to play on.
+    Checks rig.toml and plays quiet pulses on every actuator, through the same stream as in a session. With a sensor, a
+    probe on each coil finds by name what is dead, inverted, swapped, loose or too loud, against the certificate of
+    calibrate or the directions of rig.toml, and a wrong rate, a missing channel or hum; the exit code is then 1.
+    Without a study, or where the rig plays to files, --device names what to play on.
 
     Example: feel321 doctor my-study --seconds 10
 
@@ -239,61 +314,56 @@ def doctor(
     seconds
         Duration of the pulse train, in s.
     """
-    from feel321.study.actuator.doctor import examine_rig, survey_devices
+    from feel321.study.actuator.doctor import examine_rig, probe_coils, survey_devices
     from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE
 
     rig, rate_hz = _find_rig(StudyFolder(Path()) if study is None else require_study(study), device)
     if rig is not None and rig.device.name == FILE_DEVICE:
         rig = None
     is_simulated = rig is not None and rig.device.name == SIMULATED_DEVICE
-    devices, found, known = [] if is_simulated else survey_devices(), None, None
+    devices, found = [] if is_simulated else survey_devices(), None
+    name: str | None = None
+    faults: list[str] = []
+    probes: list[Probe] = []
     if rig is not None and seconds:
         with shared.show_progress("pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
-    fault = found.sensor.fault if found is not None and found.sensor is not None else ""
-    if study is not None and rig is not None and found is not None and not fault:
-        known = _compare_with_certificate(study, rig, rate_hz=rate_hz)
+        if rig.sensor is not None and found.n_failed < found.n_pulses:
+            certificate, faults = _find_certificate(study, rig, rate_hz=rate_hz)
+            name = certificate.id if certificate else None
+            probes, hum = probe_coils(rig, certificate, rate_hz=rate_hz)
+            faults += [f"{one.coil}: {one.fault}" for one in probes if one.fault]
+            faults += [hum] if hum else []
     if as_json:
         examination = None if found is None else asdict(found)
-        shared.print_json({"devices": devices, "examination": examination, "calibration": known})
+        coils = {"certificate": name, "coils": list(map(asdict, probes)), "faults": faults}
+        shared.print_json({"devices": devices, "examination": examination, "rig": coils})
     else:
         lines = [*map(_describe_device, devices), *_describe_examination(found)]
-        shared.echo("\n".join([*lines, *_describe_drifts(known)]))
+        shared.echo("\n".join([*lines, *map(_describe_probe, probes)]))
         _warn_of(found)
-    if faults := [fault] if fault else known["faults"] if known else ():
+    if faults:
         raise OSError("\n".join(faults))
     return 1 if found is not None and (found.n_failed or found.n_underruns) else 0
 
 
-def _compare_with_certificate(folder: Path, rig: "Rig", *, rate_hz: float) -> dict[str, Any] | None:
-    """Compare the rig with its newest certificate, if there is any: how far the coils drifted, and what is wrong."""
+def _find_certificate(
+    study: Path | None, rig: "Rig", *, rate_hz: float
+) -> tuple["Certificate | None", list[str]]:
+    """Find the certificate that run would use; what is wrong with those that are there."""
     from feel321.study.actuator.certificate import judge_certificates, list_certificates
-    from feel321.study.actuator.doctor import measure_drift
 
-    if not list_certificates(folder):
-        return None
-    now = datetime.now(UTC)
-    certificate, faults = judge_certificates(folder, rig, now=now, rate_hz=rate_hz)
-    if certificate is None:
-        return {"certificate": None, "drifts": (), "faults": faults}
-    is_measured = certificate.method == "measured" and rig.sensor is not None
-    drifts = measure_drift(rig, certificate) if is_measured else []
-    allowed_db = rig.calibration.max_drift_db
-    found = [one.find_fault(allowed_db=allowed_db) for one in drifts]
-    return {
-        "certificate": certificate.id,
-        "drifts": list(map(asdict, drifts)),
-        "faults": list(filter(None, found)),
-    }
+    if study is None or not list_certificates(study):
+        return None, []
+    return judge_certificates(study, rig, now=datetime.now(UTC), rate_hz=rate_hz)
 
 
-def _describe_drifts(known: Mapping[str, Any] | None) -> Iterator[str]:
-    for one in known["drifts"] if known else ():
-        if one["n_tones"]:
-            yield (
-                f"{one['coil']}: {one['median_db']:+.2f} dB from its certificate, {one['largest_db']:+.2f} dB at most, "
-                f"in {one['n_tones']} tones"
-            )
+def _describe_probe(probe: "Probe") -> str:
+    direction = ", ".join(f"{part:z.2f}" for part in probe.direction)
+    return (
+        f"{probe.coil}: {probe.level_m_s2:.3g} m/s² at full scale along ({direction}), {probe.delay_ms:.1f} ms, "
+        f"distortion {probe.distortion:.1%}, coherence {probe.coherence:.2f}: {probe.fault or 'as it should be'}"
+    )
 
 
 def _describe_device(device: Mapping[str, Any]) -> str:
@@ -319,14 +389,10 @@ def _describe_examination(found: "Examination | None") -> Iterator[str]:
         f"requested to onset {found.onset_ms:.1f} ms, jitter {found.jitter_ms:.2f} ms (median), "
         f"{found.jitter_99_ms:.2f} ms (99 %); longest block {found.callback_ms_max:.2f} ms; {times}"
     )
-    if found.sensor is not None:
-        yield (
-            f"sensor: pulse found in {len(found.sensor.lags_ms)} of {found.sensor.n_recorded} recordings, "
-            f"{found.sensor.level_m_s2:.2g} m/s² RMS; noise before it {found.sensor.noise_m_s2:.2g} m/s²"
-        )
     if found.sensed_ms is not None:
         yield (
-            f"onset's block to sensor {found.sensed_ms:.1f} ms, jitter {found.sensed_jitter_ms:.2f} ms (median), "
+            f"{found.n_sensed} pulses sensed; onset's block to sensor {found.sensed_ms:.1f} ms, "
+            f"jitter {found.sensed_jitter_ms:.2f} ms (median), "
             f"{found.sensed_jitter_99_ms:.2f} ms (99 %)"
         )
     if found.stop_ms is not None:

@@ -111,3 +111,27 @@ def certify(loop: Loop, rig: Rig | None = None, *, max_gain_db: float = 45.0) ->
             levels=np.array([0.05, 0.2]), linearity_db=np.zeros(2),
         )  # fmt: skip
     return begin_certificate(rig, coils, method="measured", made=MADE, rate_hz=RATE_HZ)
+
+
+def make_track(seed: int, *, peak: float, seconds: float = 0.8) -> np.ndarray:
+    """Noise from 30 to 500 Hz, in m/s²."""
+    n = round(seconds * RATE_HZ)
+    noise = np.random.default_rng(seed).standard_normal(n) * signal.windows.tukey(n, 0.1)
+    band = signal.butter(2, (30, 500), "band", fs=RATE_HZ, output="sos")
+    noise = signal.sosfilt(band, noise)
+    return np.asarray(noise / np.abs(noise).max() * peak)
+
+
+def send(certificate: Certificate, *tracks: np.ndarray) -> np.ndarray:
+    drives = [
+        certificate.drive(name, track)
+        for name, track in zip(certificate.coils, tracks, strict=True)
+    ]
+    frames = np.zeros((max(map(len, drives)), len(drives)), dtype=np.float32)
+    for column, drive in enumerate(drives):
+        frames[: len(drive), column] = drive
+    return frames
+
+
+def play(loop: Loop, sent: np.ndarray) -> np.ndarray:
+    return loop.move(np.vstack([sent, np.zeros((4800 + loop.late, 3))]))

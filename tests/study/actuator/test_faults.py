@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from scipy import signal
 
 from feel321.study.actuator.faults import Diagnosis, find_resonance
-from tests.study.actuator.outside import DIRECTIONS, RATE_HZ, Loop, certify, make_rig
+from tests.study.actuator.outside import DIRECTIONS, Loop, certify, make_rig, make_track, play, send
 
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate
@@ -28,30 +27,6 @@ def certified(name: str) -> Certificate:
     return certify(LOOPS[name])
 
 
-def make_track(seed: int, *, peak: float, seconds: float = 0.8) -> np.ndarray:
-    """Noise from 30 to 500 Hz, in m/s²."""
-    n = round(seconds * RATE_HZ)
-    noise = np.random.default_rng(seed).standard_normal(n) * signal.windows.tukey(n, 0.1)
-    band = signal.butter(2, (30, 500), "band", fs=RATE_HZ, output="sos")
-    noise = signal.sosfilt(band, noise)
-    return np.asarray(noise / np.abs(noise).max() * peak)
-
-
-def send(certificate: Certificate, *tracks: np.ndarray) -> np.ndarray:
-    drives = [
-        certificate.drive(name, track)
-        for name, track in zip(certificate.coils, tracks, strict=True)
-    ]
-    frames = np.zeros((max(map(len, drives)), len(drives)), dtype=np.float32)
-    for column, drive in enumerate(drives):
-        frames[: len(drive), column] = drive
-    return frames
-
-
-def play(loop: Loop, sent: np.ndarray) -> np.ndarray:
-    return loop.move(np.vstack([sent, np.zeros((4800 + loop.late, 3))]))
-
-
 def diagnose(name: str, sent: np.ndarray, **faults: Any) -> str:
     found = Diagnosis(certified(name), make_rig())
     return found.judge(sent, play(LOOPS[name].but(**faults), sent))
@@ -62,7 +37,7 @@ FAULTS = {
     "axis dead": ({"sensor": (1, 0, 1)}, "sensor dead on y"),
     "sensor saturated": ({"saturated": 2.0}, "sensor saturated at 2 m/s²"),
     "coil dead": ({"gains": (1, 0, 1)}, "right: dead"),
-    "all dead": ({"gains": (0, 0, 0)}, "left and right and third dead"),
+    "all dead": ({"gains": (0, 0, 0)}, "left and right and third: dead"),
     "inverted": ({"gains": (-1, 1, 1)}, "left: inverted"),
     "swapped": ({"order": (1, 0, 2)}, "left and right swapped"),
     "others swapped": ({"order": (0, 2, 1)}, "right and third swapped"),
