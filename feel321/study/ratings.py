@@ -25,6 +25,7 @@ from feel321.study.session.events import (
 )
 from feel321.study.session.journal import Records, list_journals, name_journal
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
+from feel321.study.wide import write_wide
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
@@ -35,9 +36,10 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
     was begun anew, is there and marked as rejected.
     """
-    rows = (row for one in study.read_people() for row in list_judgements(one, stimuli))
+    rows = [row for one in study.read_people() for row in list_judgements(one, stimuli)]
     count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
     study.share(study.ratings)
+    write_wide(study.path, rows)
     return count
 
 

@@ -1,4 +1,4 @@
-"""Calibration of a rig: sweeps and noise on each coil, through the output that sessions use, recorded by its sensor.
+"""Calibration of a rig: sweeps on each coil, through the output that sessions use, recorded by its sensor.
 
 Each coil begins with a quiet sweep. What it makes of that decides how strong the next ones may be, so that neither the
 rig's limits nor the sensor's full scale is passed; the strongest one is the measurement. What was measured is stored
@@ -22,8 +22,6 @@ from feel321.study.actuator.certificate import (
     DAMAGED,
     FOLDER,
     MEASURED,
-    TYPED,
-    BudgetTerm,
     Certificate,
     CoilCertificate,
     begin_certificate,
@@ -46,21 +44,17 @@ from feel321.study.actuator.response import (
     find_slip,
     make_inverse,
     make_sweep,
-    measure_response,
     measure_sweep,
 )
-from feel321.study.actuator.rig import STANDARD_GRAVITY, ActuatorTable, Rig, digest, require_sensor
+from feel321.study.actuator.rig import ActuatorTable, Rig, digest, require_sensor
 from feel321.types import Samples
 
 PROBE = 0.1  # of the level that limits allow: the first sweep of a coil
 LADDER = (0.125, 0.25, 0.5)  # of the loudest sweep, before it
 MARGIN = 0.9  # of limits and of the sensor's full scale, for what is foreseen
 RINGING = 0.01  # of the RMS of a sweep: what may be left at the end of its pause
-CREST = 4.0  # peak of the noise over its RMS
 MOST_TURNED_DEG = 30.0  # from the direction in rig.toml
 SILENCE_S = 0.5
-TILTED = 0.1  # of the change along a sensor's axis: so much may come across it
-SLIGHT = 0.001  # of the sensor's full scale: less is no gravity
 TAPS_PERIODS = 12.0  # of the band's lowest frequency: the length of a filter
 STEP_HZ = 0.5  # of the frequencies in a certificate
 MOST_GAIN_DB = 50.0  # of a filter that is proposed; beyond, the band is narrowed
@@ -68,37 +62,6 @@ SPARE_DB = 1.0  # by which a proposed gain exceeds what the response asks for
 KEPT = timedelta(
     days=1
 )  # for so long the coils of a calibration that was broken off need not be measured again
-
-
-# Gravity, by which the scale of a sensor can be found.
-
-
-def measure_rest(rig: Rig, *, rate_hz: float) -> Samples:
-    """Measure the mean of each axis of the sensor while nothing plays, shape (axes,) in m/s²."""
-    n = round(SILENCE_S * rate_hz)
-    with open_bench(rig, rate_hz=rate_hz, n_longest=n) as bench:
-        rest: Samples = bench.play({}, n=n).mean(axis=1)
-        return rest
-
-
-def scale_by_flip(up: Samples, down: Samples, *, full_scale_m_s2: float) -> float:
-    """Find a sensor's full scale in m/s² from its rest with an axis up and down, shape (axes,) each.
-
-    Gravity is once with the axis and once against it: half of the difference is 1 g, whatever the offset.
-    """
-    halves = np.sort(np.abs(up - down)) / 2
-    half = float(halves[-1])
-    if half < SLIGHT * full_scale_m_s2:
-        raise ValueError(
-            f"got a difference of {2 * half:.3g} m/s², expected about {2 * STANDARD_GRAVITY:.3g}; the sensor or its "
-            "input does not pass gravity (AC-coupled): take the scale from its data sheet"
-        )
-    if (across := float(np.linalg.norm(halves[:-1]))) > TILTED * half:
-        raise ValueError(
-            f"got a difference of {2 * across:.3g} m/s² across the axis, expected at most {TILTED:.0%} of "
-            f"the {2 * half:.3g} along it; turn the sensor by exactly half a turn, with one axis upright"
-        )
-    return full_scale_m_s2 * STANDARD_GRAVITY / half
 
 
 # What is played.
@@ -123,20 +86,6 @@ def make_quiet(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
     return replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
 
 
-def make_noise(sweep: Sweep) -> Samples:
-    """Make noise in the band of a sweep, with the same peak, shape (n,), silent at its end as sweeps are."""
-    n_pause = round(sweep.pause_s * sweep.rate_hz)
-    n = round((sweep.duration_s + sweep.pause_s) * sweep.rate_hz) - n_pause
-    spectrum = fft.rfft(np.random.default_rng(1).standard_normal(n))
-    noise = fft.irfft(
-        spectrum * find_inside(fft.rfftfreq(n, 1 / sweep.rate_hz), band_hz=sweep.ends_hz), n
-    )
-    ramp = np.minimum(1, np.arange(n) / (0.05 * sweep.rate_hz))
-    noise *= ramp * ramp[::-1]
-    noise = np.clip(noise / noise.std(), -CREST, CREST) * sweep.peak / CREST
-    return np.concatenate([noise, np.zeros(n_pause)])
-
-
 def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
     """Find the largest peak of a sine, as a part of full scale, that the mixer lets pass."""
     limits = min(rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2)
@@ -159,21 +108,20 @@ def find_safe(rig: Rig, probe: Response) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoilRun:
-    """What was measured of one coil: its response, its gain by level, and how well the measurements agree.
+    """What was measured of one coil: its response, its gain by level, and how well equal ones agree.
 
-    repeats_db: between equal sweeps; apart_db: RMS difference of noise and sweep; noise_m_s2: RMS while nothing plays.
+    repeats_db: between equal sweeps; noise_m_s2: RMS while nothing plays.
     """
 
     main: Response
     levels: Samples
     linearity_db: Samples
     repeats_db: float
-    apart_db: float
     noise_m_s2: float
 
 
 def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float) -> CoilRun:
-    """Play sweeps of rising level, and noise, on one coil."""
+    """Play sweeps of rising level on one coil."""
     rig, rate_hz, channel = bench.rig, bench.rate_hz, actuator.channel
     level = rig.calibration.level * find_allowed(rig, actuator)
 
@@ -193,14 +141,6 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float) ->
     energy = np.abs(fft.rfft(along)) ** 2
     at_hz = fft.rfftfreq(loud.period, 1 / rate_hz)
     repeated_db = 10 * np.log10(average_thirds(energy, at_hz, band_hz=loud.band_hz))
-    noise = make_noise(loud)
-    by_noise = measure_response(
-        noise,
-        bench.play({channel: noise}, n=len(noise)),
-        rate_hz=rate_hz,
-        band_hz=loud.band_hz,
-        segment=len(noise) // 8,
-    )
     kept = main.frequency_hz <= ABOVE * loud.band_hz[1]
     names = ("frequency_hz", "response", "coherence", "distortion")
     return CoilRun(
@@ -208,7 +148,6 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float) ->
         levels=np.array([*levels, top]),
         linearity_db=np.array([np.median(_compare_db(one, ladder[0])) for one in (*ladder, main)]),
         repeats_db=float(np.median(repeated_db.std(axis=0, ddof=1))),
-        apart_db=float(np.sqrt(np.mean(_compare_db(by_noise, main) ** 2))),
         noise_m_s2=noise_m_s2,
     )
 
@@ -303,16 +242,13 @@ def judge_filter(
     # Bendat and Piersol (2010), table 9.6: the random error of |H| from n segments.
     random = np.sqrt((1 - coherence) / (2 * settings.repeats * coherence))
     # Standard uncertainties of the level in dB; bounds count as rectangular (GUM 4.3.7).
-    terms = {
+    budget = {
+        "sensor, as typed": settings.sensor_uncertainty_db,
         "repeatability": run.repeats_db,
         "noise": DB * float(np.median(random)),
         "linearity": float(np.abs(run.linearity_db).max()) / math.sqrt(3),
-        "noise against sweep": run.apart_db / math.sqrt(3),
         "left after the filter": float(np.sqrt(np.mean(off_db**2))),
     }
-    typed = BudgetTerm(name="sensor", db=settings.sensor_uncertainty_db, source=TYPED)
-    measured = (BudgetTerm(name=name, db=db, source=MEASURED) for name, db in terms.items())
-    budget = (typed, *measured)
     return replace(
         coil,
         largest_db=float(np.abs(off_db[worst])),
@@ -320,7 +256,7 @@ def judge_filter(
         least_coherence_after=float(after.coherence[inside].min()) if is_measured else math.nan,
         equalised=np.interp(coil.frequency_hz, after.frequency_hz, after.response),
         budget=budget,
-        uncertainty_db=math.hypot(*(term.db for term in budget)),
+        uncertainty_db=math.hypot(*budget.values()),
     )
 
 
@@ -406,7 +342,7 @@ def _check_ringing(recorded: Samples, *, period: int, pause_s: float) -> None:
 def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
     """Find the limits of `[calibration]` that a coil does not keep."""
     own = rig.calibration
-    worst = max(coil.budget, key=lambda term: term.db)
+    worst = max(coil.budget, key=coil.budget.__getitem__)
     typed = next(one.direction for one in rig.actuators if one.name == coil.name)
     cosine = float(coil.direction @ np.array(typed) / np.linalg.norm(typed)) if typed else 1.0
     turned_deg = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
@@ -419,7 +355,7 @@ def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
         (
             coil.uncertainty_db > own.max_uncertainty_db,
             f"is known to {coil.uncertainty_db:.2f} dB, the limit is {own.max_uncertainty_db:g}; its largest term is "
-            f"{worst.name} ({worst.db:.2f} dB)",
+            f"{worst} ({coil.budget[worst]:.2f} dB)",
         ),
         (
             coil.total_distortion > own.max_distortion,
@@ -500,14 +436,14 @@ class Calibration:
         require_sensor(rig)
         main, quiet = make_main(rig, rate_hz=rate_hz), make_quiet(rig, rate_hz=rate_hz)
         n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
-        n_noise, n_coils = len(make_noise(main)), len(rig.actuators)
+        n_coils = len(rig.actuators)
         runs = self.find_runs(within=KEPT)
         n_all = n_coils * (n_main + n_quiet) + round(SILENCE_S * rate_hz)
-        n_all += (n_coils - len(runs)) * (n_main + (1 + len(LADDER)) * n_quiet + n_noise)
+        n_all += (n_coils - len(runs)) * (n_main + (1 + len(LADDER)) * n_quiet)
         opened = open_bench(
             rig,
             rate_hz=rate_hz,
-            n_longest=max(n_main, n_noise, n_coils * n_quiet),
+            n_longest=max(n_main, n_coils * n_quiet),
             total_s=n_all / rate_hz,
             on_step=self.on_step,
             is_stopping=self.is_stopping,

@@ -32,9 +32,6 @@ from feel321.types import Samples
 FOLDER = "calibration"
 FORMAT = "feel321 calibration 1"
 MEASURED, MANUAL = "measured", "manual"
-TYPED = "typed"
-"""A value that somebody typed; others are measured."""
-
 DAMAGED = (EOFError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile, zlib.error)
 """What reading a damaged archive raises."""
 
@@ -42,15 +39,6 @@ FADED_DB = -80.0  # of a filter's energy: what comes after is cut off
 
 OrNaN = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 """A number that JSON holds as null where it was not measured."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BudgetTerm:
-    """One term of the uncertainty of a coil's response, in dB (standard uncertainty); source: `measured` or `typed`."""
-
-    name: str
-    db: OrNaN
-    source: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,7 +52,8 @@ class CoilCertificate:
     levels, linearity_db: amplitudes of the ladder (of full scale) and deviations from linear there, shape (m,).
     before_db, largest_db: largest deviation in the band, without the filter, and with it (at worst_hz). crossed_db:
     motion across the direction over that along it; onto_db: motion along the directions of other coils.
-    total_distortion: harmonics over fundamentals, over the whole band.
+    budget: standard uncertainties of the level in dB, by source. total_distortion: harmonics over fundamentals, over
+    the whole band.
     """
 
     name: Words
@@ -85,7 +74,7 @@ class CoilCertificate:
     worst_hz: OrNaN = math.nan
     least_coherence_after: OrNaN = math.nan
     onto_db: Mapping[str, OrNaN] = field(default_factory=dict)
-    budget: tuple[BudgetTerm, ...] = ()
+    budget: Mapping[str, OrNaN] = field(default_factory=dict)
     direction: Samples
     frequency_hz: Samples
     response: Spectrum
@@ -199,8 +188,6 @@ class Certificate:
     def find_faults(self, rig: Rig, now: datetime, *, rate_hz: float | None = None) -> list[str]:
         """Find why the certificate is not valid for a rig today, one line each."""
         again, found = "run feel321 calibrate", []
-        if self.sensor and rig.sensor is None:  # taken off since the coils were measured
-            rig = rig.model_copy(update={"sensor": SensorTable.model_validate(self.sensor)})
         own, channels = digest(rig), {one.name: one.channel for one in rig.actuators}
         known = {name: coil.channel for name, coil in self.coils.items()}
         if own != self.rig_sha256 or known != channels:
@@ -272,7 +259,7 @@ def make_manual(
             target=gains[actuator.name],
             latency=0,
             uncertainty_db=db,
-            budget=(BudgetTerm(name="typed gain", db=db, source=TYPED),),
+            budget={"typed gain": db},
             direction=directions.get(actuator.name, np.eye(len(AXES))[0]),
             frequency_hz=np.array(rig.calibration.band_hz),
             response=np.full(2, gains[actuator.name], dtype=np.complex128),

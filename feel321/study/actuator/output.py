@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from math import isnan
 from threading import Thread
 from time import perf_counter, sleep
@@ -26,6 +27,7 @@ from feel321.study.actuator.device import (
     Patience,
     SessionClock,
     Sink,
+    Trigger,
     join,
 )
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
@@ -155,6 +157,7 @@ class Output:
         self._is_file = rig.device.name == FILE_DEVICE
         self._preroll_s = 0.0 if self._is_file else PREROLL_S + 2 * rig.device.latency_s
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=self._preroll_s)
+        self._trigger = Trigger(rig.trigger, clock) if rig.trigger is not None else None
         self._room: Frames | None = None
         if rig.sensor is not None and not self._is_file:
             longest = max((len(sound) for sound in sounds.values()), default=0)
@@ -198,6 +201,8 @@ class Output:
 
     def close(self) -> None:
         """Silence the sink and let it go."""
+        if self._trigger is not None:
+            self._trigger.leave()
         if self._sink is not None:
             self._sink.close()
         self._sink = None
@@ -228,6 +233,14 @@ class Output:
         )
         ahead_s = sink.compare_clocks()
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
+        if self._trigger is not None:
+            self._trigger.watch(partial(self._find_onset, take))
+
+    def _find_onset(self, take: Take) -> float | None:
+        """Find when a vibration begins, on the session's clock; None while that is not known."""
+        if take.onset_s is None or take.cue is None:
+            return None
+        return take.onset_s + self._clock_ahead_s + take.cue.lead_frames / self._rate_hz
 
     @property
     def is_playing(self) -> bool:
@@ -262,9 +275,7 @@ class Output:
             return Playback(
                 self._requested_s, None, completed=False, error=self._error or "nothing was started"
             )
-        cue, onset_s = take.cue, None
-        if take.onset_s is not None:
-            onset_s = take.onset_s + self._clock_ahead_s + cue.lead_frames / self._rate_hz
+        cue, onset_s = take.cue, self._find_onset(take)
         self.captured = self._capture(take)
         measured, sha256 = self._describe_take(take, cue), ""
         if self.captured is not None and self._folder is not None:
@@ -276,15 +287,12 @@ class Output:
         is_completed = cue.is_complete and take.is_out
         underruns = take.find_underruns()
         is_whole = is_completed and not underruns and not take.n_sensor_gaps
-        delivered: Mapping[str, float] = {}
-        fault = ""
-        if self._check is not None and is_whole:
-            sensed = None if self._room is None else self.captured
-            keeps_latency = self._n_dry == self._n_dry_before
-            fault = self._check.diagnose(cue.sound, sensed, keeps_latency=keeps_latency)
-            if cue.scale == 1:  # the level is the set's
-                delivered = self._check.describe(self._name, cue.sound, sensed)
-            self._n_dry_before = self._n_dry
+        fault, delivered = self._compare(cue) if is_whole else ("", {})
+        if self._trigger is not None:
+            self._trigger.leave()
+            fault = fault or self._trigger.error
+            if self._trigger.sent_s is not None:
+                measured["trigger_s"] = self._trigger.sent_s
         return Playback(
             requested_s=self._requested_s,
             onset_s=onset_s,
@@ -298,6 +306,18 @@ class Output:
             delivered_sha256=sha256,
             fault=fault,
         )
+
+    def _compare(self, cue: Cue) -> tuple[str, Mapping[str, float]]:
+        """Compare a whole playback with what was asked: what is wrong with the rig, and what the hand got."""
+        if self._check is None:
+            return "", {}
+        sensed = None if self._room is None else self.captured
+        keeps_latency = self._n_dry == self._n_dry_before
+        self._n_dry_before = self._n_dry
+        fault = self._check.diagnose(cue.sound, sensed, keeps_latency=keeps_latency)
+        if cue.scale != 1:  # the level is the set's
+            return fault, {}
+        return fault, self._check.describe(self._name, cue.sound, sensed)
 
     def _capture(self, take: Take) -> Frames | None:
         """Take what was recorded: by a file from the start on, by a sensor from the frame in which the onset was sent.

@@ -36,13 +36,12 @@ def calibrate(
     *,
     device: Device = None,
     manual: Annotated[tuple[str, ...], Parameter(metavar="NAME=GAIN")] = (),
-    flip: bool = False,
     redesign: bool = False,
     as_json: Json = False,
 ) -> int:
     """Measure the coils of the rig and make filters for them.
 
-    Plays sweeps and noise on one coil after another, through the same stream as in a session, recorded by the sensor of
+    Plays sweeps on one coil after another, through the same stream as in a session, recorded by the sensor of
     rig.toml: response, distortion, noise, latency, direction and uncertainty of each coil. From that it proposes the
     band and the gain of a filter that makes each response flat, says what that costs in level, and asks; then it
     verifies the filters by playing through them. Any key stops what plays; coils that are done are kept. The
@@ -55,8 +54,6 @@ def calibrate(
     ----------
     manual
         Type a gain instead of measuring, in m/s² at full scale; once for each.
-    flip
-        Scale a DC-coupled sensor by turning it over.
     redesign
         Design anew from the stored sweeps, without playing.
     """
@@ -68,9 +65,6 @@ def calibrate(
         raise FileNotFoundError(
             f"{folder.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
         )
-    if flip:
-        shared.echo(_flip(rig, rate_hz=rate_hz))
-        return 0
     made = datetime.now(UTC)
     if manual:
         certificate = _type_gains(rig, manual, rate_hz=rate_hz, made=made)
@@ -105,20 +99,6 @@ def _find_rig(study: StudyFolder, device: str | None) -> tuple["Rig | None", flo
     else:
         return None, rate_hz
     return (rig if device is None else take_device(rig, device)), rate_hz
-
-
-def _flip(rig: "Rig", *, rate_hz: float) -> str:
-    from feel321.study.actuator.calibrate import measure_rest, scale_by_flip
-    from feel321.study.actuator.rig import require_sensor
-
-    sensor = require_sensor(rig)
-    rests = []
-    for words in ("Lay the sensor down with one axis up", "Turn it over"):
-        shared.echo(f"{words}, let it rest, then press Enter.", err=True)
-        sys.stdin.readline()
-        rests.append(measure_rest(rig, rate_hz=rate_hz))
-    scale = scale_by_flip(*rests, full_scale_m_s2=sensor.full_scale_m_s2)
-    return f"full_scale_m_s2 = {scale:.5g}  # by turning it over: for [sensor] in rig.toml"
 
 
 def _type_gains(

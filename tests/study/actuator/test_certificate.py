@@ -26,7 +26,6 @@ from feel321.study.actuator.rig import (
     CoilTable,
     LimitsTable,
     Rig,
-    SensorTable,
     digest,
     take_device,
 )
@@ -205,34 +204,3 @@ def test_coils_of_unlike_latency_move_together() -> None:
     moved = certificate.predict(frames)
     np.testing.assert_allclose(moved[0], moved[1], atol=1e-9)
     np.testing.assert_allclose(moved[0, 5:55], asked, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    "sensor",
-    [
-        SensorTable(channels=(1, 2, 3), full_scale_m_s2=50.0),
-        SensorTable.model_validate({
-            "channel": 2,
-            "sensitivity_mv_per_g": 100.0,
-            "input_peak_v": 1.0,
-        }),
-    ],
-)
-def test_a_sensor_may_be_taken_off_after_the_calibration_but_not_exchanged(
-    tmp_path: Path, sensor: SensorTable
-) -> None:
-    with_sensor = RIG.model_copy(update={"sensor": sensor})
-    certificate = make_manual(
-        with_sensor,
-        {one.name: 10.0 for one in RIG.actuators},
-        directions={},
-        made=MADE,
-        rate_hz=8000.0,
-    )
-    measured = replace(certificate, method="measured", sensor=sensor.model_dump(mode="json"))
-    found = write_certificate(measured, tmp_path)
-    assert found.find_faults(with_sensor, MADE) == []
-    assert found.find_faults(RIG.model_copy(update={"sensor": None}), MADE) == []
-    other = SensorTable(channel=9, full_scale_m_s2=50.0)
-    (fault,) = found.find_faults(RIG.model_copy(update={"sensor": other}), MADE)
-    assert "another rig" in fault

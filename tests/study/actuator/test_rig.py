@@ -132,7 +132,7 @@ def test_every_mistake_gets_its_own_line(tmp_path: Path) -> None:
         ("[calibration]\nlevel = 0.1\n", True),
         ("[simulation]\nlatency = 9\n", True),
         ("[device]\nname = 'Box'\n", False),
-        (SENSOR, False),
+        (SENSOR, True),
         ("[[actuators]]\nname = 'left coil'\nchannel = 2\n", False),
     ],
 )
