@@ -171,7 +171,11 @@ def propose_band(rig: Rig, response: Response) -> tuple[Band, float]:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_good, [False]])))
     ends_hz = response.frequency_hz[edges.reshape(-1, 2) - [0, 1]]
     low, high = max(ends_hz, key=lambda one: float(one[1] / one[0]))
-    band_hz = (max(own.band_hz[0], float(low)), min(own.band_hz[1], float(high)))
+    first, last = response.frequency_hz[inside][[0, -1]]
+    band_hz = (
+        own.band_hz[0] if low == first else float(low),
+        own.band_hz[1] if high == last else float(high),
+    )
     inside = find_inside(response.frequency_hz, band_hz=band_hz)
     needed_db = DB * math.log(float(np.median(size[inside]) / size[inside].min()))
     return band_hz, min(needed_db + SPARE_DB, MOST_GAIN_DB)
@@ -399,8 +403,8 @@ def write_run(run: CoilRun, path: Path, *, made: datetime) -> None:
     write_bytes(path, buffer.getvalue())
 
 
-def read_run(path: Path) -> tuple[CoilRun, datetime] | None:
-    """Read what was measured of a coil, and when; None if there is nothing that can be used."""
+def read_run(path: Path) -> tuple[CoilRun | None, datetime]:
+    """Read what was measured of a coil, and when; None where nothing there can be used."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             known = {name: stored[name] for name in stored.files}
@@ -410,7 +414,7 @@ def read_run(path: Path) -> tuple[CoilRun, datetime] | None:
         main["band_hz"] = tuple(main["band_hz"])
         return CoilRun(main=Response(**main), **flat), made
     except (OSError, TypeError, AttributeError, *DAMAGED):
-        return None
+        return None, datetime.min
 
 
 def name_run(folder: Path, rig: Rig, actuator: ActuatorTable) -> Path:
@@ -480,25 +484,16 @@ class Calibration:
     def _find_last(self) -> Path | None:
         return max((self.folder / FOLDER).glob(f"*-{digest(self.rig)[:8]}.json"), default=None)
 
-    def find_kept(self) -> list[str]:
-        """List the coils that need not be measured again."""
-        return list(self.find_runs(within=KEPT))
-
     def find_runs(self, *, within: timedelta | None = None) -> dict[str, CoilRun]:
         """Find what was measured of the coils on this rig; within: so recently, and since its last certificate."""
         last, found = self._find_last(), {}
         for actuator in self.rig.actuators:
-            stored = read_run(name_run(self.folder, self.rig, actuator))
-            if stored is None or stored[0].main.rate_hz != self.rate_hz:
+            run, made = read_run(name_run(self.folder, self.rig, actuator))
+            if run is None or run.main.rate_hz != self.rate_hz:
                 continue
-            run, made = stored
-            is_new = within is None or self.made - made < within
             is_open = last is None or f"{made:%Y%m%dT%H%M%SZ}" > last.name
-            if (
-                is_new
-                and (within is None or is_open)
-                and run.main.band_hz == self.rig.calibration.band_hz
-            ):
+            is_new = within is None or (is_open and self.made - made < within)
+            if is_new and run.main.band_hz == self.rig.calibration.band_hz:
                 found[actuator.name] = run
         return found
 
@@ -513,18 +508,6 @@ class Calibration:
         return coils
 
     def _certify(self, coils: Mapping[str, CoilCertificate]) -> Certificate:
-        coils = {
-            name: replace(
-                coil,
-                onto_db={
-                    other.name: DB
-                    * math.log(max(abs(float(coil.direction @ other.direction)), 1e-6))
-                    for other in coils.values()
-                    if other.name != name
-                },
-            )
-            for name, coil in coils.items()
-        }
         found = begin_certificate(
             self.rig, coils, method=MEASURED, made=self.made, rate_hz=self.rate_hz
         )

@@ -51,7 +51,7 @@ class CoilCertificate:
     filter; NaN where not measured): shape (k,). direction: unit vector, shape (3,). fir: shape (n,), [1] for no filter.
     levels, linearity_db: amplitudes of the ladder (of full scale) and deviations from linear there, shape (m,).
     before_db, largest_db: largest deviation in the band, without the filter, and with it (at worst_hz). crossed_db:
-    motion across the direction over that along it; onto_db: motion along the directions of other coils.
+    motion across the direction over that along it.
     budget: standard uncertainties of the level in dB, by source. total_distortion: harmonics over fundamentals, over
     the whole band.
     """
@@ -73,7 +73,6 @@ class CoilCertificate:
     total_distortion: OrNaN = math.nan
     worst_hz: OrNaN = math.nan
     least_coherence_after: OrNaN = math.nan
-    onto_db: Mapping[str, OrNaN] = field(default_factory=dict)
     budget: Mapping[str, OrNaN] = field(default_factory=dict)
     direction: Samples
     frequency_hz: Samples
@@ -150,15 +149,18 @@ class Certificate:
     @property
     def lead_s(self) -> float:
         """Time by which the filters let samples go out before the vibration that they make."""
-        return max(coil.delay for coil in self.coils.values()) / self.rate_hz
+        coils = self.coils.values()
+        late = max(coil.latency + coil.delay for coil in coils)
+        return (late - max(coil.latency for coil in coils)) / self.rate_hz
 
     def drive(self, name: str, asked_m_s2: Samples) -> Samples:
         """Make the samples to be sent to a coil, shape (n + tail,), for the motion that is asked of it, shape (n,).
 
-        They go through its filter, and wait for the coil with the longest latency, so that all move together.
+        They go through its filter, and wait for the coil that is latest with its filter, so that all move together.
         """
         coil = self.coils[name]
-        waits = max(one.latency for one in self.coils.values()) - coil.latency
+        latest = max(one.latency + one.delay for one in self.coils.values())
+        waits = latest - coil.latency - coil.delay
         return np.concatenate([np.zeros(waits), coil.equalise(asked_m_s2 / coil.target)])
 
     def predict(self, frames: NDArray[np.floating[Any]]) -> Samples:
@@ -285,20 +287,17 @@ def _make_model(record: type, name: str, **others: Any) -> Any:  # noqa: ANN401 
     return create_model(name, **own | others)
 
 
-_CoilEntry: Any = _make_model(CoilCertificate, "_CoilEntry")
-
-
 def _check_time(text: str) -> str:
     if datetime.fromisoformat(text).tzinfo is None:
         raise ValueError("must be a time with its zone")
     return text
 
 
+_CoilEntry: Any = _make_model(CoilCertificate, "_CoilEntry")
 _Entry = _make_model(
     Certificate,
     "_Entry",
     format=(str, ...),
-    sha256=(str, ...),
     arrays_sha256=(str, ...),
     expires_utc=(Annotated[str, AfterValidator(_check_time)], ...),
     sensor=(SensorTable | None, ...),
@@ -308,18 +307,15 @@ _Entry = _make_model(
 
 def write_certificate(certificate: Certificate, folder: Path) -> Certificate:
     """Write a certificate into a study's folder, where none of that name may be, and return it with its seal."""
-    place = folder / FOLDER
-    make_folder(place)
-    path = place / f"{certificate.id}.json"
-    arrays = path.with_suffix(".npz")
-    for file in (path, arrays):
+    path = folder / FOLDER / f"{certificate.id}.json"
+    make_folder(path.parent)
+    for file in (path, path.with_suffix(".npz")):
         if file.exists():
             raise FileExistsError(f"{file}: already exists and is not overwritten; calibrate again")
     coils = list(certificate.coils.values())
     buffer = io.BytesIO()
     packed = {f"{k}.{name}": getattr(coil, name) for k, coil in enumerate(coils) for name in ARRAYS}
     np.savez_compressed(buffer, allow_pickle=False, **packed)
-    content = buffer.getvalue()
 
     def describe(record: Any, *besides: str) -> dict[str, Any]:  # noqa: ANN401 - either record
         names = [one.name for one in fields(record) if one.name not in besides]
@@ -329,9 +325,9 @@ def write_certificate(certificate: Certificate, folder: Path) -> Certificate:
         "format": FORMAT,
         **describe(certificate, "coils", "sha256"),
         "coils": [describe(coil, *ARRAYS) for coil in coils],
-        "arrays_sha256": hashlib.sha256(content).hexdigest(),
+        "arrays_sha256": hashlib.sha256(buffer.getvalue()).hexdigest(),
     })
-    write_bytes(arrays, content)
+    write_bytes(path.with_suffix(".npz"), buffer.getvalue())
     sealed = entry | {"sha256": _seal(entry)}
     create_text(path, json.dumps(sealed, indent=1, ensure_ascii=False) + "\n")
     return read_certificate(path)
@@ -348,15 +344,13 @@ def read_certificate(path: Path) -> Certificate:
                 "not a certificate as calibrate writes them; calibrate again"
             ) from None
         if found != FORMAT:
-            raise ValueError(
-                f"got format {found!r}, expected {FORMAT!r}; calibrate again with this version"
-            )
+            raise ValueError(f"got format {found!r}, expected {FORMAT!r}; calibrate again")
         if _seal({key: value for key, value in entry.items() if key != "sha256"}) != seal:
             raise ValueError("was changed after it was written; restore it, or calibrate again")
         content = path.with_suffix(".npz").read_bytes()
         if hashlib.sha256(content).hexdigest() != entry.get("arrays_sha256"):
             raise ValueError(
-                f"its arrays in {path.stem}.npz were changed after they were written; restore them, or calibrate again"
+                f"its arrays in {path.stem}.npz were changed; restore them, or calibrate again"
             )
         try:
             known = dict(_Entry.model_validate(entry))

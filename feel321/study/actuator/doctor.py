@@ -1,10 +1,12 @@
 """A check of the rig: its devices, a quiet train of pulses through the output of sessions, and each coil by name."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from time import perf_counter, sleep
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,23 +14,21 @@ from feel321.study.actuator.calibrate import find_allowed
 from feel321.study.actuator.certificate import MEASURED, Certificate, CoilCertificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
 from feel321.study.actuator.faults import RATES, Diagnosis, find_hum, find_sensor_fault
-from feel321.study.actuator.mixer import Frames
-from feel321.study.actuator.output import Output, open_bench, open_output
+from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import Response, Sweep, find_inside, make_sweep, measure_sweep
 from feel321.study.actuator.rig import AXES, ActuatorTable, Rig, require_sensor
-from feel321.study.session.ports import Playback
-from feel321.types import Samples
+
+if TYPE_CHECKING:
+    from feel321.study.actuator.mixer import Frames
+    from feel321.study.session.ports import Playback
+    from feel321.types import Samples
 
 RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)
 
-PULSE, TONE = "pulse", "tone"
 PULSE_S = 0.02
 PULSE_HZ = 250.0  # where skin is most sensitive
 PULSE_LEVEL = 0.1  # of full scale or of the peak that the rig allows, whichever is less
-TONE_S = 0.5  # length, besides what the device holds, of a tone that is stopped after its begin
-STOPS_S = (0.1, 0.117, 0.131)  # times at which tones are stopped; uneven as well
-N_TRIES = 5  # attempts at each stop, where a busy machine lets the tone end before it, or run dry
 # Least correlation of a sensed pulse with what was sent. From 8 to 48 kHz, white noise reached 0.33 and a click 0.18;
 # pulses through coils with resonances from 40 to 400 Hz and Q up to 8 stayed above 0.8.
 LIKENESS = 0.5
@@ -58,75 +58,53 @@ def survey_devices() -> list[dict[str, Any]]:
 # Pulses: latency, jitter and failures.
 
 
-@dataclass(frozen=True, slots=True)
-class Examination:
-    """Latency, jitter and failures of a train of pulses; n_sensed: pulses that the sensor shows."""
-
-    device: str
-    host_api: str
-    rate_hz: float
-    latency_ms: float
-    n_pulses: int
-    n_failed: int
-    n_underruns: int
-    n_sensed: int
-    onset_ms: float
-    jitter_ms: float
-    jitter_99_ms: float
-    sensed_ms: float | None
-    sensed_jitter_ms: float | None
-    sensed_jitter_99_ms: float | None
-    stop_ms: float | None
-    callback_ms_max: float
-    is_program: bool
-    error: str
-    n_estimated: int = 0
-
-
 def examine_rig(
     rig: Rig, *, rate_hz: float, seconds: float, on_step: Callable[[int, int], None] | None = None
-) -> Examination:
-    """Play pulses on all actuators, and measure onsets and stops; on_step: called with the ms passed, and all."""
-    longest_s = rig.limits.duration_s
-    tone_s = min(TONE_S + 2 * rig.device.latency_s, longest_s)
-    pulse = make_pulse(rig, rate_hz=rate_hz, seconds=min(PULSE_S, longest_s))
-    sounds = {PULSE: pulse, TONE: make_pulse(rig, rate_hz=rate_hz, seconds=tone_s)}
+) -> dict[str, Any]:
+    """Play pulses on all actuators, and measure latency, jitter and failures; on_step gets the ms passed, and all."""
+    pulse = make_pulse(rig, rate_hz=rate_hz, seconds=min(PULSE_S, rig.limits.duration_s))
     played: list[Playback] = []
     lags_ms: list[float] = []
-    with open_output(rig, sounds, rate_hz=rate_hz, clock=perf_counter) as output:
+    with open_output(rig, {"": pulse}, rate_hz=rate_hz, clock=perf_counter) as output:
         begin_s = perf_counter()
         while (passed_s := perf_counter() - begin_s) < seconds or not played:
             if on_step is not None:
                 on_step(round(1e3 * passed_s), round(1e3 * seconds))
-            output.start(PULSE, gap_s=GAPS_S[len(played) % len(GAPS_S)])
-            played.append(_await_end(output))
+            output.start("", gap_s=GAPS_S[len(played) % len(GAPS_S)])
+            while output.is_playing:
+                sleep(0.001)
+            played.append(output.collect())
             lag = find_pulse(output.captured, pulse)
             lags_ms += [] if lag is None else [1e3 * lag / rate_hz]
-        stops_ms = try_stops(output, lead_s=rig.masking.lead_s if rig.masking else 0.0)
         identity = output.identity
     late_ms = [1e3 * (one.onset_s - one.requested_s) for one in played if one.onset_s is not None]
-    onset_ms, jitter_ms, jitter_99_ms = _describe_delays(late_ms) or (math.nan,) * 3
-    sensed = _describe_delays(lags_ms) or (None, None, None)
-    return Examination(
-        device=identity["device"],
-        host_api=identity["host_api"],
-        rate_hz=rate_hz,
-        latency_ms=1e3 * played[-1].measured.get("latency_s", math.nan),
-        n_pulses=len(played),
-        n_failed=sum(not one.completed or bool(one.error) for one in played),
-        n_underruns=sum(one.underruns for one in played),
-        n_sensed=len(lags_ms),
-        onset_ms=onset_ms,
-        jitter_ms=jitter_ms,
-        jitter_99_ms=jitter_99_ms,
-        sensed_ms=sensed[0],
-        sensed_jitter_ms=sensed[1],
-        sensed_jitter_99_ms=sensed[2],
-        stop_ms=max(stops_ms, default=None),
-        callback_ms_max=max(one.measured.get("callback_ms_max", 0.0) for one in played),
-        is_program=bool(identity["is_program"]),
-        error=next((one.error for one in reversed(played) if one.error), ""),
-        n_estimated=sum(one.dac_source == FROM_LATENCY for one in played),
+    return {
+        "device": identity["device"],
+        "host_api": identity["host_api"],
+        "is_program": bool(identity["is_program"]),
+        "rate_hz": rate_hz,
+        "latency_ms": 1e3 * played[-1].measured.get("latency_s", math.nan),
+        "n_pulses": len(played),
+        "n_failed": sum(not one.completed or bool(one.error) for one in played),
+        "n_underruns": sum(one.underruns for one in played),
+        "n_estimated": sum(one.dac_source == FROM_LATENCY for one in played),
+        "n_sensed": len(lags_ms),
+        **_describe_delays("onset", late_ms),
+        **_describe_delays("sensed", lags_ms),
+        "callback_ms_max": max(one.measured.get("callback_ms_max", 0.0) for one in played),
+        "error": next((one.error for one in reversed(played) if one.error), ""),
+    }
+
+
+def _describe_delays(name: str, delays_ms: Sequence[float]) -> dict[str, float | None]:
+    """Compute the median, and the median and 99th percentile of the distance from it; None of none."""
+    found: list[float | None] = [None] * 3
+    if delays_ms:
+        middle = float(np.median(delays_ms))
+        apart = np.abs(np.asarray(delays_ms) - middle)
+        found = [middle, *map(float, np.percentile(apart, [50, 99]))]
+    return dict(
+        zip((f"{name}_ms", f"{name}_jitter_ms", f"{name}_jitter_99_ms"), found, strict=True)
     )
 
 
@@ -139,36 +117,6 @@ def make_pulse(rig: Rig, *, rate_hz: float, seconds: float = PULSE_S) -> Frames:
         allowed = min(rig.limits.peak_m_s2, rig.limits.rms_m_s2) / actuator.full_scale_m_s2
         pulse[:, actuator.channel - 1] = PULSE_LEVEL * min(1.0, allowed) * shape
     return pulse
-
-
-def try_stops(output: Output, *, lead_s: float) -> list[float]:
-    """Stop tones on their way, and measure how long each of them went on until silence, in ms."""
-    stops_ms: list[float] = []
-    for wait_s in STOPS_S:
-        for _ in range(N_TRIES):
-            output.start(TONE, gap_s=lead_s)
-            sleep(lead_s + wait_s)
-            output.stop()
-            playback = _await_end(output)
-            if "stop_s" in playback.measured and not playback.underruns:
-                stops_ms.append(1e3 * playback.measured["stop_s"])
-                break
-    return stops_ms
-
-
-def _await_end(output: Output) -> Playback:
-    while output.is_playing:
-        sleep(0.001)
-    return output.collect()
-
-
-def _describe_delays(delays_ms: Sequence[float]) -> tuple[float, float, float] | None:
-    """Compute the median, and the median and 99th percentile of the distance from it; None of none."""
-    if not delays_ms:
-        return None
-    middle = float(np.median(delays_ms))
-    low, high = np.percentile(np.abs(np.asarray(delays_ms) - middle), [50, 99])
-    return middle, float(low), float(high)
 
 
 def find_pulse(recorded: Frames | None, pulse: Frames) -> int | None:
@@ -198,23 +146,13 @@ DISTORTED = 0.2  # of the motion
 AUDIBLE = 3.0  # ratio of a hum to the noise without it
 
 
-@dataclass(frozen=True, slots=True)
-class Probe:
-    """What one coil did with its probe; level_m_s2: median response at full scale, delay_ms: after it was sent."""
-
-    coil: str
-    level_m_s2: float
-    direction: tuple[float, ...]
-    delay_ms: float
-    distortion: float
-    coherence: float
-    fault: str
-
-
 def probe_coils(
     rig: Rig, certificate: Certificate | None, *, rate_hz: float
-) -> tuple[list[Probe], str]:
-    """Play a probe on each coil in turn, and find what is wrong with each; and a hum, while nothing plays."""
+) -> tuple[list[dict[str, Any]], str]:
+    """Play a probe on each coil in turn, and find what is wrong with each; and a hum, while nothing plays.
+
+    level_m_s2: median response at full scale; delay_ms: since it was sent.
+    """
     high_hz = min(PROBE_HZ[1], rate_hz / 4)
     sweep = Sweep(
         rate_hz=rate_hz,
@@ -246,7 +184,7 @@ def probe_coils(
                 fault = diagnosis.judge(sent, recorded).removeprefix(f"{actuator.name}: ")
             else:
                 fault = find_fault(rig, actuator, seen, recorded=recorded, sent=peak * asked)
-            found.append(_describe_probe(actuator.name, seen, fault))
+            found.append({"coil": actuator.name, **_describe(seen), "fault": fault})
     return found, _find_hum(silence, rate_hz=rate_hz)
 
 
@@ -268,19 +206,23 @@ def _find_hum(silence: Samples, *, rate_hz: float) -> str:
     return f"hum of {hum_hz:.0f} Hz, {rms:.2g} m/s²: a ground loop, or cables beside the mains"
 
 
-def _describe_probe(name: str, seen: Response | None, fault: str) -> Probe:
+def _describe(seen: Response | None) -> dict[str, Any]:
     if seen is None:
-        return Probe(name, 0.0, (), math.nan, math.nan, 0.0, fault)
+        return {
+            "level_m_s2": 0.0,
+            "direction": [],
+            "delay_ms": None,
+            "distortion": None,
+            "coherence": 0.0,
+        }
     inside = find_inside(seen.frequency_hz, band_hz=seen.band_hz)
-    return Probe(
-        name,
-        level_m_s2=float(np.median(np.abs(seen.response[inside]))),
-        direction=tuple(map(float, seen.direction)),
-        delay_ms=1e3 * seen.latency / seen.rate_hz,
-        distortion=float(np.nanmedian(seen.distortion[inside])),
-        coherence=float(np.median(seen.coherence[inside])),
-        fault=fault,
-    )
+    return {
+        "level_m_s2": float(np.median(np.abs(seen.response[inside]))),
+        "direction": seen.direction.tolist(),
+        "delay_ms": 1e3 * seen.latency / seen.rate_hz,
+        "distortion": float(np.nanmedian(seen.distortion[inside])),
+        "coherence": float(np.median(seen.coherence[inside])),
+    }
 
 
 def find_fault(
@@ -289,22 +231,22 @@ def find_fault(
     """Name what is wrong with a coil that has no certificate, by what its probe moved."""
     if fault := find_sensor_fault(recorded, full_scale_m_s2=require_sensor(rig).full_scale_m_s2):
         return fault
-    probe = _describe_probe(actuator.name, seen, "")
-    if seen is None or probe.coherence < SEEN:
+    probe = _describe(seen)
+    if seen is None or probe["coherence"] < SEEN:
         return _find_rate(sent, recorded, rate_hz=seen.rate_hz if seen else math.nan) or (
-            f"dead: no motion follows the probe (coherence {probe.coherence:.2f}, expected {SEEN:g} or more); check "
+            f"dead: no motion follows the probe (coherence {probe['coherence']:.2f}, expected {SEEN:g} or more); check "
             "coil, cable, amplifier, its channel in rig.toml, and the sensor"
         )
     if fault := find_turned(rig, actuator, seen):
         return fault
     low, high = actuator.full_scale_m_s2 / STRENGTH, actuator.full_scale_m_s2 * STRENGTH
-    if not low < probe.level_m_s2 < high:
+    if not low < probe["level_m_s2"] < high:
         return (
-            f"got {probe.level_m_s2:.3g} m/s² at full scale, expected {low:.3g} to {high:.3g}; check mounting and "
+            f"got {probe['level_m_s2']:.3g} m/s² at full scale, expected {low:.3g} to {high:.3g}; check mounting and "
             "gains, and full_scale_m_s2 of sensor and actuator in rig.toml"
         )
-    if probe.distortion > DISTORTED:
-        return f"distortion of {probe.distortion:.0%}: it rattles, or the amplifier clips"
+    if probe["distortion"] > DISTORTED:
+        return f"distortion of {probe['distortion']:.0%}: it rattles, or the amplifier clips"
     return ""
 
 

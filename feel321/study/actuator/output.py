@@ -52,11 +52,12 @@ class Take:
     """One playback as the sink sees it, block by block; the callback writes it, the session reads it once it is out.
 
     latency_s: of the sink, there and back; sensor: room for what a sensor measures, shape (n, axes), if there is one.
-    dry_frames: first frames of the blocks before which the sink had run dry.
+    held_s: what the sink still has to play; dry_frames: first frames of the blocks before which it had run dry.
     """
 
     rate_hz: float
     latency_s: float
+    held_s: float = 0.0
     sensor: Frames | None = None
     cue: Cue | None = None
     onset_s: float | None = None
@@ -102,7 +103,7 @@ class Take:
 
         What was handed over before is played to its end as a rule, but a device that begins anew may drop what it held.
         """
-        cue, held = self.cue, round(self.latency_s * self.rate_hz)
+        cue, held = self.cue, round(self.held_s * self.rate_hz)
         if cue is None or not cue.n_played:
             return []
         places = [frame - cue.onset_frame for frame in self.dry_frames]
@@ -222,7 +223,7 @@ class Output:
         if self._error or sink is None:
             return
         sink.begin()
-        take = Take(self._rate_hz, sink.there_and_back_s, sensor=self._room)
+        take = Take(self._rate_hz, sink.there_and_back_s, held_s=sink.latency_s, sensor=self._room)
         self._take = take  # before the mixer knows, so that no block is missed
         take.cue = self._mixer.start(
             self._name,

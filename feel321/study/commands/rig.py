@@ -4,7 +4,6 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,6 @@ from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate, CoilCertificate
-    from feel321.study.actuator.doctor import Examination, Probe
     from feel321.study.actuator.mixer import Frames
     from feel321.study.actuator.rig import Rig
 
@@ -121,7 +119,7 @@ def _type_gains(
 def _measure(
     folder: StudyFolder, rig: "Rig", *, rate_hz: float, made: datetime, redesign: bool
 ) -> "Certificate":
-    from feel321.study.actuator.calibrate import Calibration
+    from feel321.study.actuator.calibrate import KEPT, Calibration
     from feel321.study.actuator.output import SweepStopped
     from feel321.study.actuator.rig import FILE_DEVICE
 
@@ -135,7 +133,7 @@ def _measure(
             'rig.toml plays to files, which no sensor measures; name a device there or with --device ("simulated" '
             "needs no hardware), or type gains with --manual"
         )
-    if kept := own.find_kept():
+    if kept := own.find_runs(within=KEPT):
         shared.echo(f"kept, as they were measured a while ago: {', '.join(kept)}", err=True)
     try:
         with shared.show_progress("s of sweeps") as own.on_step, _watch_keys() as own.is_stopping:
@@ -304,27 +302,26 @@ def doctor(
     devices, found = [] if is_simulated else survey_devices(), None
     name: str | None = None
     faults: list[str] = []
-    probes: list[Probe] = []
+    probes: list[dict[str, Any]] = []
     if rig is not None and seconds:
         with shared.show_progress("pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
-        if rig.sensor is not None and found.n_failed < found.n_pulses:
+        if rig.sensor is not None and found["n_failed"] < found["n_pulses"]:
             certificate, faults = _find_certificate(study, rig, rate_hz=rate_hz)
             name = certificate.id if certificate else None
             probes, hum = probe_coils(rig, certificate, rate_hz=rate_hz)
-            faults += [f"{one.coil}: {one.fault}" for one in probes if one.fault]
+            faults += [f"{one['coil']}: {one['fault']}" for one in probes if one["fault"]]
             faults += [hum] if hum else []
     if as_json:
-        examination = None if found is None else asdict(found)
-        coils = {"certificate": name, "coils": list(map(asdict, probes)), "faults": faults}
-        shared.print_json({"devices": devices, "examination": examination, "rig": coils})
+        coils = {"certificate": name, "coils": probes, "faults": faults}
+        shared.print_json({"devices": devices, "examination": found, "rig": coils})
     else:
         lines = [*map(_describe_device, devices), *_describe_examination(found)]
         shared.echo("\n".join([*lines, *map(_describe_probe, probes)]))
         _warn_of(found)
     if faults:
         raise OSError("\n".join(faults))
-    return 1 if found is not None and (found.n_failed or found.n_underruns) else 0
+    return 1 if found is not None and (found["n_failed"] or found["n_underruns"]) else 0
 
 
 def _find_certificate(
@@ -338,11 +335,14 @@ def _find_certificate(
     return judge_certificates(study, rig, now=datetime.now(UTC), rate_hz=rate_hz)
 
 
-def _describe_probe(probe: "Probe") -> str:
-    direction = ", ".join(f"{part:z.2f}" for part in probe.direction)
+def _describe_probe(probe: Mapping[str, Any]) -> str:
+    if not probe["direction"]:
+        return f"{probe['coil']}: {probe['fault']}"
+    direction = ", ".join(f"{part:z.2f}" for part in probe["direction"])
     return (
-        f"{probe.coil}: {probe.level_m_s2:.3g} m/s² at full scale along ({direction}), {probe.delay_ms:.1f} ms, "
-        f"distortion {probe.distortion:.1%}, coherence {probe.coherence:.2f}: {probe.fault or 'as it should be'}"
+        f"{probe['coil']}: {probe['level_m_s2']:.3g} m/s² at full scale along ({direction}), "
+        f"{probe['delay_ms']:.1f} ms, distortion {probe['distortion']:.1%}, coherence {probe['coherence']:.2f}: "
+        f"{probe['fault'] or 'as it should be'}"
     )
 
 
@@ -353,37 +353,35 @@ def _describe_device(device: Mapping[str, Any]) -> str:
     return f"{device['name']} ({device['host_api']}): {channels}; plays at {rates} Hz{program}"
 
 
-def _describe_examination(found: "Examination | None") -> Iterator[str]:
+def _describe_examination(found: Mapping[str, Any] | None) -> Iterator[str]:
     if found is None:
         yield "nothing was played; name a device with --device, or in the study's rig.toml"
         return
     times = "onset times are the device's own"
-    if found.n_estimated:
+    if found["n_estimated"]:
         times = (
-            f"{found.n_estimated} of {found.n_pulses} onset times are estimated from the latency: "
+            f"{found['n_estimated']} of {found['n_pulses']} onset times are estimated from the latency: "
             "the device gives none"
         )
-    yield f"{found.device} ({found.host_api}) played at {found.rate_hz:g} Hz; latency {found.latency_ms:.1f} ms"
-    yield f"pulses {found.n_pulses}, failed {found.n_failed}, underruns {found.n_underruns}"
     yield (
-        f"requested to onset {found.onset_ms:.1f} ms, jitter {found.jitter_ms:.2f} ms (median), "
-        f"{found.jitter_99_ms:.2f} ms (99 %); longest block {found.callback_ms_max:.2f} ms; {times}"
+        f"{found['device']} ({found['host_api']}) played at {found['rate_hz']:g} Hz; latency "
+        f"{found['latency_ms']:.1f} ms"
     )
-    if found.sensed_ms is not None:
-        yield (
-            f"{found.n_sensed} pulses sensed; onset's block to sensor {found.sensed_ms:.1f} ms, "
-            f"jitter {found.sensed_jitter_ms:.2f} ms (median), "
-            f"{found.sensed_jitter_99_ms:.2f} ms (99 %)"
-        )
-    if found.stop_ms is not None:
-        yield f"a stop is silent after {found.stop_ms:.0f} ms at most; latency_s in rig.toml shortens it"
+    yield f"pulses {found['n_pulses']}, failed {found['n_failed']}, underruns {found['n_underruns']}"
+    for name, told in (("onset", "requested to onset"), ("sensed", "onset's block to sensor")):
+        if found[f"{name}_ms"] is not None:
+            yield (
+                f"{told} {found[f'{name}_ms']:.1f} ms, jitter {found[f'{name}_jitter_ms']:.2f} ms (median), "
+                f"{found[f'{name}_jitter_99_ms']:.2f} ms (99 %)"
+            )
+    yield f"longest block {found['callback_ms_max']:.2f} ms; {times}"
 
 
-def _warn_of(found: "Examination | None") -> None:
-    if found is not None and found.is_program:
+def _warn_of(found: Mapping[str, Any] | None) -> None:
+    if found is not None and found["is_program"]:
         shared.warn(
-            f"{found.device}: a program plays it (a sound server, say), which may convert the rate and copy channels "
-            "to others without notice; name the card itself, or give it as many channels there as the rig has"
+            f"{found['device']}: a program plays it (a sound server, say), which may convert the rate and copy "
+            "channels to others without notice; name the card itself, or give it as many channels there as the rig has"
         )
-    if found is not None and found.error:
-        shared.warn(found.error)
+    if found is not None and found["error"]:
+        shared.warn(found["error"])

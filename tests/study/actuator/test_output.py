@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from threading import Event
+from time import perf_counter, sleep
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +19,11 @@ from feel321.study.actuator.device import (
     BlockTimes,
     Device,
     DeviceStream,
+    Trigger,
     check_channels,
     find_device,
     list_devices,
+    open_port,
     refresh_devices,
 )
 from feel321.study.actuator.mixer import Cue
@@ -32,6 +35,7 @@ from feel321.study.actuator.rig import (
     MaskingTable,
     Rig,
     SensorTable,
+    TriggerTable,
 )
 
 if TYPE_CHECKING:
@@ -146,7 +150,7 @@ def make_take(n: int = 1000) -> Take:
 
 
 def test_onset_end_and_faults_are_known_to_the_sample_until_all_is_out(cue: Cue) -> None:
-    take = Take(TAKE_HZ, DELAY_S)
+    take = Take(TAKE_HZ, DELAY_S, held_s=DELAY_S)
     out = run(take, cue, onset=230, has_run_dry={1, 3, 6, 9}, has_lost_input={2})
     assert take.onset_s == pytest.approx(5.23 + DELAY_S)
     assert take.end_s == pytest.approx(5.38 + DELAY_S)
@@ -199,6 +203,43 @@ def test_what_is_sensed_stays_in_its_place_if_the_onsets_block_was_missed(cue: C
     assert take.sensor is not None
     assert take.onset_s == pytest.approx(0.23 + DELAY_S)
     assert_array_equal(take.sensor[: take.n_sensed, 0], [0.0] * 70 + list(range(300, 500)))
+
+
+class Port:
+    """A port that remembers what was sent to it."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.sent: list[tuple[int, float]] = []
+        self.clock = clock
+
+    def __call__(self, code: int) -> None:
+        self.sent.append((code, self.clock()))
+
+
+def test_a_trigger_is_sent_at_the_onset_and_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = Port(perf_counter)
+    monkeypatch.setattr("feel321.study.actuator.device.open_port", lambda _: port)
+    table = TriggerTable(port="serial", address="COM3", code=7, duration_s=0.02)
+    trigger, onset_s = Trigger(table, perf_counter), perf_counter() + 0.05
+    known = iter([None, None])
+    trigger.watch(lambda: next(known, onset_s))
+    while trigger.sent_s is None:
+        sleep(0.001)
+    sleep(0.05)
+    trigger.leave()
+    (code, first_s), (none, second_s) = port.sent
+    assert (code, none, trigger.error) == (7, 0, "")
+    assert 0 <= first_s - onset_s < 0.02
+    assert second_s - first_s >= 0.02
+    trigger.watch(lambda: None)
+    trigger.leave()
+    assert trigger.sent_s is None  # it never began
+
+
+def test_a_port_that_does_not_open_is_one_line() -> None:
+    with pytest.raises(OSError, match="trigger: serial port /nowhere does not open") as refusal:
+        open_port(TriggerTable(port="serial", address="/nowhere"))
+    assert "\n" not in str(refusal.value)
 
 
 # A stream that asks for a block whenever a test says so.
