@@ -30,7 +30,7 @@ from feel321.protocols.questions import Question
 from feel321.protocols.trial import Page, Part, Trials
 from feel321.stimuli.recording import Signal
 from feel321.study.findings import Audit, Problems, Seal
-from feel321.study.power.page import StudyPower
+from feel321.study.power import StudyPower
 from feel321.study.session.events import SessionEvent
 from feel321.study.session.ports import Act, Place
 from feel321.study.status import Status

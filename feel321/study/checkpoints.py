@@ -17,13 +17,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from queue import Empty, Queue
 from threading import Thread
-from time import monotonic
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from feel321.files import create_text, digest_file, make_folder, sync_folder, temporary_folder
+from feel321.files import create_text, make_folder, sync_folder, temporary_folder
 from feel321.study.findings import Seal
 from feel321.study.session.journal import SESSION_FILE, digest, list_journals, utc_now
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
@@ -34,10 +33,12 @@ if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Clock
 
+T = TypeVar("T")
+
 EVIDENCE, DIGESTS, HEADS = ".evidence", b"digests", b"refs/heads/"
 
 LOCK_S, PUSH_S, FETCH_S = 60.0, 15.0, 120.0
-"""How long another process may hold the repository, and how long all remotes may take: no session waits for them."""
+"""How long another process may hold the repository, and how long a remote may take."""
 
 ATTRIBUTES = "# Digests are of bytes: git must not convert line endings.\n* -text\n"
 
@@ -93,7 +94,8 @@ def take_marks(study: StudyFolder) -> dict[str, FileMark]:
         name = path.relative_to(study.path)
         if path.is_file() and not any(part.startswith((".", "__pycache__")) for part in name.parts):
             with suppress(FileNotFoundError):  # replaced at this moment
-                marks[name.as_posix()] = _take_mark(path)
+                content = read_lines(path) if is_journal(path.name) else path.read_bytes()
+                marks[name.as_posix()] = FileMark(len(content), digest(content))
     return marks
 
 
@@ -101,13 +103,6 @@ def read_lines(path: Path) -> bytes:
     """Read the whole lines of a journal, with the line ends that it was written with."""
     content = path.read_bytes()
     return content[: content.rfind(b"\n") + 1].replace(b"\r\n", b"\n")
-
-
-def _take_mark(path: Path) -> FileMark:
-    if not is_journal(path.name):
-        return FileMark(path.stat().st_size, digest_file(path))
-    lines = read_lines(path)
-    return FileMark(len(lines), digest(lines))
 
 
 def list_lost(before: Mapping[str, FileMark], now: Mapping[str, FileMark]) -> list[str]:
@@ -206,7 +201,9 @@ def read_own(study: StudyFolder) -> Own:
     try:
         with Repo(home) as repo:
             branch = _name_branch(study, repo)
-            remotes = {url: _list_pushed(repo, name) for url, name in _list_remotes(repo).items()}
+            for url, name in _list_remotes(repo).items():
+                refs = _refs(repo).subkeys(b"refs/remotes/" + name)
+                remotes[url] = {ref.decode() for ref in refs}
             tip = _refs(repo).as_dict().get(b"HEAD")
             return Own(_read_history(repo, tip), remotes, "", branch)
     except Exception as error:  # noqa: BLE001 - what is damaged raises anything
@@ -230,10 +227,6 @@ def _list_remotes(repo: Repo) -> dict[str, bytes]:
     return {config.get((b"remote", name), b"url").decode(): name for name in names}
 
 
-def _list_pushed(repo: Repo, name: bytes) -> set[str]:
-    return {ref.decode() for ref in _refs(repo).subkeys(b"refs/remotes/" + name)}
-
-
 def take_checkpoint(
     study: StudyFolder, by: str, *, who: str = "", reason: str = "", remote: str = "", now: Clock
 ) -> Seal:
@@ -243,22 +236,22 @@ def take_checkpoint(
     remote: a further one, which is kept if it takes this.
     """
     remote = remote and _prepare_remote(remote, study)
-    own = read_own(study) if reason else None
-    ahead = _find_ahead(own) if own else []
+    ahead = _find_ahead(read_own(study)) if reason else []
+    moment = now()
     with _opening(study) as repo:
+        if (own := read_own(study)).problem:
+            raise ValueError(own.problem)
         branch, marks = _name_branch(study, repo), take_marks(study)
         if ahead:
             lost = "; ".join(list_lost(ahead[-1].marks, marks)) or "no session"
             by, reason = "restored", f"{reason} (restored, lost: {lost})"
             branch = f"{branch.partition('-restored-')[0]}-restored-{ahead[-1].id[:8]}"
         message = "\n\n".join(filter(None, [f"{by} {who}".strip(), reason]))
-        moment = now()
         done = _commit(repo, branch, marks, message=message, utc=moment)
-    pushed = {} if by.startswith("before") else _push_all(study, branch, new=remote)
-    utc = moment.astimezone(UTC).isoformat(timespec="seconds")
+        pushed = {} if by.startswith("before") else _push_all(repo, own, branch, new=remote)
     places = tuple(url for url, problem in pushed.items() if not problem)
     problems = tuple(f"{url}: takes no checkpoint ({why})" for url, why in pushed.items() if why)
-    return Seal(utc, done, places, problems)
+    return Seal(moment.astimezone(UTC).isoformat(timespec="seconds"), done, places, problems)
 
 
 def _find_ahead(own: Own) -> list[Checkpoint]:
@@ -318,68 +311,42 @@ def _prepare_remote(remote: str, study: StudyFolder) -> str:
     return str(folder)
 
 
-def _push_all(study: StudyFolder, branch: str, *, new: str) -> dict[str, str]:
-    """Push a branch to every remote at once, and keep a new one that took it; returns what went wrong, by URL.
+def _push_all(repo: Repo, own: Own, branch: str, *, new: str) -> dict[str, str]:
+    """Push a branch to every remote, and keep a new one that took it; returns what went wrong, by URL."""
+    ref, problems = HEADS + branch.encode(), dict[str, str]()
+    tip, known = _refs(repo)[ref], {one.id.encode() for one in own.history}
 
-    The repository is not held meanwhile: others go on committing while a remote does not answer.
-    """
-    from filelock import FileLock, Timeout
-
-    home, ref = study.path / EVIDENCE, HEADS + branch.encode()
-    try:
-        with FileLock(home.with_name(f"{EVIDENCE}.push.lock"), timeout=PUSH_S):
-            own = read_own(study)  # with what another process committed since
-            if own.problem:
-                raise ValueError(own.problem)
-            urls = dict.fromkeys([*own.pushed, *filter(None, [new])])
-            pushed = {url: set() if url == new else own.pushed[url] for url in urls}
-            known = {one.id.encode() for one in own.history}
-            found = _within(
-                PUSH_S, {url: _Push(home, url, ref, known, pushed[url]) for url in urls}
-            )
-    except Timeout:
-        return {EVIDENCE: f"another process is pushing for more than {PUSH_S:g} s"}
-    done = {url: problem for url, (_, problem) in found.items()}
-    if fresh := [url for url in urls if not done[url] and branch not in pushed[url]]:
-        with _opening(study) as repo:
-            for url in fresh:
-                remotes, config = _list_remotes(repo), repo.get_config()
-                name = remotes.get(url, b"remote%d" % (len(remotes) + 1))
-                config.set((b"remote", name), b"url", url.encode())
-                config.write_to_path()
-                _refs(repo)[b"refs/remotes/" + name + b"/" + branch.encode()] = _refs(repo)[ref]
-    return done
-
-
-@dataclass(frozen=True, slots=True)
-class _Push:
-    """A push of a branch to a remote; known: the commits of it here, pushed: branches that were pushed there."""
-
-    home: Path
-    url: str
-    ref: bytes
-    known: set[bytes]
-    pushed: set[str]
-
-    def __call__(self) -> None:
-        from dulwich.repo import Repo
+    def push(url: str, there: set[str]) -> None:
+        def choose(refs: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
+            if any(HEADS + one.encode() not in refs for one in there):
+                raise ValueError("what was pushed there is gone; see feel321 audit")
+            if refs.get(ref, tip) not in {*known, tip}:
+                raise ValueError(
+                    "it has checkpoints that are not here; see feel321 audit, and if this folder was restored from a "
+                    "backup, say so: feel321 seal --reason TEXT"
+                )
+            return {ref: tip}
 
         with suppress(OSError):  # of a push that was killed: nobody else has this branch
-            Path(self.url, f"{self.ref.decode()}.lock").unlink()
-        client, path = _find_client(self.url)
-        with Repo(self.home) as repo:
-            tip = _refs(repo)[self.ref]
-            client.send_pack(path, lambda refs: self.choose(refs, tip), repo.generate_pack_data)
+            Path(url, f"{ref.decode()}.lock").unlink()
+        client, path = _find_client(url)
+        client.send_pack(path, choose, repo.generate_pack_data)
 
-    def choose(self, refs: Mapping[bytes, bytes], tip: bytes) -> dict[bytes, bytes]:
-        if any(HEADS + one.encode() not in refs for one in self.pushed):
-            raise ValueError("what was pushed there is gone; see feel321 audit")
-        if refs.get(self.ref, tip) not in self.known:
-            raise ValueError(
-                "it has checkpoints that are not here; see feel321 audit, and if this folder was restored from a "
-                "backup, say so: feel321 seal --reason TEXT"
-            )
-        return {self.ref: tip}
+    for url in dict.fromkeys([*own.pushed, *filter(None, [new])]):
+        there = set() if url == new else own.pushed[url]
+        try:
+            _limit(PUSH_S, partial(push, url, there))
+        except OSError as error:
+            problems[url] = str(error)
+            continue
+        problems[url] = ""
+        if branch not in there:
+            remotes, config = _list_remotes(repo), repo.get_config()
+            name = remotes.get(url, b"remote%d" % (len(remotes) + 1))
+            config.set((b"remote", name), b"url", url.encode())
+            config.write_to_path()
+            _refs(repo)[b"refs/remotes/" + name + b"/" + branch.encode()] = tip
+    return problems
 
 
 def _find_client(url: str) -> tuple[Any, str]:
@@ -391,27 +358,24 @@ def _find_client(url: str) -> tuple[Any, str]:
     return get_transport_and_path(url, config=StackedConfig.default(), ssh_command=ssh)
 
 
-def _within(seconds: float, jobs: Mapping[str, Callable[[], Any]]) -> dict[str, tuple[Any, str]]:
-    """Do what waits for other computers, all at once and for so long at most: results, and what went wrong."""
-    done: Queue[tuple[str, Any, str]] = Queue()
+def _limit(seconds: float, work: Callable[[], T]) -> T:
+    """Do what waits for another computer, for so long at most; whatever goes wrong is an OSError."""
+    done: list[T] = []
+    problem = f"no answer within {seconds:g} s"
 
-    def work(name: str, job: Callable[[], Any]) -> None:
+    def run() -> None:
+        nonlocal problem
         try:
-            done.put((name, job(), ""))
+            done.append(work())
         except Exception as error:  # noqa: BLE001 - a transport raises anything
-            done.put((name, None, f"{type(error).__name__}: {error}"))
+            problem = f"{type(error).__name__}: {error}"
 
-    for name, job in jobs.items():
-        Thread(target=work, args=(name, job), daemon=True).start()
-    found: dict[str, tuple[Any, str]] = dict.fromkeys(
-        jobs, (None, f"no answer within {seconds:g} s")
-    )
-    end_s = monotonic() + seconds
-    with suppress(Empty):
-        for _ in jobs:
-            name, value, problem = done.get(timeout=max(end_s - monotonic(), 0.001))
-            found[name] = value, problem
-    return found
+    thread = Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(seconds)
+    if not done:
+        raise OSError(problem)
+    return done[0]
 
 
 def fetch_branches(url: str, known: Sequence[Checkpoint]) -> dict[str, list[Checkpoint]]:
@@ -434,10 +398,7 @@ def fetch_branches(url: str, known: Sequence[Checkpoint]) -> dict[str, list[Chec
                 found[branch] = list(known[: ends.get(tip, 0)]) or _read_history(repo, tip)
         return found
 
-    branches, problem = _within(FETCH_S, {url: fetch})[url]
-    if problem:
-        raise OSError(problem)
-    return dict(branches)
+    return _limit(FETCH_S, fetch)
 
 
 # Occasions.
@@ -458,14 +419,14 @@ def declaring(
     study: StudyFolder, by: str, *, who: str = "", warn: Callable[[str], None] = lambda _: None
 ) -> Iterator[None]:
     """Take checkpoints before and after something that may change files, where a study has some."""
-    has_evidence = (study.path / EVIDENCE).is_dir()
-    before = note_checkpoint(study, f"before {by}", who=who) if has_evidence else ""
+    if not (study.path / EVIDENCE).is_dir():
+        yield
+        return
+    before = note_checkpoint(study, f"before {by}", who=who)
     try:
         yield
     except Exception:  # else it was killed, and may have done half
-        if has_evidence:
-            note_checkpoint(study, f"failed {by}", who=who)
+        note_checkpoint(study, f"failed {by}", who=who)
         raise
-    after = note_checkpoint(study, by, who=who) if has_evidence else ""
-    for problem in filter(None, (before, after)):
+    for problem in filter(None, (before, note_checkpoint(study, by, who=who))):
         warn(problem)

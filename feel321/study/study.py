@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.findings import Audit, Problems, Seal
-    from feel321.study.power.page import StudyPower
+    from feel321.study.power import StudyPower
     from feel321.study.session.plan import Dossier
     from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
@@ -257,7 +257,6 @@ class Study:
         hypothesis: str | None = None,
         pilot: str | None = None,
         manifest: PathLike | None = None,
-        screening: Sequence[str] = (),
         wanted: float = 0.8,
         studies: int = 1000,
         workers: int | Workers = 1,
@@ -281,8 +280,6 @@ class Study:
             `analysis.Truth` if left out.
         manifest : str or path, optional
             The stimuli of the pilot; the study's by default.
-        screening : sequence of str
-            Screening rules; whoever is flagged is left out. `analyze` itself leaves nobody out.
         wanted : float
             Power that is asked for.
         studies : int
@@ -301,22 +298,21 @@ class Study:
         """
         from feel321.analysis.report.folder import check_target
         from feel321.jobs import as_workers
-        from feel321.study.power import setup
+        from feel321.study import power
 
         target = self.folder.path / "power" if folder is None else as_path(folder, "folder")
         check_target(target)
         given = None if manifest is None else as_path(manifest, "manifest")
         seed = self.settings.study.seed if seed is None else seed
-        sizes = setup.Sizes(
-            participants, recordings, reducers, repeats, hypothesis or "", studies, seed
-        )
         with follow(self.progress, "power") as step:
-            task = setup.set_up(
-                self.folder, effects=effects, pilot=pilot, pilot_manifest=given, screening=screening, wanted=wanted
-            )  # fmt: skip
-            found = setup.plan_study(
-                task, sizes, keep=target / setup.KEPT, workers=as_workers(workers), progress=step
+            task = power.set_up(
+                self.folder, effects=effects, pilot=pilot, pilot_manifest=given, wanted=wanted
             )
+            found = power.plan_study(
+                task, participants=participants, recordings=recordings, reducers=reducers, repeats=repeats,
+                hypothesis=hypothesis or "", studies=studies, seed=seed, keep=target / power.KEPT,
+                workers=as_workers(workers), progress=step,
+            )  # fmt: skip
         found.write(target)
         return found
 

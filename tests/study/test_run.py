@@ -17,7 +17,7 @@ import pytest
 from feel321.study import lab
 from feel321.study.actuator.device import Device
 from feel321.study.actuator.rig import digest, read_rig
-from feel321.study.auditing.study import audit_study, list_remarks
+from feel321.study.auditing.study import audit_study, examine
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.lab import Visit, run_participant
@@ -224,7 +224,7 @@ def test_participants_on_another_rig_than_most_are_named(
     assert [row["rig"] for row in rows.values()] == [file_rig, other] * 2 + [file_rig]
     line = f"p02, p04: another rig ({other}) than the other 3 ({file_rig})"
     assert line in read_status(ready).summary().splitlines()
-    assert line in list(list_remarks(ready))
+    assert line in examine(ready).remarks
 
 
 def test_who_stops_is_told_how_to_go_on(

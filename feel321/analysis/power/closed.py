@@ -1,8 +1,12 @@
 """Power in closed form: standard errors from the planted spreads, and the noncentral t distribution.
 
-The standard error is that of `SlopePrecision`, which takes one that was estimated apart. Where a design draws its
-recordings or reducers, power is the mean over draws. A draw whose slope is not estimable, which has no test in the
-report either, counts as no power there; standard errors are those of the others.
+The standard error is that of generalised least squares (`SlopePrecision` takes it apart), degrees of freedom are those
+of Welch and Satterthwaite, the level is that of Holm's first step. Slopes that differ between recordings add to the
+variance as to an estimate that does not know it: the whole then is 4 to 9 % more than with the best weights, in designs
+of 4 to 20 recordings. The ends of the scale, lapses, careless people and the penalty of few reducers are not in it.
+
+Where a design draws its recordings or reducers, power is the mean over draws. A draw whose slope is not estimable,
+which has no test in the report either, counts as no power there; standard errors are those of the others.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.power import draw
+from feel321.analysis.power.simulate import Scenario, Stimuli
 from feel321.analysis.primary import precision
 from feel321.analysis.primary.model import FEWEST, FEWEST_DF
 
@@ -38,11 +42,11 @@ FLAT = 1e-9
 class ClosedForm:
     """The precision of the slope of one metric, by its place among them."""
 
-    scenario: draw.Scenario
+    scenario: Scenario
     place: int
 
     @cached_property
-    def sets(self) -> list[draw.Stimuli]:
+    def sets(self) -> list[Stimuli]:
         """The stimuli of several possible studies; a single set where there is nothing to draw."""
         count = 1 if self.scenario.design.is_own else DRAWS
         return [self.scenario.draw(np.random.default_rng([0, number])) for number in range(count)]
@@ -50,14 +54,12 @@ class ClosedForm:
     @cached_property
     def precisions(self) -> list[precision.SlopePrecision]:
         """What the standard error is made of, for every set of stimuli."""
-        return self._find_precisions(self.scenario.design.participants)
+        people = self.scenario.design.participants
+        return [self._find_precision(stimuli, people) for stimuli in self.sets]
 
-    def _find_precisions(self, participants: int) -> list[precision.SlopePrecision]:
-        return [self._find_precision(stimuli, participants) for stimuli in self.sets]
-
-    def _find_precision(self, stimuli: draw.Stimuli, participants: int) -> precision.SlopePrecision:
+    def _find_precision(self, stimuli: Stimuli, participants: int) -> precision.SlopePrecision:
         design, truth, planted = self.scenario.design, self.scenario.truth, self.scenario.planted
-        kinds = int(stimuli.kind.max()) + 1
+        kinds, within = int(stimuli.kind.max()) + 1, stimuli.within
         several = kinds > 1 and stimuli.scene.max() > 0
         study = precision.SlopePrecision(
             slope_sd=float(planted.slope_sds[self.place]), item_sd=truth.item_sd,
@@ -66,7 +68,6 @@ class ClosedForm:
             n_slopes=len(design.metrics), reducer_sd=truth.reducer_sd, rater_reducer_sd=truth.person_reducer_sd,
             n_reducers=kinds if several else 0, n_alike=len(stimuli.scene) / kinds, level=design.level,
         )  # fmt: skip
-        within = stimuli.within
         own, alike = precision.find_own(
             within, self.place, stimuli.kind, variances=precision.find_variances(study)
         )
@@ -83,8 +84,13 @@ class ClosedForm:
 
     def find_power(self, value: float, *, participants: int | None = None) -> float:
         """Compute the power to find a slope of some size; NaN where it cannot be estimated."""
-        found = self._find_precisions(participants) if participants else self.precisions
-        return _average(found, value)
+        if participants is None:
+            return _average(self.precisions, value)
+        return _average([self._find_precision(one, participants) for one in self.sets], value)
+
+    def find_ceiling(self, value: float) -> float:
+        """Compute the power with participants without end."""
+        return self.find_power(value, participants=precision.MOST)
 
     def find_errors(self) -> tuple[float, float]:
         """Compute the standard error (root mean square) and degrees of freedom (mean); NaN without any."""
@@ -99,10 +105,6 @@ class ClosedForm:
 
         se, df = self.find_errors()
         return float(2 * t.ppf(1 - precision.SIGNIFICANCE / 2, df) * se)
-
-    def find_ceiling(self, value: float) -> float:
-        """Compute the power with participants without end."""
-        return self.find_power(value, participants=precision.MOST)
 
     def find_detectable(self) -> float:
         """Find the smallest slope that is found with the wanted power."""
@@ -128,23 +130,21 @@ class ClosedForm:
         What more recordings like these would bring is imagined, then computed for a study that has them, and imagined
         anew from there, until a study of so many has the power.
         """
-        form, least = self, precision.FEWEST_RECORDINGS
+        form, least, wanted = self, precision.FEWEST_RECORDINGS, self.scenario.design.wanted
         for _ in range(TURNS):
-            number = form._imagine_recordings(value, least=least)
+            own = form.precisions
+            number = precision.find_least(
+                lambda count, own=own: _average([one.enlarge(recordings=count) for one in own], value),  # type: ignore[misc]  # a lambda's default has no type
+                least=least, enough=wanted,
+            )  # fmt: skip
             if math.isnan(number):
-                return number
-            larger = self.scenario.design.change(recordings=int(number))
-            form = ClosedForm(draw.Scenario(larger, self.scenario.truth), self.place)
-            if form.find_power(value) >= larger.wanted:
+                break
+            larger = replace(self.scenario.design, recordings=int(number))
+            form = ClosedForm(Scenario(larger, self.scenario.truth), self.place)
+            if form.find_power(value) >= wanted:
                 return number
             least = int(number) + 1
         return math.nan
-
-    def _imagine_recordings(self, value: float, *, least: int) -> float:
-        return precision.find_least(
-            lambda count: _average([one.enlarge(recordings=count) for one in self.precisions], value),
-            least=least, enough=self.scenario.design.wanted,
-        )  # fmt: skip
 
     def find_lack(self) -> str:
         """Say why the slope is not estimable with any of the sets; nothing where it is with one."""
@@ -155,10 +155,8 @@ class ClosedForm:
         for name, count in (("recordings (or their sources)", sources), ("reducers", kinds)):
             if count < FEWEST:
                 return f"{name} number {count}, where {FEWEST} are needed"
-        if not max(float(np.abs(one.within[:, self.place]).max()) for one in self.sets) > FLAT:
-            return "the metric does not vary within recordings"
         if not max(one.square for one in self.precisions) > 0:
-            return "the metric cannot be told apart from the others"
+            return "the metric does not vary within recordings, or cannot be told apart from the others"
         return f"fewer than {FEWEST_DF:g} degrees of freedom are left with the planted spreads"
 
 

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
+from feel321.analysis.page import render_words
 from feel321.analysis.power.closed import ClosedForm
-from feel321.analysis.power.draw import Scenario
-from feel321.analysis.power.simulate import NONE, Power, find_power
-from feel321.analysis.power.truth import SIZES, PowerDesign, Truth
+from feel321.analysis.power.simulate import Scenario, simulate_studies
+from feel321.analysis.power.truth import LEVEL, SIZES, PowerDesign, Truth
+from feel321.analysis.primary.model import adjust_holm
+from feel321.analysis.primary.plan import SCENE, SOURCE
 from feel321.analysis.words import format_count, format_name
-from feel321.doors import follow
-from feel321.jobs import ALONE, Workers
+from feel321.doors import as_path, follow
+from feel321.jobs import ALONE, Workers, as_workers
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pandas import DataFrame
 
@@ -38,31 +41,126 @@ LEAST = {"participants": 6, "recordings": 4, "reducers": 3}
 TRIED = 8
 """Designs that are simulated in search of one whose simulation does not contradict the closed form."""
 
+STEP = 0.8
+"""Share of a refuted design's detectable slope that the next one must detect."""
+
 LEAST_TESTED = 0.9
 """Share of simulated studies that must give a test, for a simulation to confirm a design."""
 
-STEPS = 0.5, 0.95
-"""Least and largest share of a refuted design's detectable slope that the next one must detect."""
-
 SURE, HOPELESS = 0.99, 0.01
+
+SIMULATED = ("simulated", "simulated_low", "simulated_high")
 
 ENOUGH, NOTHING, UNTESTABLE, CEILING, REFUTED, SMALL = (
     "enough", "nothing planted", "not estimable", "ceiling", "refuted", "too small",
 )  # fmt: skip
 """Verdicts: a design is enough; or none is, and why."""
 
-SENTENCES = {
-    ENOUGH: "Plan {size}: the power to find {slope} is then {power}.",
-    NOTHING: "There is nothing to find: the slope planted for {name} is zero.",
-    UNTESTABLE: "A slope of {name} is not estimable in any of these designs ({lack}): plan more recordings or "
-    "reducers, or fewer metrics.",
-    CEILING: "No number of participants is enough: the power to find {slope} is at most {most} in closed form with "
-    "{units}; {advice}.",
-    REFUTED: "None of these designs is enough: {slope} is found with a power of {most} at most in simulations of "
-    "{count} that would be enough in closed form, which knows neither people who lapse nor the ends of the scale.",
-    SMALL: "None of these designs is enough: {slope} is found with a power of {most} at most in closed form, with up "
-    "to {people}; {advice}.",
-}
+
+# One design.
+
+
+@dataclass(frozen=True, slots=True)
+class Power:
+    """The power of one design; NaN where there is none, or nothing was simulated.
+
+    table: a row per hypothesis, ``attribute metric slope`` (planted, per unit of the metric); in closed form ``se df
+    width`` (of the 95 % interval), ``power`` (Holm's first step), ``ceiling`` (with participants without end),
+    ``detectable`` (smallest slope found with the wanted power), ``recordings_needed``; ``simulated`` (power, Holm's
+    method), ``simulated_low simulated_high`` (95 % Wilson interval) and ``tests`` (studies that gave a test).
+    """
+
+    design: PowerDesign
+    truth: Truth
+    table: DataFrame
+    studies: int
+    seed: int
+    notes: tuple[str, ...] = ()
+
+
+def find_power(  # noqa: PLR0913 - a design and a truth; how many studies, who does them, where they are kept
+    design: PowerDesign,
+    truth: Truth,
+    *,
+    studies: int = 1000,
+    seed: int = 0,
+    workers: int | Workers = ALONE,
+    keep: PathLike | None = None,
+    progress: Progress = False,
+) -> Power:
+    """Find the power of a design; keep: a folder from which an interrupted call is continued."""
+    if studies < 0:
+        raise ValueError(f"studies must be 0 or more, got {studies}; give 1000")
+    scenario = Scenario(design, truth)
+    forms = {metric: ClosedForm(scenario, place) for place, metric in enumerate(design.metrics)}
+    rows, notes = [], list(_list_notes(design, truth))
+    for attribute, metric in design.hypotheses:
+        form, slope = forms[metric], truth.find_slope(attribute, metric)
+        rows.append(
+            {"attribute": attribute, "metric": metric, "slope": slope} | _describe(form, slope)
+        )
+        if slope and (lack := form.find_lack()):
+            notes.append(f"The planted slope of {metric} on {attribute} cannot be tested: {lack}.")
+    p = np.empty((0, len(rows)))
+    if studies:
+        place = None if keep is None else as_path(keep, "keep")
+        with follow(progress, "power") as move:
+            p = simulate_studies(
+                design, truth, studies=studies, seed=seed, workers=as_workers(workers), keep=place, progress=move
+            )  # fmt: skip
+        if lost := int(np.isnan(p).all(axis=1).sum()):
+            notes.append(f"{lost} of {studies} simulated studies gave no test and are excluded.")
+    table = pd.DataFrame(rows).join(tabulate_shares(p))
+    return Power(design, truth, table, studies, seed, tuple(notes))
+
+
+def _describe(form: ClosedForm, slope: float) -> dict[str, float]:
+    se, df = form.find_errors()
+    return {
+        "se": se, "df": df, "width": form.find_width(), "power": form.find_power(slope),
+        "ceiling": form.find_ceiling(slope), "detectable": form.find_detectable(),
+        "recordings_needed": form.find_recordings(slope),
+    }  # fmt: skip
+
+
+def tabulate_shares(p: np.ndarray) -> DataFrame:
+    """Tabulate the share of studies that find each slope by Holm's method; p: (studies, n_hypotheses)."""
+    from scipy.stats import binomtest
+
+    adjusted = np.array([adjust_holm(row) for row in p.tolist()]).reshape(p.shape)
+    rows = []
+    for column in adjusted.T:
+        known = int(np.isfinite(column).sum())
+        share = low = high = math.nan
+        if known:
+            found = binomtest(int((column < LEVEL).sum()), known)
+            share = float(found.statistic)
+            low, high = found.proportion_ci(method="wilson")
+        rows.append((share, float(low), float(high), known))
+    return pd.DataFrame(rows, columns=[*SIMULATED, "tests"])
+
+
+def _list_notes(design: PowerDesign, truth: Truth) -> Iterator[str]:
+    """Say what was assumed."""
+    yield f"Standard deviations: {truth.source}."
+    if len(design.hypotheses) > 1:
+        first = f"{design.level:.3g}, the first step of Holm's method over {len(design.hypotheses)} tests"
+        yield f"The closed form is at a level of {first}."
+    if len(design.attributes) > 1:
+        yield "Attributes are taken to be independent of each other, although the same people rate them."
+    if not design.is_own:
+        yield (
+            "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are "
+            "more than the set has, some are used more than once, with the same metrics."
+        )
+    if SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique:
+        yield (
+            "Several recordings come from one source; what else they share is not simulated, so actual "
+            "power is lower."
+        )
+
+
+# Many designs.
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -116,9 +214,8 @@ class PowerPlan(Result):
     @property
     def shown(self) -> Power:
         """The recommended design, or the given one."""
-        best = self.recommended
-        known = (one for one in self.powers if best and _key(one.design) == _key(best))
-        return next(known, self.powers[0])
+        best = self.recommended and self.recommended.sizes
+        return next((one for one in self.powers if one.design.sizes == best), self.powers[0])
 
     @property
     def answer(self) -> str:
@@ -150,32 +247,21 @@ def describe_plan(plan: PowerPlan, *, share: int = 1, size: float = 1.0, per: st
     share: as many times the participants take part; size, per: the step of the metric that slopes are told for.
     """
     row, design, table = find_row(plan), plan.shown.design, plan.table
-    name = f"{format_name(row['metric'])} on {format_name(row['attribute'])}"
-    slope = f"a slope of {row['slope'] * size:.2g} points per {per} of {name}"
-    people = format_count(design.participants * share, "participant")
-    often = {1: "once", 2: "twice"}.get(design.repeats, f"{design.repeats} times")
-    advice = "plan more recordings or reducers"
-    if math.isfinite(row["recordings_needed"]):
-        needed = format_count(int(row["recordings_needed"]), "recording")
-        advice = f"{needed} would be enough with {people}"
-    elif math.isfinite(found := row["detectable"] * size):
-        advice = f"{people} can find slopes of {found:.2g} points per {per} or more"
-    power, refuted = format_power(row["power"]), table[table["enough"] & table["refuted"]]
-    if math.isfinite(row["simulated"]):
-        ends = "{simulated_low:.2f} to {simulated_high:.2f}".format(**row)
-        power = f"{format_power(row['simulated'])} (95 % Monte Carlo interval {ends})"
     best = table.sort_values("ceiling", na_position="first").iloc[-1]
-    tried = table[table["kind"] != "smallest"]
-    most = {
-        CEILING: best["ceiling"], REFUTED: refuted["simulated"].max(), SMALL: tried["power"].max(),
-    }.get(plan.verdict, NONE)  # fmt: skip
-    return SENTENCES[plan.verdict].format(
-        name=name, slope=slope, power=power, most=format_power(float(most)), advice=advice, lack=plan.lack,
-        size=f"{people}, {describe_units(design.recordings, design.reducers)}, each rated {often}",
-        units=describe_units(int(best["recordings"]), int(best["reducers"])),
-        count=format_count(len(refuted), "design"),
-        people=format_count(int(tried["participants"].max()) * share, "participant"),
-    )  # fmt: skip
+    tried, refuted = table[table["kind"] != "smallest"], table[table["enough"] & table["refuted"]]
+    most = {CEILING: best["ceiling"], REFUTED: refuted["simulated"].max()}
+    detectable = row["detectable"] * size
+    return " ".join(render_words(
+        "power", verdict=plan.verdict, lack=plan.lack,
+        what=f"{format_name(row['metric'])} on {format_name(row['attribute'])}",
+        slope=f"{row['slope'] * size:.2g}", per=per, power=format_simulated(row),
+        most=format_power(float(most.get(plan.verdict, tried["power"].max()))),
+        people=design.participants * share, units=describe_units(design.recordings, design.reducers),
+        repeats=design.repeats, tried=len(refuted), largest=int(tried["participants"].max()) * share,
+        needed=row["recordings_needed"] if math.isfinite(row["recordings_needed"]) else 0,
+        detectable=f"{detectable:.2g}" if math.isfinite(detectable) else "",
+        best_units=describe_units(int(best["recordings"]), int(best["reducers"])),
+    ))  # fmt: skip
 
 
 def format_power(power: float) -> str:
@@ -193,9 +279,33 @@ def format_power(power: float) -> str:
     return f"{power:.2f}" if power >= HOPELESS else f"< {HOPELESS}"
 
 
+def format_simulated(row: Mapping[Any, Any]) -> str:
+    """Write the simulated power with its interval; that of the closed form where nothing was simulated."""
+    if not math.isfinite(row["simulated"]):
+        return format_power(row["power"])
+    ends = "{simulated_low:.2f} to {simulated_high:.2f}".format(**row)
+    return f"{format_power(row['simulated'])} (95 % Monte Carlo interval {ends})"
+
+
 def describe_units(recordings: int, reducers: int) -> str:
     """Describe how many stimuli a design has."""
     return f"{format_count(recordings, 'recording')} × {format_count(reducers, 'reducer')}"
+
+
+class Row(NamedTuple):
+    """A design in closed form, for the hypothesis that is planned for."""
+
+    design: PowerDesign
+    kind: str
+    power: float
+    ceiling: float
+    detectable: float
+    width: float
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether it has the wanted power in closed form."""
+        return self.power >= self.design.wanted
 
 
 def plan_power(  # noqa: PLR0913 - what varies, for what; how many studies, who does them, who watches
@@ -258,8 +368,7 @@ def plan_power(  # noqa: PLR0913 - what varies, for what; how many studies, who 
     recordings, reducers and repeats as is needed, then takes the fewest trials of all participants together; where
     numbers of participants are named, it has one of these. It is simulated: where the simulation refutes it (its whole
     interval lies below the wanted power, or fewer than 90 % of the studies give a test), the next one is simulated that
-    detects a slope smaller by as much as the simulation lacked, or where there is none the one that detects the
-    smallest; up to 8 of them.
+    detects a slope at least a fifth smaller, or where there is none the one that detects the smallest; up to 8 of them.
 
     Examples
     --------
@@ -276,55 +385,43 @@ def plan_power(  # noqa: PLR0913 - what varies, for what; how many studies, who 
     aim = _choose_aim(design, truth, hypothesis)
     wanted = dict(zip(SIZES, (participants, recordings, reducers, repeats), strict=True))
     rows = list(_tabulate(_list_designs(design, wanted), truth, aim))
-    allowed = set(participants) or {row.design.participants for row in rows}
-    enough = [row for row in rows if row.is_enough and row.design.participants in allowed]
-    enough.sort(key=lambda row: _rank(row.design, design))
     runs: dict[tuple[int, ...], Power] = {}
 
     def run(one: PowerDesign) -> Power:
-        done, total = len(runs), 2 + TRIED
-        if _key(one) not in runs:
-            runs[_key(one)] = find_power(
+        done, key = len(runs), _key(one)
+        if key not in runs:
+            runs[key] = find_power(
                 one, truth, studies=studies, seed=seed, workers=workers, keep=keep,
-                progress=lambda part, whole: move(min(done, total - 1) * whole + part, total * whole),
+                progress=lambda part, whole: move(min(done, TRIED) * whole + part, (TRIED + 1) * whole),
             )  # fmt: skip
-        return runs[_key(one)]
+        return runs[key]
 
+    def rank(row: Row) -> tuple[int, int, int]:
+        pairs = zip(_key(row.design)[1:], _key(design)[1:], strict=True)
+        people = row.design.participants
+        return sum(size != own for size, own in pairs), row.design.trials * people, people
+
+    allowed = set(participants) or {row.design.participants for row in rows}
+    left = [row for row in rows if row.is_enough and row.design.participants in allowed]
+    left.sort(key=rank)
+    chosen, most = None, math.inf
     with follow(progress, "power") as move:
         run(design)
-        chosen = _confirm(enough, run, aim)
+        for _ in range(TRIED):
+            if not left:
+                break
+            strongest = min(left, key=lambda row: row.detectable)
+            row = next((one for one in left if one.detectable <= most), strongest)
+            if not _is_refuted(run(row.design), aim[0]):
+                chosen = row
+                break
+            left = [one for one in left if one.detectable < row.detectable]
+            most = row.detectable * STEP
     return _build_plan(rows, runs, chosen=chosen, aim=aim)
 
 
-class Row(NamedTuple):
-    """A design in closed form."""
-
-    design: PowerDesign
-    kind: str
-    power: float
-    ceiling: float
-    detectable: float
-    width: float
-
-    @property
-    def is_enough(self) -> bool:
-        """Whether it has the wanted power in closed form."""
-        return self.power >= self.design.wanted
-
-
-def find_sizes(design: PowerDesign) -> dict[str, int]:
-    """Find the sizes that identify a design among those of a plan."""
-    return {name: int(getattr(design, name)) for name in SIZES}
-
-
 def _key(design: PowerDesign) -> tuple[int, ...]:
-    return tuple(find_sizes(design).values())
-
-
-def _rank(one: PowerDesign, given: PowerDesign) -> tuple[int, int, int]:
-    """Rank by the changes to the given stimuli and repeats, then by the trials of all participants together."""
-    changes = sum(size != own for size, own in zip(_key(one)[1:], _key(given)[1:], strict=True))
-    return changes, one.trials * one.participants, one.participants
+    return tuple(design.sizes.values())
 
 
 def _choose_aim(
@@ -351,9 +448,8 @@ def _list_designs(
     sizes = {"repeats": list(REPEATS)}
     for name, factors in FACTORS.items():
         own = getattr(design, name)
-        sizes[name] = sorted({
-            max(min(LEAST[name], own), round(own * factor)) for factor in factors
-        })
+        least = min(LEAST[name], own)
+        sizes[name] = sorted({max(least, round(own * factor)) for factor in factors})
     sizes |= {name: sorted(set(given)) for name, given in wanted.items() if given}
     changes = [("given", dict[str, int]())]
     changes += [("one factor", {name: size}) for name in SIZES for size in sizes[name]]
@@ -361,7 +457,7 @@ def _list_designs(
     changes += [("grid", {"participants": one, "recordings": two}) for one, two in pairs]
     seen = set()
     for kind, change in changes:
-        other = design.change(**change)
+        other = replace(design, **change)  # type: ignore[arg-type]  # sizes are numbers
         if _key(other) not in seen:
             seen.add(_key(other))
             yield kind, other
@@ -372,57 +468,28 @@ def _tabulate(
 ) -> Iterator[Row]:
     """Compute every design, and with the recordings, reducers and repeats of each the fewest participants."""
     known = set()
-    for kind, design in designs:
+
+    def make_row(design: PowerDesign, kind: str) -> tuple[Row, float]:
         form = ClosedForm(Scenario(design, truth), aim[1])
         slope = float(form.scenario.planted.slopes.ravel()[aim[0]])
-        yield _make_row(kind, form, slope)
-        others = _key(design)[1:]
-        number = NONE if others in known else form.find_participants(slope)
-        known.add(others)
+        found = form.find_power(slope), form.find_ceiling(slope)
+        row = Row(design, kind, *found, form.find_detectable(), form.find_width())
+        others, number = _key(design)[1:], math.nan
+        if others not in known:
+            known.add(others)
+            number = form.find_participants(slope)
+        return row, number
+
+    for kind, design in designs:
+        row, number = make_row(design, kind)
+        yield row
         if math.isfinite(number) and number != design.participants:
-            smallest = Scenario(design.change(participants=int(number)), truth)
-            yield _make_row("smallest", ClosedForm(smallest, aim[1]), slope)
+            yield make_row(replace(design, participants=int(number)), "smallest")[0]
 
 
-def _make_row(kind: str, form: ClosedForm, slope: float) -> Row:
-    power, ceiling = form.find_power(slope), form.find_ceiling(slope)
-    return Row(
-        form.scenario.design, kind, power, ceiling, form.find_detectable(), form.find_width()
-    )
-
-
-def _confirm(
-    enough: list[Row], run: Callable[[PowerDesign], Power], aim: tuple[int, int]
-) -> Row | None:
-    """Find the smallest design that its simulation does not refute; after each refusal, one with clearly more power."""
-    left, most = enough, math.inf
-    for _ in range(TRIED):
-        if not left:
-            break
-        strongest = min(left, key=lambda row: row.detectable)
-        row = next((one for one in left if one.detectable <= most), strongest)
-        found = run(row.design)
-        if not _is_refuted(found, aim):
-            return row
-        left = [one for one in left if one.detectable < row.detectable]
-        most = row.detectable * _find_step(found, aim)
-    return None
-
-
-def _find_step(found: Power, aim: tuple[int, int]) -> float:
-    """Find the share of a refuted design's detectable slope that the next one must detect, from its simulation."""
-    from scipy.stats import norm
-
-    seen, wanted = found.table["simulated"].iloc[aim[0]], found.design.wanted
-    share = min(max(np.nan_to_num(seen), 0.5 / found.studies), wanted)
-    limit = float(norm.isf(found.design.level / 2))
-    shifts = [limit + float(norm.ppf(one)) for one in (share, wanted)]
-    return min(max(shifts[0] / shifts[1], STEPS[0]), STEPS[1])
-
-
-def _is_refuted(power: Power, aim: tuple[int, int]) -> bool:
+def _is_refuted(power: Power, place: int) -> bool:
     """Check whether a simulation lies below the wanted power as a whole, or gives hardly any test."""
-    row = power.table.iloc[aim[0]]
+    row = power.table.iloc[place]
     confirmed = row["simulated_high"] >= power.design.wanted
     return bool(power.studies and not (confirmed and row["tests"] >= LEAST_TESTED * power.studies))
 
@@ -434,46 +501,40 @@ def _build_plan(
     chosen: Row | None,
     aim: tuple[int, int],
 ) -> PowerPlan:
-    import pandas as pd
-
-    given, listed = rows[0].design, []
+    first = next(iter(runs.values()))
+    given, notes = first.design, [note for power in runs.values() for note in power.notes]
+    listed = []
     for row in rows:
         power = runs.get(_key(row.design))
-        seen = {"simulated": NONE, "simulated_low": NONE, "simulated_high": NONE}
+        seen = dict.fromkeys(SIMULATED, math.nan)
         if power:
-            seen = {name: float(power.table[name].iloc[aim[0]]) for name in seen}
+            seen = {name: float(power.table[name].iloc[aim[0]]) for name in SIMULATED}
+        is_refuted = bool(power and _is_refuted(power, aim[0]))
         listed.append(
-            find_sizes(row.design)
+            row.design.sizes
             | {"trials": row.design.trials, **row._asdict(), **seen, "enough": row.is_enough}
-            | {"refuted": bool(power and _is_refuted(power, aim)), "recommended": row is chosen}
+            | {"refuted": is_refuted, "recommended": row is chosen}
         )
-    table = pd.DataFrame(listed).drop(columns="design")
-    first = runs[_key(given)]
-    form = ClosedForm(Scenario(given, first.truth), aim[1])
-    notes = [note for power in runs.values() for note in power.notes]
-    for row, found in zip(rows, listed, strict=True):
-        if found["enough"] and found["refuted"]:
-            seen_power = format_power(found["simulated"]).replace("not estimable", "no test")
-            design = f"{row.design.participants} participants, " + describe_units(
-                *_key(row.design)[1:3]
-            )
+        if row.is_enough and is_refuted:
+            units = describe_units(row.design.recordings, row.design.reducers)
+            found = format_power(seen["simulated"]).replace("not estimable", "no test")
             notes.append(
-                f"Simulation contradicts the closed form of {design}: {format_power(row.power)} in closed form, "
-                f"{seen_power} in simulated studies."
+                f"Simulation contradicts the closed form of {row.design.participants} participants, {units}: "
+                f"{format_power(row.power)} in closed form, {found} in simulated studies."
             )
+    table = pd.DataFrame(listed).drop(columns="design")
+    verdict = ENOUGH
+    if not chosen:
+        verdicts = {
+            NOTHING: not first.table["slope"].iloc[aim[0]],
+            UNTESTABLE: table["power"].isna().all(),
+            REFUTED: (table["enough"] & table["refuted"]).any(),
+            SMALL: table["ceiling"].max() >= given.wanted,
+            CEILING: True,
+        }
+        verdict = next(name for name, holds in verdicts.items() if holds)
     return PowerPlan(
         table=table, powers=tuple(runs.values()), hypothesis=given.hypotheses[aim[0]], wanted=given.wanted,
-        recommended=chosen.design if chosen else None, verdict=ENOUGH if chosen else _judge(table, first, aim),
-        lack=form.find_lack(), notes=tuple(dict.fromkeys(notes)),
+        recommended=chosen.design if chosen else None, verdict=verdict,
+        lack=ClosedForm(Scenario(given, first.truth), aim[1]).find_lack(), notes=tuple(dict.fromkeys(notes)),
     )  # fmt: skip
-
-
-def _judge(table: DataFrame, given: Power, aim: tuple[int, int]) -> str:
-    """Say why no design is enough."""
-    if not given.table["slope"].iloc[aim[0]]:
-        return NOTHING
-    if table["power"].isna().all():
-        return UNTESTABLE
-    if (table["enough"] & table["refuted"]).any():
-        return REFUTED
-    return SMALL if table["ceiling"].max() >= given.design.wanted else CEILING

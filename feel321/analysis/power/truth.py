@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from feel321.analysis.arrays import check_columns
 from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, find_recording_slope
-from feel321.doors import as_names, check_name
+from feel321.doors import as_names
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -27,19 +27,20 @@ ENOUGH = 0.8
 LOW, HIGH = 0.0, 100.0
 """Ends of the scale."""
 
-SCREENED = ("straight_lining", "test_retest", "repeat_sd", "reversed_scale", "outliers")
-"""Rules that look at ratings of test stimuli alone; answers' times and anchors are not simulated."""
-
 SIZES = ("participants", "recordings", "reducers", "repeats")
 """What a plan varies."""
 
-SPREADS = (
-    "person_sd", "recording_sd", "item_sd", "reducer_sd", "person_recording_sd", "person_reducer_sd", "person_item_sd",
-    "rating_sd",
-)  # fmt: skip
+GROUPS = {
+    "person_sd": "participant", "recording_sd": SCENE, "item_sd": ITEM, "reducer_sd": REDUCER,
+    "person_recording_sd": f"participant:{SCENE}", "person_reducer_sd": f"participant:{REDUCER}",
+}  # fmt: skip
+"""Field of a truth -> grouping factor of the primary model."""
+
+SPREADS = (*GROUPS, "person_item_sd", "rating_sd")
 """Standard deviations of a truth, in points; those of people's slopes are apart."""
 
-SHARES = ("lapse_rate", "straight_liners", "random_clickers", "scale_reversers")
+CARELESS = ("straight_liners", "random_clickers", "scale_reversers")
+SHARES = ("lapse_rate", *CARELESS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +51,7 @@ class PowerDesign:
     ----------
     items : DataFrame
         The study's own stimulus set, one row per test stimulus: ``recording``, ``reducer`` and a column per metric;
-        ``item`` names each, if it is there.
+        ``item`` names each, if it is there, and ``source`` what several recordings come from.
     metrics : sequence of str
         The metrics of the primary model, all in one model.
     attributes : sequence of str
@@ -63,9 +64,6 @@ class PowerDesign:
         How many the study has; as many as `items` if left out. With another number every simulated study draws its own
         from those of `items`: without replacement, and where more are asked for, each as often as every other but for
         one. A recording keeps its reducers' metrics; a second copy counts as another recording with the same metrics.
-    screening : sequence of str
-        Any of straight_lining, test_retest, repeat_sd, reversed_scale and outliers (`RULES`); whoever is flagged is
-        left out of the primary analysis.
     wanted : float
         Power that is asked for.
 
@@ -91,26 +89,26 @@ class PowerDesign:
     repeats: int = 1
     recordings: int = 0
     reducers: int = 0
-    screening: tuple[str, ...] = ()
     wanted: float = ENOUGH
 
     def __post_init__(self) -> None:
         """Refuse what is no study, and settle names and numbers."""
-        for name in ("metrics", "attributes", "screening"):
-            object.__setattr__(self, name, as_names(getattr(self, name), name))
-        if not self.metrics or not self.attributes:
-            raise ValueError("metrics and attributes must each name at least one, got none")
-        for name in self.screening:
-            check_name(name, SCREENED, "screening")
+        for name in ("metrics", "attributes"):
+            names = as_names(getattr(self, name), name)
+            if not names:
+                raise ValueError(f"{name} must name at least one, got none")
+            object.__setattr__(self, name, names)
         object.__setattr__(self, "items", _check_items(self.items, self.metrics))
-        for name, column in (("recordings", SCENE), ("reducers", REDUCER)):
-            own = int(self.items[column].nunique())
+        for name, own in zip(("recordings", "reducers"), self._count_own(), strict=True):
             object.__setattr__(self, name, int(getattr(self, name)) or own)
         if not LEVEL < self.wanted < 1:
             raise ValueError(f"wanted must be between {LEVEL} and 1, got {self.wanted}")
         for name, least in zip(SIZES, (3, 1, 1, 1), strict=True):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
+
+    def _count_own(self) -> tuple[int, int]:
+        return int(self.items[SCENE].nunique()), int(self.items[REDUCER].nunique())
 
     @property
     def hypotheses(self) -> tuple[tuple[str, str], ...]:
@@ -123,36 +121,25 @@ class PowerDesign:
         return LEVEL / len(self.hypotheses)
 
     @property
+    def sizes(self) -> dict[str, int]:
+        """The numbers that tell it from other designs of a plan."""
+        return {name: int(getattr(self, name)) for name in SIZES}
+
+    @property
     def is_own(self) -> bool:
         """Whether the study has just the recordings and reducers of `items`."""
-        own = (self.items[SCENE].nunique(), self.items[REDUCER].nunique())
-        return (self.recordings, self.reducers) == own
+        return (self.recordings, self.reducers) == self._count_own()
 
     @property
     def n_items(self) -> int:
         """Stimuli of the study, on average over what is drawn."""
-        scenes, kinds = self.items[SCENE].nunique(), self.items[REDUCER].nunique()
+        scenes, kinds = self._count_own()
         return round(len(self.items) * self.recordings * self.reducers / (scenes * kinds))
 
     @property
     def trials(self) -> int:
         """Ratings that one person gives: stimuli x repeats x attributes."""
         return self.n_items * self.repeats * len(self.attributes)
-
-    def change(self, **sizes: int) -> PowerDesign:
-        """Return the same study with other sizes.
-
-        Parameters
-        ----------
-        **sizes : int
-            Any of participants, recordings, reducers, repeats.
-
-        Returns
-        -------
-        PowerDesign
-            The design with these.
-        """
-        return replace(self, **sizes)  # type: ignore[arg-type]  # sizes are numbers
 
 
 def _check_items(items: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
@@ -178,8 +165,7 @@ class Truth:
 
     Ratings are ``mean + slope x (metric - its mean over the stimulus set)``, plus what people, recordings, stimuli and
     reducers differ by, rounded to `step` and kept within 0 to 100. All attributes of a study have the same truth unless
-    `slopes` names them, and are independent of each other, although the same people rate them: for
-    correlated tests Holm's method behaves slightly differently (it keeps its level).
+    `slopes` names them, and are independent of each other, although the same people rate them.
 
     Parameters
     ----------
@@ -265,8 +251,8 @@ class Truth:
         for name in SHARES:
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
-        if (careless := sum(getattr(self, name) for name in SHARES[1:])) > 1 + 1e-9:
-            raise ValueError(f"{', '.join(SHARES[1:])} must be at most 1 together, got {careless}")
+        if (careless := sum(getattr(self, name) for name in CARELESS)) > 1 + 1e-9:
+            raise ValueError(f"{', '.join(CARELESS)} must be at most 1 together, got {careless}")
 
     @classmethod
     def from_fit(cls, primary: Primary, *, repeats: int = 1, **changes: object) -> Truth:
@@ -297,25 +283,31 @@ class Truth:
         by that averaging leaves. `rating_sd` among the changes separates them; where it is not given, all of the
         residual is taken for the first, which no repeat makes smaller.
         """
+        if unknown := set(changes) - set(cls.__dataclass_fields__):
+            raise ValueError(f"changes must be fields of a Truth, got {sorted(unknown)[0]!r}")
+        fit, metrics = primary.fit, list(primary.slopes.index)
         spreads = {
             (row["group"], row["term"]): float(row["sd"])
-            for row in primary.fit.variances.to_dict("records")
+            for row in fit.variances.to_dict("records")
         }
-        metrics = list(primary.slopes.index)
         found: dict[str, object] = {
             name: spreads.get((group, "(Intercept)"), 0.0) for name, group in GROUPS.items()
         }
-        found |= _split_residual(primary, spreads, changes, repeats=repeats)
-        people = primary.fit.n_levels.get("participant", 0)
+        own, given = spreads.get(("participant:item", "(Intercept)")), changes.get("rating_sd")
+        if own is None:
+            noise = float(given) ** 2 / repeats if isinstance(given, int | float) else 0.0
+            own = float(np.sqrt(max(fit.residual_sd**2 - noise, 0.0)))
+            found["rating_sd"] = 0.0
+        else:
+            found["rating_sd"] = fit.residual_sd
         found |= {
+            "person_item_sd": own,
             "slopes": primary.slopes["estimate"].to_dict(),
             "slope_sds": {name: spreads.get(("participant", f"{name}_w"), 0.0) for name in metrics},
             "recording_slope_sds": {name: find_recording_slope(spreads, name) for name in metrics},
             "mean": float(primary.model_frame["rating"].mean()),
-            "source": f"the primary model of {people} people's ratings",
+            "source": f"the primary model of {fit.n_levels.get('participant', 0)} people's ratings",
         }
-        if unknown := set(changes) - set(cls.__dataclass_fields__):
-            raise ValueError(f"changes must be fields of a Truth, got {sorted(unknown)[0]!r}")
         return cls(**(found | changes))  # type: ignore[arg-type]  # checked by name
 
     def find_slope(self, attribute: str, metric: str) -> float:
@@ -332,26 +324,3 @@ class Truth:
             Points per unit of the metric.
         """
         return float(self.slopes.get(f"{attribute}/{metric}", self.slopes.get(metric, 0.0)))
-
-
-GROUPS = {
-    "person_sd": "participant", "recording_sd": SCENE, "item_sd": ITEM, "reducer_sd": REDUCER,
-    "person_recording_sd": f"participant:{SCENE}", "person_reducer_sd": f"participant:{REDUCER}",
-}  # fmt: skip
-"""Field of a truth -> grouping factor of the primary model."""
-
-
-def _split_residual(
-    primary: Primary,
-    spreads: Mapping[tuple[str, str], float],
-    changes: Mapping[str, object],
-    *,
-    repeats: int,
-) -> dict[str, object]:
-    """Divide the residual between what a person thinks of a stimulus and what repeats differ by."""
-    residual, own = primary.fit.residual_sd, spreads.get(("participant:item", "(Intercept)"))
-    if own is not None:
-        return {"person_item_sd": own, "rating_sd": residual}
-    given = changes.get("rating_sd")
-    noise = float(given) ** 2 / repeats if isinstance(given, int | float) else 0.0
-    return {"person_item_sd": float(np.sqrt(max(residual**2 - noise, 0.0))), "rating_sd": 0.0}

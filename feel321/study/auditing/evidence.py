@@ -47,22 +47,18 @@ REMEDY = "if that was intended, give the reason: feel321 seal --reason TEXT"
 class Evidence:
     """What was found and is worth knowing; the newest checkpoint; a sentence on how far the evidence reaches."""
 
-    study: StudyFolder
     findings: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     checkpoint: str = ""
-    sentence: str = ""
+    sentence: str = "without evidence: no checkpoint"
 
 
 def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) -> Evidence:
     """Compare a study with its checkpoints, here and at its remotes; expect: the id of one that must be here."""
-    found = Evidence(study)
-    if study.is_rehearsal:
-        return found
-    own, today = read_own(study), take_marks(study)
-    history = own.history
+    found = Evidence()
+    own, today, home = read_own(study), take_marks(study), study.path / EVIDENCE
+    history, binding, held = own.history, [own.history], list[str]()
     found.findings += filter(None, [own.problem])
-    binding, held = [history], []
     for url in dict.fromkeys([*own.pushed, *remotes]):
         try:
             branches = fetch_branches(url, history)
@@ -73,80 +69,75 @@ def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) 
         for branch in sorted(own.pushed.get(url, set()) - set(branches)):
             text = f"{url}: had the checkpoints of {branch} and has none now; ask whoever keeps it"
             found.findings.append(text)
-        binding.append(_compare_remote(url, branches, own, found=found, today=today))
         there = {one.id for theirs in branches.values() for one in theirs}
         held += [f"{url} has those until {one.utc}" for one in history if one.id in there][-1:]
+        others = [
+            (branch == own.branch, theirs[-1].utc, theirs)
+            for branch, theirs in branches.items()
+            if _compare_branch(study, own, (branch, url, theirs), found=found, today=today)
+        ]
+        binding.append(max(others, default=(False, "", []), key=lambda one: one[:2])[-1])
     if expect and not any(one.id.startswith(expect) for one in history):
         text = f"has no checkpoint {expect}; if the id is right, the history was made anew or turned back"
-        found.findings.append(f"{study.path / EVIDENCE}: {text}")
+        found.findings.append(f"{home}: {text}")
     for one in filter(None, binding):
-        _Comparison(study, one, today, found).run()
-    found.checkpoint = history[-1].id if history else ""
-    found.sentence = (
-        _describe(history, held, today) if history else "without evidence: no checkpoint"
-    )
+        _Comparison(study, today, found).run(one)
+    if history:
+        found.checkpoint, found.sentence = history[-1].id, _describe(history, held, today)
     return found
 
 
-def _compare_remote(
-    url: str,
-    branches: Mapping[str, list[Checkpoint]],
+def _compare_branch(
+    study: StudyFolder,
     own: Own,
+    other: tuple[str, str, Sequence[Checkpoint]],
     *,
     found: Evidence,
     today: Mapping[str, FileMark],
-) -> list[Checkpoint]:
-    """Compare the history here with a remote's; returns one of there that must hold of this folder, too."""
-    home, known = found.study.path / EVIDENCE, {one.id for one in own.history}
-    binding = []
-    for branch, theirs in branches.items():
-        unknown = [one for one in theirs if one.id not in known]
-        said = f"{branch} at {url}, the newest of {theirs[-1].utc}"
-        found.findings += _find_withdrawn(found.study, unknown)
-        if not own.history:
-            found.remarks.append(f"{home}: has none; compared with the checkpoints of {said}")
-        elif len(unknown) == len(theirs):
-            text = f"shares none of the checkpoints of {said}; it was made anew, or this is another study"
-            found.findings.append(f"{home}: {text}")
-        elif unknown and branch == own.branch:
-            text = f"lacks {len(unknown)} checkpoints of {said}; an old copy was restored, or it was made anew"
-            remedy = "if a backup was restored, say so: feel321 seal --reason TEXT"
-            found.findings.append(f"{home}: {text}; {remedy}")
-        elif unknown:
-            lost = ", ".join(list_lost(theirs[-1].marks, today))
-            text = f"another copy of this study went on as {said}" + f"; not here: {lost}" * bool(
-                lost
-            )
-            found.remarks.append(f"{home}: {text}")
-            continue
-        if unknown:
-            binding.append((branch == own.branch, theirs[-1].utc, theirs))
-    return max(binding, default=(False, "", []))[-1]
-
-
-def _find_withdrawn(study: StudyFolder, unknown: Sequence[Checkpoint]) -> Iterator[str]:
-    """Find who withdrew at checkpoints that are not here, and has data here: a backup brought them back."""
-    for one in unknown:
+) -> bool:
+    """Compare the history here with a remote's; whether that one must hold of this folder, too."""
+    home, known = study.path / EVIDENCE, {one.id for one in own.history}
+    branch, url, theirs = other
+    unknown = [one for one in theirs if one.id not in known]
+    said = f"{branch} at {url}, the newest of {theirs[-1].utc}"
+    for one in unknown:  # a backup brings back whoever withdrew since
         folder = study.sessions / one.who
         is_there = (folder / PLAN_FILE).exists() and not (folder / TOMBSTONE_FILE).exists()
         if one.by == "withdraw" and not one.begins and is_there:
             again = f"feel321 withdraw {quote(str(study.path))} --participant {one.who}"
-            yield f"{folder}: withdrew at the checkpoint of {one.utc}, and is back from a copy; remove again: {again}"
+            text = f"withdrew at the checkpoint of {one.utc}, and is back from a copy; remove again: {again}"
+            found.findings.append(f"{folder}: {text}")
+    if not own.history:
+        found.remarks.append(f"{home}: has none; compared with the checkpoints of {said}")
+    elif len(unknown) == len(theirs):
+        text = (
+            f"shares none of the checkpoints of {said}; it was made anew, or this is another study"
+        )
+        found.findings.append(f"{home}: {text}")
+    elif unknown and branch == own.branch:
+        text = f"lacks {len(unknown)} checkpoints of {said}; an old copy was restored, or it was made anew"
+        remedy = "if a backup was restored, say so: feel321 seal --reason TEXT"
+        found.findings.append(f"{home}: {text}; {remedy}")
+    elif unknown:
+        lost = ", ".join(list_lost(theirs[-1].marks, today))
+        more = f"; not here: {lost}" if lost else ""
+        found.remarks.append(f"{home}: another copy of this study went on as {said}{more}")
+        return False
+    return bool(unknown)
 
 
-def _describe(history: Sequence[Checkpoint], held: list[str], today: Mapping[str, FileMark]) -> str:
+def _describe(
+    history: Sequence[Checkpoint], held: Sequence[str], today: Mapping[str, FileMark]
+) -> str:
     """Say how far the evidence reaches, and how much came after it."""
-    last = history[-1]
-    now = {name: mark for name, mark in today.items() if is_journal(name)}
+    last, now = history[-1], {name: mark for name, mark in today.items() if is_journal(name)}
     begun = sum(name not in last.marks for name in now)
     changed = sum(last.marks.get(name, mark) != mark for name, mark in now.items())
-    reach = (
-        "; ".join(held)
-        or "no remote holds them, so the folder could be rewritten unnoticed (feel321 seal --to REMOTE)"
-    )
+    alone = "no remote holds them, so the folder could be rewritten unnoticed (feel321 seal --to REMOTE)"
     return (
         f"compared with {len(history)} checkpoint{'s' * (len(history) > 1)}, the last {last.id[:12]} of {last.utc} on "
-        f"{len(last.marks)} files; {reach}; since then: new journals {begun}, longer or changed {changed}"
+        f"{len(last.marks)} files; {'; '.join(held) or alone}; since then: new journals {begun}, longer or changed "
+        f"{changed}"
     )
 
 
@@ -159,7 +150,6 @@ class _Comparison:
     """
 
     study: StudyFolder
-    history: Sequence[Checkpoint]
     today: Mapping[str, FileMark]
     own: Evidence
     base: dict[str, tuple[Checkpoint, FileMark]] = field(default_factory=dict)
@@ -167,9 +157,9 @@ class _Comparison:
     seen: dict[str, dict[FileMark, Checkpoint]] = field(default_factory=lambda: defaultdict(dict))
     begun: dict[tuple[str, str], Checkpoint] = field(default_factory=dict)
 
-    def run(self) -> None:
+    def run(self, history: Sequence[Checkpoint]) -> None:
         """Follow the history, and judge what became of each file."""
-        for one in self.history:
+        for one in history:
             self._follow(one)
             self._note(one)
         lost: dict[str, list[str]] = defaultdict(list)
@@ -245,10 +235,10 @@ class _Comparison:
             self.own.remarks.append(f"{path}: has other line endings, and no other change")
 
     def _judge_lost(self, who: str, names: Sequence[str]) -> None:
-        folder, files = self.study.sessions / who, [name.rpartition("/")[2] for name in names]
+        folder, files = self.study.sessions / who, [one.rpartition("/")[2] for one in names]
         if files == [PLAN_FILE] and not folder.exists():
             return  # the number was given back before anything was recorded
-        utc = max(self.base[name][0].utc for name in names)
+        utc = max(self.base[one][0].utc for one in names)
         remedy = "restore it from a copy"
         if (folder / TOMBSTONE_FILE).is_file():
             remedy = f"no checkpoint declares the tombstone there; {REMEDY}"

@@ -1,10 +1,11 @@
-"""The journals of one participant: each chain, its header and times, and how one session follows another."""
+"""A participant's plan and journals: each chain, its header and times, and how one session follows another."""
+
+from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from itertools import pairwise
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 from feel321.study.auditing.replay import MALFORMED, audit_steps
 from feel321.study.folder import DELIVERED, name_delivered
@@ -12,7 +13,24 @@ from feel321.study.persons.answers import audit_personal
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
 from feel321.study.session.journal import Chain, Record, list_journals, name_journal, read_journal
-from feel321.study.session.plan import Plan
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from feel321.study.session.plan import Plan
+
+APART_S = 10.0
+"""How far the time of day and the presenter's clock may part between two records."""
+
+_CLOCKS_APART = {
+    kind.event for kind in (events.SessionBegun, events.SessionResumed, events.ClockStepped)
+}
+_CLOCKS_ASLEEP = {
+    kind.event
+    for kind in (events.PageRead, events.QuestionAnswered, events.TrialContinued, events.DeviceOpened)
+}  # fmt: skip
+"""In a pause or on a page the computer may sleep, and the presenter's clock with it."""
 
 
 def guard(place: Path, findings: Iterable[str]) -> Iterator[str]:
@@ -28,9 +46,11 @@ def guard(place: Path, findings: Iterable[str]) -> Iterator[str]:
         yield f"{place}: {text}; restore it from a copy"
 
 
-def audit_journals(folder: Path, plan: Plan) -> Iterator[str]:
-    """Verify all journals of a participant."""
-    chains: dict[Path, Chain] = {}
+def audit_journals(
+    folder: Path, plan: Plan, chains: dict[Path, Chain] | None = None
+) -> Iterator[str]:
+    """Verify all journals of a participant; chains: filled with those that can be read."""
+    chains = {} if chains is None else chains
     for path in sorted(folder.glob("session-*.jsonl")):  # Copies under other names too.
         yield from guard(path, _audit_file(path, plan, chains))
     yield from _audit_succession(list_journals(folder), chains)
@@ -38,23 +58,27 @@ def audit_journals(folder: Path, plan: Plan) -> Iterator[str]:
 
 def _audit_file(path: Path, plan: Plan, chains: dict[Path, Chain]) -> Iterator[str]:
     chains[path] = chain = read_journal(path)
-    yield from (f"{path}{finding}" for finding in _audit_journal(chain, plan, path))
-
-
-def _audit_journal(chain: Chain, plan: Plan, path: Path) -> Iterator[str]:
     if chain.torn:
-        yield f": ends in {len(chain.torn)} bytes of an unfinished line; resuming moves them aside"
+        yield f"{path}: ends in {len(chain.torn)} bytes of an unfinished line; resuming moves them aside"
     try:
         header = chain.records.find_header()
     except ValueError as error:
-        yield f", {error}"
+        yield f"{path}, {error}"
         return
-    if header is None:
-        # A crash may have come before it, and nobody come back.
-        allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
-        if not {record.event for record in chain.records} <= allowed:
-            yield ": has no header"
+    if header is not None:
+        yield from (
+            f"{path}{finding}" for finding in _audit_journal(header, chain, plan, path=path)
+        )
         return
+    # A crash may have come before it, and nobody come back.
+    allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
+    if not {record.event for record in chain.records} <= allowed:
+        yield f"{path}: has no header"
+
+
+def _audit_journal(
+    header: events.SessionBegun, chain: Chain, plan: Plan, *, path: Path
+) -> Iterator[str]:
     yield from find_misplaced(path, header, plan)
     yield from _audit_header(header, plan, path)
     yield from _audit_clocks(header, chain.records)
@@ -84,18 +108,11 @@ def _audit_header(header: events.SessionBegun, plan: Plan, path: Path) -> Iterat
             yield f", line 1: has {name} {got}, the plan says {planned}"
 
 
-APART_S = 10.0
-"""How far the time of day and the presenter's clock may part between two records."""
-
-
 def _audit_clocks(header: events.SessionBegun, records: Sequence[Record]) -> Iterator[str]:
     """Find where the time of day and the presenter's clock part, and nothing says why."""
     if header.identity.get("presenter", {}).get("simulated", True):
         return  # Simulated participants have a clock of their own.
-    before: Record | None = None
-    is_asleep = (
-        False  # In a pause or on a page the computer may sleep, and the presenter's clock with it.
-    )
+    before, is_asleep = None, False
     for record in records:
         if record.event in _CLOCKS_APART:
             before = None
@@ -103,32 +120,14 @@ def _audit_clocks(header: events.SessionBegun, records: Sequence[Record]) -> Ite
         if not isinstance(record.data.get("time_s"), int | float):
             continue
         if before is not None:
-            day_s, own_s = _tell_apart(before, record)
+            day = datetime.fromisoformat(record.utc) - datetime.fromisoformat(before.utc)
+            day_s, own_s = day.total_seconds(), record.data["time_s"] - before.data["time_s"]
             if own_s - day_s > APART_S or (day_s - own_s > APART_S and not is_asleep):
                 yield (
                     f", line {record.sequence + 1}: {day_s:.0f} s after line {before.sequence + 1} by the time of day, "
                     f"{own_s:.0f} s by the clock of the session, and nothing says why"
                 )
         before, is_asleep = record, False
-
-
-def _tell_apart(before: Record, record: Record) -> tuple[float, float]:
-    day = datetime.fromisoformat(record.utc) - datetime.fromisoformat(before.utc)
-    return day.total_seconds(), record.data["time_s"] - before.data["time_s"]
-
-
-_CLOCKS_APART = {
-    kind.event for kind in (events.SessionBegun, events.SessionResumed, events.ClockStepped)
-}
-_CLOCKS_ASLEEP = {
-    kind.event
-    for kind in (
-        events.PageRead,
-        events.QuestionAnswered,
-        events.TrialContinued,
-        events.DeviceOpened,
-    )
-}
 
 
 def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
@@ -155,12 +154,9 @@ def _audit_succession(journals: Sequence[Path], chains: Mapping[Path, Chain]) ->
         if path.name != name_journal(session):
             yield f"{path}: is there without {name_journal(session)} before it"
             return
-    for session, path in enumerate(journals[:-1], start=2):
-        if path not in chains:
+        if path == journals[-1] or path not in chains:
             continue
-        try:
-            by = [e.by for e in chains[path].records.find(events.SessionSuperseded)]
-        except ValueError:
-            by = []
-        if session not in by:
-            yield f"{path}: does not mention {name_journal(session)}, which stands beside it"
+        superseded = events.SessionSuperseded.event
+        by = [one.data.get("by") for one in chains[path].records if one.event == superseded]
+        if session + 1 not in by:
+            yield f"{path}: does not mention {name_journal(session + 1)}, which stands beside it"

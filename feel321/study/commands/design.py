@@ -234,7 +234,6 @@ def power(  # noqa: PLR0913 - one per option
     hypothesis: Annotated[str | None, Parameter(metavar="ATTRIBUTE/METRIC")] = None,
     pilot: Annotated[str | None, Parameter(metavar="FILE")] = None,
     manifest: File | None = None,
-    screening: Annotated[tuple[str, ...], Parameter(metavar="RULE")] = (),
     wanted: Annotated[float, within(0.06, 0.995), Parameter(name="--power")] = 0.8,
     studies: Annotated[int, within(0, 1_000_000)] = 1000,
     crew: Crew = ALONE,
@@ -244,7 +243,7 @@ def power(  # noqa: PLR0913 - one per option
 ) -> None:
     """Find how many participants, recordings and reducers a study needs.
 
-    Simulates this very study: its stimuli, protocols, screening, primary model and Holm's method. Writes a page, tables
+    Simulates this very study: its stimuli, protocols, primary model and Holm's method. Writes a page, tables
     and JSON into STUDY/power. After Ctrl-C the same command continues.
 
     Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2
@@ -268,8 +267,6 @@ def power(  # noqa: PLR0913 - one per option
         Ratings to take standard deviations from; 'study': its own.  [default: published ones]
     manifest
         The stimuli of the pilot.  [default: the study's]
-    screening
-        Leave out whom this rule flags; repeatable.
     wanted
         Target power.
     studies
@@ -287,7 +284,6 @@ def power(  # noqa: PLR0913 - one per option
             hypothesis=hypothesis,
             pilot=pilot,
             manifest=manifest,
-            screening=screening,
             wanted=wanted,
             studies=studies,
             workers=workers,

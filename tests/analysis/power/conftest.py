@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.power.draw import Scenario
+from feel321.analysis.power.simulate import Scenario
 from feel321.analysis.power.truth import PowerDesign, Truth
 
 if TYPE_CHECKING:

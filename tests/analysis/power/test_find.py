@@ -15,28 +15,22 @@ from scipy.stats import binom, nct
 from scipy.stats import t as student
 
 from feel321 import analysis
-from feel321.analysis.power import draw, simulate
+from feel321.analysis.power import simulate
 from feel321.analysis.power.closed import ClosedForm
-from feel321.analysis.power.simulate import find_power
+from feel321.analysis.power.plan import find_power, tabulate_shares
+from feel321.analysis.power.simulate import Scenario
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from feel321.analysis.power.draw import Scenario, Stimuli
+    from feel321.analysis.power.simulate import Stimuli
 
     Make = Callable[..., Scenario]
 
 STUDIES = 60
 FAR = 1e-4
 """Chance that a right share lies outside the limits of a test."""
-
-
-def is_likely(share: float, expected: float, count: int, *, off: float = 0.0) -> bool:
-    """Check a share against binomial limits, with the expected one known to `off`."""
-    low = binom.ppf(FAR, count, max(expected - off, 0)) / count
-    high = binom.ppf(1 - FAR, count, min(expected + off, 1)) / count
-    return low <= share <= high
 
 
 def find_covariance(scenario: Scenario, stimuli: Stimuli) -> np.ndarray:
@@ -59,7 +53,7 @@ def test_closed_form_is_generalised_least_squares(make_scenario: Make) -> None:
     stimuli, people = given.stimuli, given.design.participants
     columns = np.column_stack([stimuli.within, np.eye(5)[stimuli.scene]])
     truth = replace(given.truth, slope_sds=dict.fromkeys(own, 0.0))
-    spread = find_covariance(draw.Scenario(given.design, truth), stimuli)
+    spread = find_covariance(Scenario(given.design, truth), stimuli)
     covariance = np.linalg.inv(columns.T @ np.linalg.solve(spread, columns))[:2, :2]
     covariance += np.diag([81.0, 16.0]) / people
     for place in (0, 1):
@@ -101,7 +95,7 @@ def test_power_grows_with_people_to_the_ceiling_that_stimuli_set(make_scenario: 
 def test_the_recordings_that_are_said_to_be_enough_are_enough(make_scenario: Make) -> None:
     given = make_scenario(own=(4, 3), slopes={"spectral": 30.0}, participants=16)
     number = int(find_power(given.design, given.truth, studies=0).table.loc[0, "recordings_needed"])
-    large = given.design.change(recordings=number)
+    large = replace(given.design, recordings=number)
     assert find_power(large, given.truth, studies=0).table.loc[0, "power"] >= 0.8
 
 
@@ -125,17 +119,6 @@ def test_sets_without_a_test_count_as_no_power(make_scenario: Make) -> None:
     assert np.isnan(both.find_detectable())
 
 
-def test_more_hypotheses_are_tested_at_a_lower_level(make_scenario: Make) -> None:
-    one = make_scenario()
-    two = replace(one.design, attributes=("real", "like"))
-    found = [find_power(design, one.truth, studies=0).table for design in (one.design, two)]
-    assert len(found[1]) == 2 * len(found[0]) == 4
-    for table, level in zip(found, (0.05 / 2, 0.05 / 4), strict=True):
-        se, df, power = table.loc[0, ["se", "df", "power"]]
-        limit = student.ppf(1 - level / 2, df)
-        assert power == pytest.approx(nct.sf(limit, df, 25 / se) + nct.cdf(-limit, df, 25 / se))
-
-
 def test_points_of_another_size_change_no_power(make_scenario: Make) -> None:
     """Everything in points times ten, where neither ends nor steps of the scale count."""
     free = {"bounded": False, "step": 0.0}
@@ -145,65 +128,40 @@ def test_points_of_another_size_change_no_power(make_scenario: Make) -> None:
     points = {name: 10 * getattr(one.truth, name) for name in names}
     ten = make_scenario(**free, **points, slopes={"spectral": 250.0})
     small, large = (find_power(case.design, case.truth, studies=6).table for case in (one, ten))
-    for column, factor in (
-        ("power", 1),
-        ("ceiling", 1),
-        ("se", 10),
-        ("detectable", 10),
-        ("simulated", 1),
-    ):
+    factors = {"power": 1, "ceiling": 1, "se": 10, "detectable": 10, "simulated": 1}
+    for column, factor in factors.items():
         assert (small[column] * factor).tolist() == pytest.approx(large[column].tolist(), rel=1e-6)
 
 
+@pytest.mark.parametrize("slope", [45.0, 0.0])
 def test_simulated_studies_have_the_power_of_the_closed_form_and_few_false_positives(
-    make_scenario: Make,
+    make_scenario: Make, slope: float
 ) -> None:
-    for slope in (45.0, 0.0):
-        case = make_scenario(slopes={"spectral": slope}, participants=10)
-        power = find_power(case.design, case.truth, studies=STUDIES, seed=5)
-        row = power.table.loc[0]
-        assert row["tests"] == STUDIES
-        assert power.counts["models"].sum() == STUDIES
-        assert is_likely(row["simulated"], max(row["power"], 0.025), STUDIES, off=0.06)
-        assert row["simulated_low"] <= row["simulated"] < row["simulated_high"]
+    case = make_scenario(slopes={"spectral": slope}, participants=10)
+    row = find_power(case.design, case.truth, studies=STUDIES, seed=5).table.loc[0]
+    expected = max(row["power"], 0.025)
+    low, high = expected - 0.06, expected + 0.06  # how far the closed form is known
+    assert row["tests"] == STUDIES
+    assert binom.ppf(FAR, STUDIES, max(low, 0)) <= row["simulated"] * STUDIES
+    assert row["simulated"] * STUDIES <= binom.ppf(1 - FAR, STUDIES, min(high, 1))
+    assert row["simulated_low"] <= row["simulated"] < row["simulated_high"]
 
 
-def test_shares_are_those_of_a_loop_over_studies(make_scenario: Make) -> None:
-    given = make_scenario(
-        attributes=("real", "like"), slopes={"spectral": 60.0, "like/temporal": 40.0}
-    )
-    found = simulate.simulate_studies(given.design, given.truth, studies=8)
-    found.tests[0, 1] = np.nan  # as of an attribute that has no model
-    table = simulate._tabulate_shares(found, given.design)
-    hits, counts = np.zeros((2, 4))
-    for study in range(8):
-        estimate, se, df = found.tests[study].reshape(4, 3).T
-        p = 2 * student.sf(abs(estimate / se), df)
-        order = [place for place in np.argsort(p) if np.isfinite(p[place])]
+def test_shares_are_those_of_a_loop_over_studies() -> None:
+    p = np.random.default_rng(3).uniform(0, 0.08, (40, 4))
+    p[0, 2:] = np.nan  # as of an attribute that has no model
+    table, hits = tabulate_shares(p), np.zeros(4)
+    for study in p:
+        order = [place for place in np.argsort(study) if np.isfinite(study[place])]
         for step, place in enumerate(order):
-            if p[place] * (len(order) - step) >= 0.05:
+            if study[place] * (len(order) - step) >= 0.05:
                 break
             hits[place] += 1
-        counts += np.isfinite(p)
-    assert table["tests"].tolist() == counts.tolist()
-    assert counts[2] < 8
-    assert table["simulated"].tolist() == pytest.approx((hits / counts).tolist())
+    assert table["tests"].tolist() == [40, 40, 39, 39]
+    assert table["simulated"].tolist() == pytest.approx((hits / table["tests"]).tolist())
 
 
-def test_a_damaged_result_is_computed_anew(make_scenario: Make, tmp_path: Path) -> None:
-    given = make_scenario(own=(3, 3), participants=4)
-    first = find_power(given.design, given.truth, studies=2, keep=tmp_path)
-    (file,) = tmp_path.iterdir()
-    whole = file.read_text()
-    for text in ("", whole[:-9], "[]", "[1, 2]"):
-        file.write_text(text)
-        again = find_power(given.design, given.truth, studies=2, keep=tmp_path)
-        assert again.table.equals(first.table)
-        assert file.name in " ".join(again.notes)
-        assert file.read_text() == whole
-
-
-def test_the_same_bytes_for_any_number_of_workers(
+def test_studies_are_kept_whole_and_alike_for_any_number_of_workers(
     make_scenario: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(simulate, "CHUNK", 4)
@@ -217,10 +175,12 @@ def test_the_same_bytes_for_any_number_of_workers(
     assert len(one) == 2
     assert one == two
     assert found[0].table.equals(found[1].table)
-    assert found[0].table.equals(find_power(given.design, given.truth, studies=8).table)
-    # Another truth is not taken for this one, a longer simulation is the same and more.
-    other = replace(given.truth, rating_sd=1.0)
-    find_power(given.design, other, studies=4, keep=folders[0])
+    # What is damaged is computed anew; another truth is not taken for this one, a longer simulation is more of it.
+    for content in (b"", b"[]", next(iter(one.values()))[:-9]):
+        (folders[0] / next(iter(one))).write_bytes(content)
+        again = find_power(given.design, given.truth, studies=8, keep=folders[0])
+        assert again.table.equals(found[0].table)
+    find_power(given.design, replace(given.truth, rating_sd=1.0), studies=4, keep=folders[0])
     assert len(list(folders[0].iterdir())) == 3
     longer = find_power(given.design, given.truth, studies=10, keep=folders[0])
     assert longer.table["tests"].tolist() == [10, 10]
@@ -230,13 +190,12 @@ def test_the_same_bytes_for_any_number_of_workers(
 PROGRAM = """
 import sys
 import pandas as pd
-from pathlib import Path
 from feel321 import analysis
 from feel321.analysis.power import simulate
-from feel321.analysis.power.simulate import find_power
+from feel321.analysis.power.plan import find_power
 simulate.CHUNK = 4
 design = analysis.PowerDesign(pd.read_csv(sys.argv[1]), ["spectral", "temporal"], participants=4)
-find_power(design, analysis.Truth({"spectral": 25.0}), studies=32, keep=sys.argv[2])
+print(find_power(design, analysis.Truth({"spectral": 25.0}), studies=32, keep=sys.argv[2]).table.to_csv())
 """
 
 
@@ -244,107 +203,103 @@ find_power(design, analysis.Truth({"spectral": 25.0}), studies=32, keep=sys.argv
     "how", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.soak)]
 )
 def test_a_killed_simulation_goes_on_where_it_was(
-    make_scenario: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: signal.Signals
+    make_scenario: Make, tmp_path: Path, how: signal.Signals
 ) -> None:
-    monkeypatch.setattr(simulate, "CHUNK", 4)
-    given = make_scenario(own=(3, 3), participants=4)
-    given.design.items.to_csv(tmp_path / "items.csv", index=False)
-    folder = tmp_path / "kept"
-    process = subprocess.Popen([sys.executable, "-c", PROGRAM, str(tmp_path / "items.csv"), str(folder)],
-                               stderr=subprocess.DEVNULL)  # fmt: skip
+    make_scenario(own=(3, 3)).design.items.to_csv(tmp_path / "items.csv", index=False)
+    folder, words = tmp_path / "kept", [sys.executable, "-c", PROGRAM, str(tmp_path / "items.csv")]
+    process = subprocess.Popen(
+        [*words, str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     while process.poll() is None and len(list(folder.glob("*.json"))) < 2:
         time.sleep(0.02)
     process.send_signal(how)
     assert process.wait() != 0
-    kept = {
-        file.name: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.glob("*.json")
-    }
+    kept = {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.glob("*.json")}
     assert 2 <= len(kept) < 8
-    design = analysis.PowerDesign(given.design.items, given.design.metrics, participants=4)
-    steps: list[tuple[int, int]] = []
-    again = find_power(
-        design, given.truth, studies=32, keep=folder, progress=lambda *step: steps.append(step)
+    again, whole = (
+        subprocess.run([*words, str(place)], capture_output=True, check=True)
+        for place in (folder, tmp_path / "whole")
     )
-    assert steps[0] == (len(kept), 8)
-    assert len(list(folder.glob("*.json"))) == 8
-    assert (
-        kept.items()
-        <= {
-            file.name: (file.read_bytes(), file.stat().st_mtime_ns)
-            for file in folder.glob("*.json")
-        }.items()
-    )
-    steps.clear()
-    last = find_power(
-        design, given.truth, studies=32, keep=folder, progress=lambda *step: steps.append(step)
-    )
-    assert steps == [(8, 8)]
-    assert last.table.equals(again.table)
-
-
-def test_screening_leaves_out_whom_the_rules_flag(make_scenario: Make) -> None:
-    careless = {"straight_liners": 0.4, "participants": 10, "slopes": {"spectral": 60.0}}
-    plain = make_scenario(**careless)
-    screened = make_scenario(**careless, screening=("straight_lining",))
-    found = [
-        simulate.simulate_studies(one.design, one.truth, studies=4) for one in (plain, screened)
-    ]
-    assert (found[0].people == 10).all()
-    assert 3 < found[1].people.mean() < 9
-    # A straight liner has no slope: with them the mean slope is smaller.
-    means = [one.tests[:, 0, 0, 0].mean() for one in found]
-    assert means[1] > means[0] * 1.1
-    # Ratings of a scale without ends are screened at its ends.
-    open_ended = make_scenario(**careless | {"mean": 90.0}, bounded=False, screening=("outliers",))
-    find_power(open_ended.design, open_ended.truth, studies=1)
-    alone = make_scenario(straight_liners=1.0, screening=("straight_lining",))
-    none = find_power(alone.design, alone.truth, studies=1)
-    assert none.table["tests"].tolist() == [0, 0]
-    assert none.table["simulated"].isna().all()
-    assert "screening leaves fewer than 3 participants" in " ".join(none.notes)
+    assert again.stdout == whole.stdout
+    assert all((file.read_bytes(), file.stat().st_mtime_ns) == one for file, one in kept.items())
 
 
 def test_pilot_data_give_the_spreads(make_scenario: Make) -> None:
     given = make_scenario(own=(12, 10), participants=40, repeats=4, step=0.0, bounded=False)
-    rng = np.random.default_rng(8)
-    ratings = draw.draw_ratings(given, given.stimuli, rng)
-    table = draw.tabulate_ratings(given.stimuli, ratings[0], given.design.metrics)
+    ratings = simulate.draw_ratings(given, given.stimuli, np.random.default_rng(8))
+    table = simulate.tabulate_ratings(given.stimuli, ratings[0], given.design.metrics)
     primary = analysis.fit_primary(table, given.design.metrics, explain=False)
     truth = analysis.Truth.from_fit(primary, repeats=4, rating_sd=12.5, mean=60.0)
     assert truth.slopes["spectral"] == pytest.approx(25, abs=20)
-    assert (truth.mean, truth.rating_sd, truth.source) == (
-        60.0,
-        12.5,
-        "the primary model of 40 people's ratings",
-    )
+    assert (truth.mean, truth.rating_sd) == (60.0, 12.5)
     for name in ("item_sd", "person_sd", "person_recording_sd", "person_item_sd"):
         assert getattr(truth, name) == pytest.approx(getattr(given.truth, name), rel=0.35)
     one = find_power(given.design, analysis.Truth.from_fit(primary), studies=0).table.loc[0]
     assert one["se"] == pytest.approx(primary.slopes.loc["spectral", "se"], rel=0.05)
 
 
+def test_larger_designs_use_every_recording_about_as_often(make_scenario: Make) -> None:
+    given = make_scenario(own=(5, 4), recordings=12, reducers=3)
+    drawn = [given.draw(np.random.default_rng(seed)) for seed in range(12)]
+    own = given.stimuli.metrics[:, 0].reshape(5, 4)
+    for stimuli in drawn:
+        metrics = stimuli.metrics[:, 0].reshape(12, 3)
+        whose = [np.flatnonzero(np.isin(own, row).any(axis=1))[0] for row in metrics]
+        assert sorted(np.bincount(whose)) == [2, 2, 2, 3, 3]
+        assert len(np.unique(stimuli.source)) == 12
+    assert len({hash(stimuli.metrics.tobytes()) for stimuli in drawn}) > 6
+
+
+def test_drawn_ratings_have_the_planted_spreads_and_slopes(make_scenario: Make) -> None:
+    """Each spread is planted alone and found again in means that nothing else can move."""
+    where = {
+        "person_sd": (1,), "item_sd": (2,), "person_item_sd": (1, 2), "rating_sd": (1, 2, 3),
+    }  # fmt: skip
+    spreads = ("recording_sd", "reducer_sd", "person_recording_sd", "person_reducer_sd")
+    own = ("slope_points", "recording_slope_points")
+    none = dict.fromkeys((*spreads, *where, *own), 0.0) | {"slopes": {}, "bounded": False}
+    for name, axes in where.items():
+        given = make_scenario(participants=60, repeats=4, **(none | {name: 4.0, "step": 0.0}))
+        ratings = simulate.draw_ratings(given, given.stimuli, np.random.default_rng(2))
+        others = tuple(set(range(1, 4)) - set(axes))
+        found = ratings.mean(axis=others) if others else ratings
+        assert np.std(found) == pytest.approx(4.0, rel=0.35 if name == "item_sd" else 0.25)
+        if others:
+            assert np.ptp(ratings, axis=others).max() < 1e-9
+    slopes = make_scenario(**(none | {"slopes": {"spectral": 30.0}, "step": 0.0}))
+    planted = simulate.draw_ratings(slopes, slopes.stimuli, np.random.default_rng(2))
+    metric = slopes.stimuli.metrics[:, 0]
+    assert planted[0, 0, :, 0] == pytest.approx(50 + 30 * (metric - metric.mean()))
+
+
+def test_people_use_the_scale_as_the_truth_says(make_scenario: Make) -> None:
+    careless = {"straight_liners": 0.2, "random_clickers": 0.2, "scale_reversers": 0.2}
+    given = make_scenario(participants=400, repeats=2, mean=85.0, **careless)
+    ratings = simulate.draw_ratings(given, given.stimuli, np.random.default_rng(4))
+    assert (ratings.min(), ratings.max()) == (0.0, 100.0)
+    assert np.abs(ratings * 10 - np.round(ratings * 10)).max() < 1e-6
+    own = ratings[0].reshape(400, -1)
+    straight = own.std(axis=1) < 2
+    reverse = own.mean(axis=1) < 32
+    assert straight.mean() == pytest.approx(0.2, abs=0.07)
+    assert (reverse & ~straight).mean() == pytest.approx(0.2, abs=0.08)
+
+
 def test_designs_and_truths_that_cannot_be_are_refused(make_scenario: Make) -> None:
     given = make_scenario()
-    design, items = given.design, given.design.items
-    for change, why in (
-        ({"participants": 2}, "participants must be 3 or more, got 2"),
-        ({"repeats": 0}, "repeats must be 1 or more"),
-        ({"metrics": ("spectral", "none")}, "column none is missing"),
-        ({"items": items.iloc[[0, 0]]}, "once more"),
-        ({"items": items.assign(spectral=np.nan)}, "36 stimuli"),
-        ({"wanted": 1.0}, "wanted"),
-        ({"screening": ("too_fast",)}, "too_fast"),
+    items = given.design.items
+    for record, change, why in (
+        (given.design, {"participants": 2}, "participants must be 3 or more, got 2"),
+        (given.design, {"repeats": 0}, "repeats must be 1 or more"),
+        (given.design, {"metrics": ("spectral", "none")}, "column none is missing"),
+        (given.design, {"items": items.iloc[[0, 0]]}, "once more"),
+        (given.design, {"items": items.assign(spectral=np.nan)}, "36 stimuli"),
+        (given.design, {"wanted": 1.0}, "wanted"),
+        (given.truth, {"item_sd": -1.0}, "item_sd must be 0 or more"),
+        (given.truth, {"lapse_rate": 2.0}, "lapse_rate must be from 0 to 1"),
+        (given.truth, {"random_clickers": 0.6, "straight_liners": 0.6}, "at most 1 together"),
     ):
         with pytest.raises(ValueError, match=why):
-            replace(design, **change)
-    for change, why in (
-        ({"item_sd": -1.0}, "item_sd must be 0 or more"),
-        ({"lapse_rate": 2.0}, "lapse_rate must be from 0 to 1"),
-        ({"random_clickers": 0.6, "straight_liners": 0.6}, "at most 1 together"),
-    ):
-        with pytest.raises(ValueError, match=why):
-            replace(given.truth, **change)
+            replace(record, **change)
     with pytest.raises(ValueError, match="got 'other'"):
-        find_power(design, analysis.Truth({"other": 1.0}), studies=0)
-    with pytest.raises(ValueError, match="studies must be 0 or more"):
-        find_power(design, given.truth, studies=-1)
+        find_power(given.design, analysis.Truth({"other": 1.0}), studies=0)

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from feel321.study import power
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.power import setup
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
@@ -56,5 +56,5 @@ def built(make_once: Callable[[str, Callable[[Path], object]], Path]) -> StudyFo
 
 
 @pytest.fixture(scope="session")
-def task(built: StudyFolder) -> setup.PowerTask:
-    return setup.set_up(built)
+def task(built: StudyFolder) -> power.PowerTask:
+    return power.set_up(built)

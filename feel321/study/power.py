@@ -1,0 +1,575 @@
+"""The power of a study: design and planted truth, from `study.toml` and the stimulus set; the answer and its page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import product
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pandas import DataFrame, concat
+
+from feel321 import __version__
+from feel321.analysis.figures import style
+from feel321.analysis.power import plan as planning
+from feel321.analysis.power import truth as planted
+from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.report import parts
+from feel321.analysis.report.section import Picture
+from feel321.analysis.table import reading
+from feel321.analysis.tradeoff import results
+from feel321.analysis.words import ABSENT, format_count, format_name
+from feel321.doors import check_name
+from feel321.files import make_folder
+from feel321.protocols.tasks import find_other
+from feel321.protocols.trial import CHOOSING
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study import provenance, ratings
+from feel321.study.metrics import measure_declared
+from feel321.study.observer.model import make_model
+from feel321.study.session import codes
+from feel321.study.session import plan as plans
+from feel321.study.settings import read, schema
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from matplotlib.figure import Figure
+
+    from feel321.analysis.power.plan import PowerPlan
+    from feel321.analysis.power.truth import PowerDesign, Truth
+    from feel321.analysis.report.parts import RatingsPart
+    from feel321.analysis.table.metrics import Step
+    from feel321.analysis.table.reading import Further, Table
+    from feel321.jobs import Workers
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.folder import StudyFolder
+    from feel321.study.settings.schema import Settings
+
+    Numbers = int | Sequence[int]
+
+OWN = "study"
+"""A pilot that is no file: the study's own ratings."""
+
+KEPT = ".studies"
+"""Folder, in that of the results, of simulated studies: an interrupted call is continued from there."""
+
+PEOPLE, FEWEST = 16, 3
+"""Raters of each attribute in the design around which others are compared; without so many there is no model."""
+
+MOST_POINTS = 100
+"""More than the whole scale per step of a metric is a slip."""
+
+GIVEN, OBSERVED = "given", "simulated observers"
+"""Where a slope comes from."""
+
+WHO, SCENE, REDUCER, ITEM, RATING = "participant", "recording", "reducer", "item", "rating"
+
+HEIGHT_CM = 7.5
+END_CM = 0.42
+"""Least distance between two names at the ends of curves."""
+
+WALKS = ("-", (0, (5, 1.2)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (1, 1)), (0, (8, 1.5)))
+"""Line styles, for curves besides that of the study's own number."""
+
+
+# What is planned.
+
+
+@dataclass(frozen=True, slots=True)
+class PowerTask:
+    """What is planned.
+
+    effects: a row per hypothesis: attribute, metric, points per step of the metric, the step, and its source; share:
+    one in so many participants rates each attribute.
+    """
+
+    design: PowerDesign
+    truth: Truth
+    effects: DataFrame
+    name: str
+    share: int = 1
+    notes: tuple[str, ...] = ()
+
+
+def set_up(
+    study: StudyFolder,
+    *,
+    effects: Mapping[str, float] | None = None,
+    pilot: str | Path | None = None,
+    pilot_manifest: Path | None = None,
+    wanted: float = planted.ENOUGH,
+) -> PowerTask:
+    """Set up the power analysis of a study.
+
+    effects: metric, or attribute/metric -> points per step of the metric; others are as simulated observers plant them.
+    pilot: a table of ratings, or `study`; the usual standard deviations if left out.
+    """
+    settings = read.read_settings(study.settings)
+    if settings.session.recordings_per_participant:
+        raise ValueError(
+            f"{study.settings.name}: session.recordings_per_participant gives people different recordings, but power "
+            "plans studies in which all rate the same ones; leave it out"
+        )
+    stimuli = read_stimuli(study.stimuli)
+    provenance.require_current_set(study, settings)
+    further = measure_declared(study, settings)
+    choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
+    share = schema.count_groups(choosing)
+    table = tabulate_plan(study, settings, stimuli, groups=share, further=further)
+    if not (rated := list(parts.split_parts(table))):
+        raise ValueError(
+            "session.protocols ask for no rating of a single stimulus, so there is no slope to plan for; add realism "
+            "or similarity"
+        )
+    slopes = _plant(settings, rated, steps=parts.find_table_steps(table), effects=effects or {})
+    metrics, attributes = (tuple(slopes[name].unique()) for name in ("metric", "attribute"))
+    items = rated[0].rows[[SCENE, REDUCER, ITEM, *metrics]].drop_duplicates(ITEM)
+    origin = rated[0].rows.drop_duplicates(SCENE).set_index(SCENE)["source"]
+    if not origin.is_unique:
+        items = items.assign(source=items[SCENE].map(origin))
+    design = planted.PowerDesign(
+        items,
+        metrics,
+        attributes,
+        participants=PEOPLE,
+        repeats=settings.session.repeats,
+        wanted=wanted,
+    )
+    named = slopes["attribute"] + "/" + slopes["metric"]
+    known = dict(zip(named, slopes["points"] / slopes["size"], strict=True))
+    usual = {"slopes": known, **{name: getattr(settings.observer, name) for name in planted.SHARES}}
+    truth, notes = planted.Truth(**usual), _list_notes(rated, slopes, share)
+    if pilot is not None:
+        given = _read_pilot(study, stimuli, pilot, listed=pilot_manifest, further=further)
+        name = "this study" if str(pilot) == OWN else Path(pilot).name
+        truth = _fit_pilot(given, usual, name)
+        if given.rows["simulated"].any():
+            notes.append(f"{name}: ratings come from simulated participants, not from people.")
+    return PowerTask(design, truth, slopes, settings.study.name, share, tuple(notes))
+
+
+def tabulate_plan(
+    study: StudyFolder,
+    settings: Settings,
+    stimuli: StimulusSet,
+    *,
+    groups: int,
+    further: Further | None = None,
+) -> Table:
+    """Tabulate what participants are asked to judge, one of each group, with the metrics that are declared.
+
+    All ratings are 0: nobody has rated yet.
+    """
+    design = read.make_design(settings, study.path)
+    rows = []
+    for number in range(1, groups + 1):
+        who = f"sim{number:03d}"
+        plan = plans.make_plan(design, stimuli, who, number=number, simulated=True)
+        by_code = codes.list_by_code(stimuli, seed=plan.seed)
+        judged = [
+            (one, two) for one in plan.trials if one.phase == "main" for two in one.judgements
+        ]
+        for one, judgement in judged:
+            if (stimulus := by_code.get(judgement.stimulus_id)) is None:
+                continue
+            others = {
+                "reference_id": judgement.reference_id,
+                "other_id": find_other(one, judgement),
+            }
+            rows.append({
+                WHO: who, "session": 1, "protocol": one.protocol, "block": one.block, "trial": one.number,
+                "repeat": one.repeat, "stimulus_id": stimulus.stimulus_id, "recording": stimulus.recording,
+                "reducer": stimulus.reducer, "level": stimulus.level, "scale": judgement.scale or one.scale,
+                "rating": 0.0, "rejected": "false", "simulated": "true",
+                **{k: by_code[v].stimulus_id if v in by_code else v or "" for k, v in others.items()},
+            })  # fmt: skip
+    return reading.read_table(
+        DataFrame(rows), stimuli.to_frame(), metrics=settings.analysis.metrics,
+        sources=read.list_origins(settings), further=further,
+    )  # fmt: skip
+
+
+def _list_notes(rated: Sequence[RatingsPart], slopes: DataFrame, share: int) -> list[str]:
+    levels, notes = list(dict.fromkeys(part.level for part in rated)), list[str]()
+    if len(levels) > 1:
+        others = ", ".join(levels[1:])
+        notes.append(f"Metrics are those at level {levels[0]}; at {others} they are alike.")
+    if share > 1:
+        notes.append(f"Each attribute is rated by one in {share} participants, as [between] says.")
+    if (slopes["source"] != GIVEN).any():
+        notes.append(
+            "Slopes without --effect are those of the simulated observers in study.toml: better give the smallest "
+            "slope that would matter to you."
+        )
+    return [
+        *notes,
+        "Before the first rating, feel321 freeze writes down the hypotheses and the analysis, so that results can be "
+        "told apart into confirmatory and exploratory ones.",
+    ]
+
+
+def _plant(
+    settings: Settings,
+    rated: Sequence[RatingsPart],
+    *,
+    steps: Mapping[str, Step],
+    effects: Mapping[str, float],
+) -> DataFrame:
+    """Plant the slopes that are asked for, those of one scale last, and those of the observers elsewhere.
+
+    Attributes are named by their scale, and by the level where there are several.
+    """
+    several = len({part.level for part in rated}) > 1
+    attributes = [part.lead if several else part.scale for part in rated]
+    chosen: dict[tuple[str, str], float] = {}
+    for name in sorted(effects, key=lambda one: "/" in one):
+        attribute, one_only, metric = name.rpartition("/")
+        check_name(metric, steps, "effect, metric")
+        if one_only:
+            check_name(attribute, attributes, "effect, attribute")
+        value = effects[name]
+        if not isinstance(value, int | float | np.integer) or not abs(value) <= MOST_POINTS:
+            raise ValueError(
+                f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value!r}"
+            )
+        chosen |= {(one, metric): float(value) for one in ([attribute] if one_only else attributes)}
+    asked = list(product(attributes, steps))
+    felt: dict[str, float] = {}
+    if len(chosen) < len(asked):
+        model = make_model(settings)
+        if model.uses_percepts:
+            raise ValueError(
+                "simulated observers of [observer] feel more than the two matches, so their slopes are not known; give "
+                "one of every metric: --effect METRIC=POINTS"
+            )
+        felt = {model.spectral_metric: model.spectral, "temporal_match": model.temporal}
+    return DataFrame([
+        {
+            "attribute": attribute, "metric": metric,
+            "points": chosen.get((attribute, metric), felt.get(metric, 0.0) * steps[metric].size),
+            "per": steps[metric].per, "size": steps[metric].size,
+            "source": GIVEN if (attribute, metric) in chosen else OBSERVED,
+        }
+        for attribute, metric in asked
+    ])  # fmt: skip
+
+
+def _read_pilot(
+    study: StudyFolder,
+    stimuli: StimulusSet,
+    pilot: str | Path,
+    *,
+    listed: Path | None,
+    further: Further | None,
+) -> Table:
+    """Read pilot ratings, of the study's own stimuli or of others."""
+    path = study.ratings if str(pilot) == OWN else Path(pilot)
+    if str(pilot) == OWN and study.journals:
+        ratings.write_ratings(study, stimuli)
+    if not path.is_file():
+        why = "no ratings yet" if str(pilot) == OWN else "no such table of ratings"
+        raise FileNotFoundError(f"{path}: {why}; --pilot takes a file, or {OWN}")
+    return reading.read_table(
+        path,
+        stimuli.to_frame() if listed is None else listed,
+        metrics=read.read_settings(study.settings).analysis.metrics,
+        further=further if listed is None else None,
+    )
+
+
+def _fit_pilot(table: Table, known: Mapping[str, Any], name: str) -> Truth:
+    """Take the standard deviations of a pilot: the root mean square of those of all attributes."""
+    rated = list(parts.split_parts(table))
+    if not rated:
+        raise ValueError(f"{name}: holds no rating of a single test stimulus; give other ratings")
+    metrics = list(dict.fromkeys(slope.split("/")[-1] for slope in known["slopes"]))
+    found = []
+    for part in rated:
+        rows, changes = part.rows, dict(known)
+        cells = rows.groupby([WHO, ITEM], observed=True)[RATING]
+        if spare := len(rows) - cells.ngroups:
+            squares = ((rows[RATING] - cells.transform("mean")) ** 2).sum()
+            changes["rating_sd"] = float(np.sqrt(squares / spare))
+        fit = fit_primary(rows, metrics, explain=False)
+        repeats = round(len(rows) / cells.ngroups)
+        found.append(planted.Truth.from_fit(fit, repeats=repeats, **changes))
+
+    def pool(sds: Iterable[float]) -> float:
+        return float(np.sqrt(np.mean(np.square(list(sds)))))
+
+    pooled: dict[str, Any] = {
+        field: pool(getattr(one, field) for one in found) for field in planted.SPREADS
+    }
+    for kind in ("slope_sds", "recording_slope_sds"):
+        sds = [getattr(one, kind) for one in found]
+        shared = sorted(set.intersection(*(set(one) for one in sds)))
+        pooled[kind] = {metric: pool(one[metric] for one in sds) for metric in shared}
+    people = len({who for part in rated for who in part.rows[WHO]})
+    pooled["source"] = f"the primary model of {people} people's ratings in {name}"
+    return replace(found[0], mean=float(np.mean([one.mean for one in found])), **pooled)
+
+
+# The answer.
+
+
+def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studies, who does them, who watches
+    task: PowerTask,
+    *,
+    participants: Numbers = (),
+    recordings: Numbers = (),
+    reducers: Numbers = (),
+    repeats: Numbers = (),
+    hypothesis: str = "",
+    studies: int = 1000,
+    seed: int = 0,
+    keep: Path,
+    workers: Workers,
+    progress: Callable[[int, int], None],
+) -> StudyPower:
+    """Compute the power of all designs; hypothesis: attribute/metric."""
+    given = dict(zip(planted.SIZES, (participants, recordings, reducers, repeats), strict=True))
+    factors = {name: _list_numbers(numbers, name) for name, numbers in given.items()}
+    people, share = factors["participants"], task.share
+    if odd := [one for one in people if one % share or one < FEWEST * share]:
+        raise ValueError(
+            f"participants must be {FEWEST * share} or more and multiples of {share}, the groups of [between] that "
+            f"rate different things; got {odd[0]}"
+        )
+    factors["participants"] = tuple(one // share for one in people)
+    near = min(factors["participants"] or (PEOPLE,), key=lambda number: abs(number - PEOPLE))
+    design = replace(task.design, participants=near)
+    known = {"/".join(one): one for one in design.hypotheses}
+    aim = _choose_aim(task, design)
+    if hypothesis:
+        aim = known[check_name(hypothesis, known, "hypothesis")]
+    make_folder(keep)
+    plan = planning.plan_power(
+        design, task.truth, **factors, hypothesis=aim, studies=studies, seed=seed, workers=workers, keep=keep,
+        progress=progress,
+    )  # fmt: skip
+    return StudyPower(plan, task.name, task.effects, task.share, task.notes)
+
+
+def _list_numbers(numbers: Numbers, what: str) -> tuple[int, ...]:
+    listed = tuple(numbers) if isinstance(numbers, Iterable) else (numbers,)
+    for one in listed:
+        if not isinstance(one, int | np.integer) or one < 1:
+            raise ValueError(f"{what} must be whole numbers of 1 or more, got {one!r}")
+    return tuple(int(one) for one in listed)
+
+
+def _choose_aim(task: PowerTask, design: PowerDesign) -> tuple[str, str] | None:
+    """Choose the hypothesis with the least power among those whose slope was given; any, where none was planted."""
+    if not any(task.truth.slopes.values()):
+        return design.hypotheses[0]
+    asked = task.effects[(task.effects["source"] == GIVEN) & (task.effects["points"] != 0)]
+    if asked.empty:
+        return None
+    power = planning.find_power(design, task.truth, studies=0).table["power"]
+    return design.hypotheses[power.loc[asked.index].sort_values(kind="stable").index[0]]
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class StudyPower(results.PageResult):
+    """The power of a study, planned from its own settings and stimuli.
+
+    Parameters
+    ----------
+    plan : PowerPlan
+        Power of all designs; its participants are those who rate each attribute.
+    name : str
+        The study.
+    effects : DataFrame
+        What is planted, a row per hypothesis: attribute, metric, points, per (the step of the metric), size (of the
+        step), source.
+    share : int
+        Groups among which the attributes are divided: as many times the participants of the plan take part.
+    notes : tuple of str
+        What was assumed and what is unusual, one sentence each.
+    """
+
+    plan: PowerPlan
+    name: str
+    effects: DataFrame
+    share: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def answer(self) -> str:
+        """Which design is enough, its power and interval, in one sentence; or why none is."""
+        row = self._find_row(self.plan.hypothesis)
+        return planning.describe_plan(self.plan, share=self.share, size=row["size"], per=row["per"])
+
+    def to_frame(self) -> DataFrame:
+        """Return the power of all designs.
+
+        Returns
+        -------
+        DataFrame
+            The columns of `PowerPlan.table`, and people: all who take part.
+        """
+        return self.plan.table.assign(people=self.plan.table["participants"] * self.share)
+
+    def to_frames(self) -> dict[str, DataFrame]:
+        """Return the numbers as tables.
+
+        Returns
+        -------
+        dict of str to DataFrame
+            `designs`: the grid; `hypotheses`: of every simulated design; `planted`: the slopes.
+        """
+        tables = [one.table.assign(**one.design.sizes) for one in self.plan.powers]
+        hypotheses = concat(tables, ignore_index=True)
+        return {"designs": self.to_frame(), "planted": self.effects, "hypotheses": hypotheses}
+
+    def summary(self) -> str:
+        """Write the answer for reading.
+
+        Returns
+        -------
+        str
+            The answer, a line per hypothesis, and the notes.
+        """
+        rows = self._list_hypotheses()
+        lines = ["; ".join(f"{name}: {value}" for name, value in row.items()) for row in rows]
+        return "\n".join([self.answer, *lines, *self.notes])
+
+    def _find_row(self, hypothesis: tuple[str, str]) -> dict[str, Any]:
+        """Find what is known of a hypothesis in the design that is shown, and what was planted."""
+        place = self.plan.shown.design.hypotheses.index(hypothesis)
+        effect = {str(name): value for name, value in self.effects.iloc[place].to_dict().items()}
+        return planning.find_row(self.plan, hypothesis) | effect
+
+    def _list_hypotheses(self) -> list[dict[str, str]]:
+        """List what is said of each hypothesis in the design that is shown."""
+        rows = []
+        for row in map(self._find_row, self.plan.shown.design.hypotheses):
+            size, per = row["size"], row["per"]
+            rows.append({
+                "Hypothesis": f"{format_name(row['metric'])} on {format_name(row['attribute'])}",
+                "Planted": f"{row['points']:.2g} points per {per} ({row['source']})",
+                "Power": planning.format_power(row["power"]), "Simulated": _format_simulated(row),
+                "Detectable": _format(row["detectable"] * size, f" points per {per}"),
+                "Interval": "± " + _format(row["width"] * size / 2, f" points per {per}"),
+            })  # fmt: skip
+        return rows
+
+    def _list_designs(self, step: Mapping[str, Any]) -> list[dict[str, str]]:
+        return [
+            {
+                "Participants": str(row["people"]), "Recordings": str(row["recordings"]),
+                "Reducers": str(row["reducers"]), "Repeats": str(row["repeats"]), "Trials": str(row["trials"]),
+                "Power": planning.format_power(row["power"]), "Simulated": _format_simulated(row),
+                "At most": planning.format_power(row["ceiling"]),
+                f"Detectable, points per {step['per']}": _format(step["size"] * row["detectable"]),
+                "Enough": "recommended" if row["recommended"] else "yes" if row["enough"] else "no",
+            }
+            for row in self.to_frame().to_dict("records")
+        ]  # fmt: skip
+
+    def _make_page(self, tables: Mapping[str, DataFrame]) -> results.PageParts:
+        plan, shown, own = self.plan, self.plan.shown, self.plan.powers[0].design
+        truth = {name: value for name, value in asdict(shown.truth).items() if name != "source"}
+        powers = [
+            one.design.sizes | {"studies": one.studies, "hypotheses": one.table.to_dict("records")}
+            for one in plan.powers
+        ]
+        content = {
+            "version": __version__, "study": self.name, "answer": self.answer, "verdict": plan.verdict,
+            "wanted": plan.wanted, "hypothesis": list(plan.hypothesis), "share": self.share,
+            "recommended": plan.recommended and plan.recommended.sizes,
+            "designs": tables["designs"].to_dict("records"), "powers": powers,
+            "planted": self.effects.to_dict("records"), "truth": asdict(shown.truth), "seed": shown.seed,
+            "notes": list(dict.fromkeys([*self.notes, *plan.notes])),
+        }  # fmt: skip
+        # Of the smallest designs that are enough, which may need hundreds of people, only the recommended one is drawn.
+        grid = tables["designs"]
+        grid = grid[(grid["kind"] != "smallest") | grid["recommended"].astype(bool)]
+        grid = grid[(grid["reducers"] == own.reducers) & (grid["repeats"] == own.repeats)]
+        grid = grid.drop_duplicates(["participants", "recordings"])
+        grids = {
+            "hypotheses": self._list_hypotheses(),
+            "designs": self._list_designs(self._find_row(plan.hypothesis)),
+            "assumed": [
+                {"In the truth": format_name(name), "Points or share": f"{value:.3g}"}
+                for name, value in truth.items() if not isinstance(value, dict)
+            ],
+        }  # fmt: skip
+        people = format_count(shown.design.participants * self.share, "participant")
+        units = planning.describe_units(shown.design.recordings, shown.design.reducers)
+        values = {
+            "result": self, "content": content, "own": own.recordings, "shown": f"{people}, {units}",
+            "grids": {
+                name: {"head": [*rows[0]], "rows": [[*row.values()] for row in rows]}
+                for name, rows in grids.items()
+            },
+        }  # fmt: skip
+        drawing = partial(draw_power, grid, own.recordings, wanted=plan.wanted)
+        picture = Picture("power", "Power against participants", drawing)
+        return results.PageParts("power.html", content, [picture], values)
+
+
+def _format_simulated(row: Mapping[Any, Any]) -> str:
+    return planning.format_simulated(row) if isfinite(row["simulated"]) else ABSENT
+
+
+def _format(value: float, unit: str = "") -> str:
+    return f"{value:.2g}{unit}" if isfinite(value) else ABSENT
+
+
+def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
+    """Draw power against participants, a curve for each number of recordings; own: that of the study."""
+    people = sorted(table["people"].unique())
+    endless = people[-1] + 0.1 * max(people[-1] - people[0], 1)
+    counts = sorted(table["recordings"].unique())
+    with style.print_style():
+        figure, axes = style.new_figure(HEIGHT_CM)
+        ends = {}
+        for place, number in enumerate(counts):
+            rows = table[table["recordings"] == number].sort_values("people")
+            walk = "-" if number == own else WALKS[(place + 1) % len(WALKS)]
+            colour = style.BLACK if number == own else style.GREY
+            axes.plot(rows["people"], rows["power"], color=colour, linestyle=walk, zorder=3)
+            seen = rows[rows["simulated"].notna()]
+            axes.vlines(seen["people"], seen["simulated_low"], seen["simulated_high"], color=colour)
+            axes.plot(
+                seen["people"],
+                seen["simulated"],
+                "o",
+                color="white",
+                markeredgecolor=colour,
+                zorder=5,
+            )
+            ends[number] = float(rows["ceiling"].iloc[-1])
+            last = [rows["people"].iloc[-1], endless], [rows["power"].iloc[-1], ends[number]]
+            axes.plot(*last, color=colour, linestyle=(0, (2, 2)), linewidth=style.THIN)
+        axes.axhline(wanted, color=style.GREY, linewidth=style.THIN, zorder=1)
+        axes.set(
+            xlabel="Participants",
+            ylabel="Power",
+            ylim=(-0.02, 1.04),
+            yticks=np.arange(0, 1.01, 0.2),
+        )
+        axes.set_xlim(right=endless)
+        axes.grid(axis="y", color=style.PALE, linewidth=style.THIN)
+        axes.set_axisbelow(True)
+        ticks = people[:: max(1, len(people) // 8)]
+        axes.set_xticks([*ticks, endless], [*map(str, ticks), "\N{INFINITY}"])
+        # Curves are named at their right ends, each at its own height, from the highest down.
+        order = sorted(ends, key=lambda number: -ends[number])
+        apart = 1.06 * END_CM / HEIGHT_CM
+        heights = style.spread([ends[number] for number in order], apart, low=-0.02)
+        stroke: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "clip_on": False}
+        for number, height in zip(order, heights, strict=True):
+            line = {"color": style.GREY, "linewidth": style.THIN, **stroke}
+            axes.plot([1.0, 1.02], [ends[number], height], **line)
+            weight = "bold" if number == own else "normal"
+            axes.text(
+                1.03, height, f"{number} recordings", va="center", fontweight=weight, **stroke
+            )
+    return figure
