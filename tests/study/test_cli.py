@@ -457,18 +457,38 @@ def test_every_exit_code_is_documented() -> None:
 # The rig.
 
 
-def examine(**more: Any) -> doctor.Examination:
-    return doctor.Examination(
-        "coil", "ALSA", 48000.0, 20.0, 10, more.pop("failed", 0), more.pop("underruns", 0), 30.0, 0.1, 0.2, None, None,
-        None, None, 1.0, is_program=False, error="", **more,
-    )  # fmt: skip
+def examine(**more: Any) -> dict[str, Any]:
+    counts = (
+        "n_failed",
+        "n_underruns",
+        "n_estimated",
+        "callback_ms_max",
+        "latency_ms",
+        "sensed_ms",
+    )
+    times = (
+        "onset_ms",
+        "onset_jitter_ms",
+        "onset_jitter_99_ms",
+        "sensed_jitter_ms",
+        "sensed_jitter_99_ms",
+    )
+    own = dict.fromkeys((*counts, *times), 0)
+    device = {
+        "device": "coil",
+        "host_api": "ALSA",
+        "is_program": False,
+        "rate_hz": 48000.0,
+        "error": "",
+    }
+    return {**device, **own, "n_pulses": 10, "n_sensed": 10, **more}
 
 
 @pytest.mark.parametrize(("failed", "underruns", "code"), [(0, 0, 0), (1, 0, 1), (0, 1, 1)])
 def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
     failed: int, underruns: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    found = examine(failed=failed, underruns=underruns)
+    found = examine(n_failed=failed, n_underruns=underruns)
     monkeypatch.setattr(doctor, "survey_devices", list)
     monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
     assert main(["doctor", "--device", "coil"]) == code
@@ -482,17 +502,10 @@ def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
         (4, "; 4 of 10 onset times are estimated from the latency: the device gives none\n"),
     ],
 )
-def test_doctor_says_how_onset_times_were_got_and_fails_on_a_faulty_sensor(
+def test_doctor_says_how_onset_times_were_got(
     estimated: int, said: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    sensor = doctor.SensorCheck((), 10, 0.01, 0.01, fault="sensor on channel 3: got no pulse")
-    found = examine(n_estimated=estimated, sensor=sensor)
     monkeypatch.setattr(doctor, "survey_devices", list)
-    monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
-    assert main(["doctor", "--device", "coil"]) == 1
-    out, err = capsys.readouterr()
-    assert err == "feel321: sensor on channel 3: got no pulse\n"
-    assert said in out
-    assert "sensor: pulse found in 0 of 10 recordings, 0.01 m/s² RMS" in out
-    assert main(["doctor", "--device", "coil", "--json"]) == 1
-    assert json.loads(capsys.readouterr().out)["examination"]["sensor"]["lags_ms"] == []
+    monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: examine(n_estimated=estimated))
+    assert main(["doctor", "--device", "coil"]) == 0
+    assert said in capsys.readouterr().out
