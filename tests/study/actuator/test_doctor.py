@@ -117,27 +117,6 @@ def test_pulses_are_played_quietly_and_measured(
     assert abs(capture.samples).max() == pytest.approx(0.05, rel=0.05)
 
 
-def test_a_report_for_people_says_the_same_and_names_a_program_before_the_card(
-    pulse: Any, make_rig: Any, insist: Any, tmp_path: Path
-) -> None:
-    sensor = "[sensor]\nchannel = 4\nfull_scale_m_s2 = 100.0"
-    (tmp_path / "rig.toml").write_text(
-        make_rig(sensor, channels=4, device="stylus twin", latency_s=0.15)
-    )
-    done = insist(lambda: call(pulse, "--seconds", "0.1", cwd=tmp_path), is_disturbed=find_faults)
-    assert done.stderr.startswith(
-        "feel321: warning: stylus twin: a program plays it (a sound server, say)"
-    )
-    assert done.stderr.count("\n") == 1
-    played, pulses, onset, lag, block, *coils = done.stdout.splitlines()[-8:]
-    assert re.fullmatch(r"stylus twin \(ALSA\) played at 48000 Hz; latency 1\d\d\.\d ms", played)
-    assert re.fullmatch(r"pulses [1-4], failed 0, underruns \d+", pulses)
-    assert onset.startswith("requested to onset ")
-    assert lag.startswith("onset's block to sensor ")
-    assert block.startswith("longest block ")
-    assert [line.split(":")[0] for line in coils] == ["left", "right", "spare"]
-
-
 def listen(
     *, gain: float = 1.0, noise_m_s2: float = 0.01, offset_m_s2: float = 0.0, rate_hz: float = 48000
 ) -> NDArray[np.float32]:
@@ -218,11 +197,3 @@ def test_no_device_at_all_is_one_line(pulse: Any, tmp_path: Path) -> None:
     assert done.stderr == (
         'feel321: doctor: no audio device found; plug one in, or play to files: name = "file" in rig.toml\n'
     )
-
-
-def test_a_pulse_keeps_far_from_the_limits() -> None:
-    rig = Rig(limits=LimitsTable(peak_m_s2=20, rms_m_s2=10, duration_s=9))
-    pulse = make_pulse(rig, rate_hz=48000)
-    assert pulse.shape == (960, 2)
-    assert abs(pulse).max() <= 0.01
-    assert abs(pulse[0]).max() == abs(pulse[-1]).max() == 0
