@@ -68,7 +68,7 @@ screenshots: .venv/.tests ## the documentation's pictures of screens and report,
 	xvfb-run -a -s "-screen 0 1280x1024x24" $(PYTHON) docs/docsite/screenshots.py
 
 bench: export OPENBLAS_NUM_THREADS = 1
-bench: .venv/.tests ## speed and memory in one table, against the FFTs, NumPy, Octave and the stored run; ARGS="--accept" stores it
+bench: .venv/.tests ## speed and memory in one table, against the FFTs and the stored run; ARGS="--accept" stores it
 	$(PYTHON) tests/bench/bench.py $(ARGS)
 
 soak: .venv/.tests ## the tests that take minutes

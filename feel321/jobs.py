@@ -78,7 +78,7 @@ class Workers:
 ALONE = Workers()
 """This process only."""
 
-AGAIN = "check scheduler and workers and run the command again: what is finished is kept"
+AGAIN = "check scheduler and workers and run the command again"
 MODULES = ("feel321", "numpy", "scipy", "soxr")
 """What decides the bytes of results, besides Python's minor version."""
 

@@ -7,9 +7,8 @@ at any point, the same call continues. Sources are only read.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from feel321.doors import announce
 from feel321.files import digest_file, hold_lock, make_folder, sweep, write_bytes
@@ -22,11 +21,12 @@ from feel321.study.persons import withdrawal
 from feel321.study.persons.answers import PERSONAL_FILE, read_personal
 from feel321.study.session import journal as journals
 from feel321.study.session.identity import find_differences
+from feel321.study.session.journal import digest
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan
 from feel321.study.settings.read import make_design, make_terms, read_settings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
@@ -58,7 +58,11 @@ def collect_sessions(
     if any(other.path == study.path.resolve() for other in others):
         raise ValueError(f"{study.path}: is the study itself; name the folders of other stations")
     for other in others:
-        _check_alike(study, other)
+        if differences := find_differences(_read_terms(study), _read_terms(other)):
+            raise ValueError(
+                f"{other.settings}: differs from {study.settings} ({'; '.join(differences)}); "
+                "collect only what was run with the same settings"
+            )
     stimuli_sha256 = read_stimuli(study.stimuli).sha256
     study.make_sessions()
     collected, here = Collected(), {folder.name for folder in study.participants}
@@ -69,9 +73,9 @@ def collect_sessions(
     )
     busy = "sessions are being collected here; let that finish"
     with hold_lock(study.sessions / COLLECT_LOCK, busy=busy):
-        for done, folder in enumerate(everybody, start=1):
-            announce(folder.name)
-            _collect_one(study, folder, collected, stimuli_sha256=stimuli_sha256, now=now)
+        for done, there in enumerate(everybody, start=1):
+            announce(there.name)
+            _collect_one(study, there, collected, stimuli_sha256=stimuli_sha256, now=now)
             if follow is not None:
                 follow(done, len(everybody))
     return collected
@@ -91,17 +95,9 @@ def _collect_one(
         collected.participants.append(there.name)
 
 
-def _check_alike(study: StudyFolder, other: StudyFolder) -> None:
-    """Refuse a study that plans sessions otherwise."""
-    terms = []
-    for one in (study, other):
-        settings = read_settings(one.settings)
-        terms.append(make_terms(make_design(settings, one.path), settings, one.path))
-    if differences := find_differences(*terms):
-        raise ValueError(
-            f"{other.settings}: differs from {study.settings} ({'; '.join(differences)}); "
-            "collect only what was run with the same settings"
-        )
+def _read_terms(study: StudyFolder) -> Mapping[str, Any]:
+    settings = read_settings(study.settings)
+    return make_terms(make_design(settings, study.path), settings, study.path)
 
 
 def _take_withdrawal(study: StudyFolder, there: Path, collected: Collected, *, now: Clock) -> bool:
@@ -110,9 +106,8 @@ def _take_withdrawal(study: StudyFolder, there: Path, collected: Collected, *, n
     stone, own = people.read_tombstone(there), people.read_tombstone(here)
     if own is not None and own.state == people.REMOVED:
         if stone is None:
-            collected.notes.append(
-                f"{there}: participant withdrew, see {here}; remove the data there too: feel321 withdraw"
-            )
+            text = f"participant withdrew, see {here}; remove the data there too: feel321 withdraw"
+            collected.notes.append(f"{there}: {text}")
         return True
     if stone is None:
         return own is not None
@@ -121,12 +116,9 @@ def _take_withdrawal(study: StudyFolder, there: Path, collected: Collected, *, n
     if there.name not in {folder.name for folder in study.participants}:
         _copy(here / TOMBSTONE_FILE, (there / TOMBSTONE_FILE).read_bytes(), collected)
         return True
-    reason = f"withdrew in {there}"
-    removed = withdrawal.withdraw_participant(
-        study, there.name, now=now, reason=reason, warn=collected.notes.append
-    )
-    done = f"{reason}; {len(removed)} files were removed here"
-    collected.notes.append(f"participant {there.name}: {done}")
+    reason, say = f"withdrew in {there}", collected.notes.append
+    removed = withdrawal.withdraw_participant(study, there.name, now=now, reason=reason, warn=say)
+    say(f"participant {there.name}: {reason}; {len(removed)} files were removed here")
     return True
 
 
@@ -137,45 +129,44 @@ def _take_session(
     here = study.sessions / there.name
     if require_own_plan(there).stimuli_sha256 != stimuli_sha256:
         raise ValueError(f"{there}: was planned with another stimulus set; keep it apart")
-    is_new = _compare_plans(here, there)
+    plan = (there / PLAN_FILE).read_bytes()
+    own = _read_plan(here)
+    if own not in {b"", plan}:
+        raise ValueError(f"{here} and {there}: have different plans; keep the right one")
     files, grown = _compare_journals(here, there)
-    missing = dict(_list_missing(here, there, files, notes=collected.notes))
-    if is_new or missing or grown:
-        with withdrawal.hold_folder(here):
-            sweep(here)  # what a kill left
-            _, grown = _compare_journals(here, there)  # something may have been written meanwhile
-            personal = _compare_personal(here, there)
-            if is_new:
-                _take_plan(study, there, collected)
-            _copy_files(here, there, missing, collected=collected)
-            if grown and personal:
-                _copy(here / PERSONAL_FILE, personal, collected)
-            for name, content in grown.items():
-                _copy(here / name, content, collected)
+    missing = _list_missing(here, there, files, notes=collected.notes)
+    if own and not missing and not grown:
+        return
+    with withdrawal.hold_folder(here):
+        sweep(here)  # what a kill left
+        _, grown = _compare_journals(here, there)  # something may have been written meanwhile
+        personal = _compare_personal(here, there)
+        if not own:
+            with hold_numbers(study):
+                _check_number(study, there)
+                _copy(here / PLAN_FILE, plan, collected)
+        contents = {name: (there / name).read_bytes() for name in missing}
+        if odd := [name for name, content in contents.items() if digest(content) != files[name]]:
+            raise ValueError(f"{there / odd[0]}: changed while it was collected; run again")
+        if grown and personal:
+            contents[PERSONAL_FILE] = personal
+        for name, content in (contents | grown).items():
+            _copy(here / name, content, collected)
 
 
-def _compare_plans(here: Path, there: Path) -> bool:
-    """Check that two folders have one plan, or this one none yet; whether it has none."""
+def _read_plan(here: Path) -> bytes:
     if here.is_symlink():
         raise ValueError(f"{here}: is a link, so data would go elsewhere; put a folder there")
-    if not (here / PLAN_FILE).exists():
-        return True
-    if (here / PLAN_FILE).read_bytes() != (there / PLAN_FILE).read_bytes():
-        raise ValueError(f"{here} and {there}: have different plans; keep the right one")
-    return False
+    return (here / PLAN_FILE).read_bytes() if (here / PLAN_FILE).exists() else b""
 
 
-def _take_plan(study: StudyFolder, there: Path, collected: Collected) -> None:
-    """Copy a plan whose number and code nobody has here."""
-    with hold_numbers(study):
-        known = [one for one in read_holders(study) if one.participant != there.name]
-        newcomer = read_holder(there)
-        everybody = [*known, newcomer] if newcomer else known
-        before = set(find_doubles(known))
-        if double := [line for line in find_doubles(everybody) if line not in before]:
-            raise ValueError(double[0])
-        content = (there / PLAN_FILE).read_bytes()
-        _copy(study.sessions / there.name / PLAN_FILE, content, collected)
+def _check_number(study: StudyFolder, there: Path) -> None:
+    """Check that nobody here has the number and the code of a newcomer."""
+    known = [one for one in read_holders(study) if one.participant != there.name]
+    newcomer, before = read_holder(there), set(find_doubles(known))
+    doubles = find_doubles([*known, *filter(None, [newcomer])])
+    if double := next((line for line in doubles if line not in before), ""):
+        raise ValueError(double)
 
 
 def _compare_journals(here: Path, there: Path) -> tuple[dict[str, str], dict[str, bytes]]:
@@ -211,8 +202,9 @@ def _compare_personal(here: Path, there: Path) -> bytes:
 
 def _list_missing(
     here: Path, there: Path, files: Mapping[str, str], *, notes: list[str]
-) -> Iterator[tuple[str, str]]:
-    """List the files, with their digests, that are not here yet; one that is here must be the same."""
+) -> list[str]:
+    """List the files that are not here yet; one that is here must be the same."""
+    missing = []
     for name, sha256 in files.items():
         if (here / name).is_file():
             if digest_file(here / name) != sha256:
@@ -224,21 +216,14 @@ def _list_missing(
             changed = "was changed since it was written; restore it from a copy"
             raise ValueError(f"{there / name}: {changed}")
         else:
-            yield name, sha256
+            missing.append(name)
+    return missing
 
 
 def _read_lines(path: Path) -> bytes:
     """Read the whole lines of a journal, if it is there: a session may be writing one."""
     content = path.read_bytes() if path.exists() else b""
     return content[: content.rfind(b"\n") + 1]
-
-
-def _copy_files(here: Path, there: Path, files: Mapping[str, str], *, collected: Collected) -> None:
-    for name, sha256 in files.items():
-        content = (there / name).read_bytes()
-        if hashlib.sha256(content).hexdigest() != sha256:
-            raise ValueError(f"{there / name}: changed while it was collected; run again")
-        _copy(here / name, content, collected)
 
 
 def _copy(path: Path, content: bytes, collected: Collected) -> None:

@@ -30,7 +30,6 @@ from feel321.study.session.plan import PLAN_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
@@ -90,22 +89,17 @@ def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, s
     require_current_set(study, settings)
     named = list_settings(study, settings, read_stimuli(study.stimuli))
     own = Frozen(now().isoformat(timespec="seconds"), named, tuple(_list_hypotheses(settings)))
+    changes: dict[str, str] = {}
     if former is not None:
-        changes = find_changes(former.settings, named)
-        if not changes:
+        if not (changes := find_changes(former.settings, named)):
             return former, {}
-        return write_frozen(study, replace(own, former=(*former.former, former.sha256))), changes
-    return write_frozen(study, own), {}
-
-
-def write_frozen(study: StudyFolder, frozen: Frozen) -> Frozen:
-    """Write the file, with the digest of itself."""
-    own = asdict(frozen)
-    del own["sha256"]
-    sealed = replace(frozen, sha256=digest_value(own))
+        own = replace(own, former=(*former.former, former.sha256))
+    entry = asdict(own)
+    del entry["sha256"]
+    sealed = replace(own, sha256=digest_value(entry))
     text = json.dumps(asdict(sealed), indent=1, ensure_ascii=False)
     write_text(study.path / FROZEN_FILE, f"{text}\n")
-    return sealed
+    return sealed, changes
 
 
 def read_frozen(study: StudyFolder) -> Frozen | None:
@@ -210,19 +204,10 @@ def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
 
 def find_changes(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, str]:
     """Name each changed setting in plain words: its dotted name -> "NAME: was ..., now ..."."""
-    from feel321.study.settings.schema import SceneTable, Settings
-
-    # A setting that came with a later version of feel321, and is at its default, is no change.
-    usual = Settings(recordings=(SceneTable(scene="bumps"),))
-    defaults = dict(_flatten(usual.model_dump(mode="json", exclude=UNCOUNTED)))
-    before = {name: defaults.get(name) for name in now} | dict(frozen)
-    names = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
-    # What a metric declares says nothing new where the metric itself came or went.
-    both = set(before.get("analysis.metrics") or ()) & set(now["analysis.metrics"])
-    names = [one for one in names if one.split(".")[0] != "metrics" or one.split(".")[1] in both]
     return {
-        name: f"{name}: was {describe_value(before.get(name))}, now {describe_value(now.get(name))}"
-        for name in names
+        name: f"{name}: was {describe_value(frozen.get(name))}, now {describe_value(now.get(name))}"
+        for name in sorted({*frozen, *now})
+        if frozen.get(name) != now.get(name)
     }
 
 
@@ -261,10 +246,10 @@ def describe_frozen(study: StudyFolder) -> str:
 def find_faults(study: StudyFolder) -> list[str]:
     """Find reasons to distrust the frozen file: edits, and times that do not agree with the journals."""
     try:
-        frozen = read_frozen(study)
+        faults = list(_list_faults(study, read_frozen(study)))
     except ValueError as error:
         return [str(error)]
-    return [f"{study.path / FROZEN_FILE}: {one}" for one in _list_faults(study, frozen)]
+    return [f"{study.path / FROZEN_FILE}: {one}" for one in faults]
 
 
 def _list_faults(study: StudyFolder, frozen: Frozen | None) -> Iterator[str]:
@@ -293,21 +278,18 @@ def _list_lines(
 ) -> Iterator[tuple[str, datetime, Mapping[str, Any]]]:
     """List the records of an event of people: journal, time, data; damaged lines are found by the audit."""
     mark = f'"event": "{event}"'.encode()
-    journals = (path for folder in study.participants for path in _list_journals(folder))
+    journals = []
+    for folder in study.participants:
+        is_simulated = False  # one whose plan cannot be read counts as a person
+        with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+            is_simulated = json.loads((folder / PLAN_FILE).read_bytes())["simulated"] is True
+        journals += [] if is_simulated else list_journals(folder)
     for path in journals:
         for line in (line for line in path.read_bytes().split(b"\n") if mark in line):
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 entry = json.loads(line)
                 utc = datetime.fromisoformat(entry["utc"]).astimezone(UTC)
                 yield path.relative_to(study.path).as_posix(), utc, {**entry["data"]}
-
-
-def _list_journals(folder: Path) -> list[Path]:
-    """List the journals of a person; one whose plan cannot be read counts as one, a simulated participant does not."""
-    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-        if json.loads((folder / PLAN_FILE).read_bytes())["simulated"] is True:
-            return []
-    return list_journals(folder)
 
 
 def _list_rated(study: StudyFolder) -> Iterator[str]:

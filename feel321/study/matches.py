@@ -19,11 +19,8 @@ from feel321.protocols.blocks import SECOND, Matching
 from feel321.protocols.trial import MATCHING
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.events import TrialRated
-from feel321.study.session.plan import TOMBSTONE_FILE, read_dossier
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.plan import Dossier
@@ -52,12 +49,6 @@ def write_matches(study: StudyFolder, stimuli: StimulusSet) -> list[dict[str, An
         write_table(path, COLUMNS, rows, private=True)
         study.share(path)
     return rows
-
-
-def read_matches(folder: Path, stimuli: StimulusSet) -> Iterator[dict[str, Any]]:
-    """Read the matches of one participant; a withdrawn one has none."""
-    if not (folder / TOMBSTONE_FILE).exists():
-        yield from list_matches(read_dossier(folder), stimuli)
 
 
 def list_matches(dossier: Dossier, stimuli: StimulusSet) -> Iterator[dict[str, Any]]:

@@ -16,12 +16,11 @@ from feel321.analysis.table.reading import Further
 from feel321.names import MATCHES
 from feel321.stimuli.condition import condition
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+from feel321.stimuli.rivals import RIVALS, measure_batch
 from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
-from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.recipe import Recipe, Unread, read_given
 from feel321.stimuli.sets.render import find_reducer
-from feel321.stimuli.sets.unread import Unread, read_given
 from feel321.study.folder import StudyFolder
 from feel321.study.provenance import find_changes
 from feel321.study.settings.read import list_unread, make_recipe

@@ -139,29 +139,26 @@ def digest_settings(text: str) -> str:
 def describe_rigs(uses: Iterable[RigUse]) -> Iterator[str]:
     """Describe who was on another rig or certificate than most, whose rig was changed, whose onsets are estimates."""
     used = [use for use in uses if use.rig]
-    yield from _describe_odd({use.participant: use.rig for use in used}, "rig")
-    usual = _find_usual([use.rig for use in used])
-    own = {use.participant: use.calibration for use in used if use.rig == usual}
-    yield from _describe_odd(own, "certificate")
+    rigs = Counter(use.rig for use in used)
+    usual = max(rigs, key=lambda one: rigs[one], default="")
+    for what, values in (
+        ("rig", {use.participant: use.rig for use in used}),
+        ("certificate", {use.participant: use.calibration for use in used if use.rig == usual}),
+    ):
+        counts = Counter(
+            values.values()
+        )  # of several that are as frequent, the first counts as usual
+        most = max(counts, key=lambda one: counts[one], default="")
+        for odd in sorted(set(counts) - {most}):
+            who = ", ".join(name for name, value in values.items() if value == odd)
+            others = f"the other {counts[most]} ({most or 'none'})"
+            yield f"{who}: another {what} ({odd or 'none'}) than {others}"
     for use in used:
         if use.changes:
             yield f"{use.participant}: the rig was changed in mid-session ({'; '.join(use.changes)})"
     for use in used:
         if use.estimated:
             yield f"{use.participant}: {use.estimated} onset times are estimated from the latency: the device gave none"
-
-
-def _describe_odd(values: Mapping[str, str], what: str) -> Iterator[str]:
-    usual = _find_usual(list(values.values()))
-    n_usual = sum(value == usual for value in values.values())
-    for odd in sorted(set(values.values()) - {usual}):
-        who = ", ".join(name for name, value in values.items() if value == odd)
-        yield f"{who}: another {what} ({odd or 'none'}) than the other {n_usual} ({usual or 'none'})"
-
-
-def _find_usual(values: Sequence[str]) -> str:
-    """Find the value that most have; of several, the one that came first."""
-    return max(Counter(values).items(), key=lambda item: item[1])[0] if values else ""
 
 
 # Progress and `participants.csv`.

@@ -13,8 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from feel321.stimuli.sets.anchors import loudest_levels, to_db
-from feel321.stimuli.thresholds import acceleration_threshold
+from feel321.stimuli.thresholds import acceleration_threshold, loudest_levels, to_db
 from feel321.study.folder import read_recipe
 from feel321.study.thresholds import PLACES, is_usable, read_thresholds
 

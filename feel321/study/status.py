@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import groupby
 from math import lcm, prod
@@ -17,17 +17,8 @@ from feel321.protocols.order import TASK_ORDERS
 from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import minutes
+from feel321.study import minutes, people
 from feel321.study.freeze import describe_frozen
-from feel321.study.people import (
-    LOCK_FILE,
-    Note,
-    RigUse,
-    describe_rigs,
-    find_rig_use,
-    list_notes,
-    make_progress,
-)  # fmt: skip
 from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
 from feel321.study.thresholds import find_warnings, read_thresholds
@@ -39,7 +30,7 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Trial
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Chain, Records
+    from feel321.study.session.journal import Chain
 
     Sequences = dict[tuple[str, ...], list[list[str]]]
 
@@ -49,15 +40,13 @@ SESSION, TASKS = "session", "tasks"
 
 @dataclass(frozen=True, slots=True)
 class Evenness:
-    """How evenly conditions of one task met positions, and each other; cycle: participants of a full cycle."""
+    """How often conditions of one task met positions, and each other; cycle: participants of a full cycle."""
 
     task: str
     what: str
     cycle: int
     positions: tuple[int, int]
     carry_over: tuple[int, int]
-    position_index: float
-    carry_over_index: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +87,6 @@ def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> Balanc
                 cycle=(cycles if what == TASKS else of_trials) * round_of,
                 positions=balance.positions.find_ends(),
                 carry_over=balance.carry_over.find_ends(),
-                position_index=balance.position_index,
-                carry_over_index=balance.carry_over_index,
             )
         )
     over = [one.records for one, _ in run if one.records.has(SessionFinished)]
@@ -112,7 +99,7 @@ def describe_balance(realised: BalanceAsRun | None) -> list[str]:
 
     Examples
     --------
-    >>> evenness = Evenness("abx", "stimuli", 6, (0, 1), (0, 2), 0.5, 0.75)
+    >>> evenness = Evenness("abx", "stimuli", 6, (0, 1), (0, 2))
     >>> describe_balance(BalanceAsRun(False, 4, 4, (evenness,)))[1]
     '  abx, stimuli: 0 to 1 at each position, 0 to 2 after each other; even over 6, 2 to go'
     """
@@ -130,11 +117,6 @@ def describe_balance(realised: BalanceAsRun | None) -> list[str]:
     return lines
 
 
-def _list_accepted(records: Records, numbers: Collection[int]) -> list[TrialRated]:
-    rated = records.find(TrialRated)
-    return [event for event in rated if event.trial in numbers and not event.rejected]
-
-
 def _split(
     plan: Plan, trials: Sequence[Trial]
 ) -> Iterator[tuple[str, str, tuple[str, ...], list[str]]]:
@@ -145,15 +127,10 @@ def _split(
     planned = _gather_blocks(trial for trial in plan.trials if trial.phase == "main")
     run = _gather_blocks(trials)
     for block, own in run.items():
-        task = own[0].protocol
-        pages = [trial for trial in own if len({j.part for j in trial.judgements}) > 1]
-        for page in pages:
-            slots = [judgement.stimulus_id for judgement in page.judgements]
-            yield task, "slots", tuple(sorted(slots)), slots
-        if not pages:
+        if len({judgement.part for judgement in own[0].judgements}) == 1:
             # Only what was planned together can meet.
             among = tuple(sorted(map(_name_condition, planned[block])))
-            yield task, "stimuli", among, [_name_condition(trial) for trial in own]
+            yield own[0].protocol, "stimuli", among, [_name_condition(trial) for trial in own]
     recordings: dict[str, set[str]] = defaultdict(set)
     for trial in plan.trials:
         recordings[trial.protocol].add(trial.recording)
@@ -195,9 +172,9 @@ class ParticipantStatus:
     last_activity: str = ""
     warnings: tuple[str, ...] = ()
     problem: str = ""
-    notes: tuple[Note, ...] = ()
+    notes: tuple[people.Note, ...] = ()
     left_min: float | None = None
-    rig: RigUse | None = None
+    rig: people.RigUse | None = None
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -223,7 +200,7 @@ class Status(Result):
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         length = [] if self.length is None else [self.length.describe()]
         uses = [entry.rig for entry in self.participants if entry.rig]
-        lines += [*describe_rigs(uses), *length, *filter(None, [self.frozen])]
+        lines += [*people.describe_rigs(uses), *length, *filter(None, [self.frozen])]
         return "\n".join([*lines, *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
@@ -295,17 +272,16 @@ def read_participant(
         return ParticipantStatus(folder.name, state="withdrawn"), None
     try:
         dossier = study.read_person(folder)
-        plan, records = dossier.plan, dossier.records
-        progress = make_progress(dossier)
+        progress = people.make_progress(dossier)
         with read_as_written(dossier.newest):
-            trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
-            rated = _list_accepted(records, trials)
-            warnings = [*_find_warnings(dossier, trials, rated)]
-            notes = tuple(list_notes(dossier.chains))
-            use = find_rig_use(progress.participant, records)
+            trials = {trial.number: trial for trial in dossier.plan.trials if trial.phase == "main"}
+            rated = list_accepted(dossier)
+            warnings = tuple(_find_warnings(dossier, rated))
+            notes = tuple(people.list_notes(dossier.chains))
+            use = people.find_rig_use(progress.participant, dossier.records)
     except (OSError, ValueError) as error:
         return ParticipantStatus(folder.name, problem=str(error)), None
-    is_left = progress.state == "running" and not is_held(folder / LOCK_FILE)
+    is_left = progress.state == "running" and not is_held(folder / people.LOCK_FILE)
     entry = ParticipantStatus(
         participant=progress.participant,
         state="aborted" if is_left else progress.state,
@@ -315,20 +291,25 @@ def read_participant(
         left=progress.total - progress.done,
         simulated=progress.simulated,
         last_activity=progress.last_utc,
-        warnings=tuple(warnings),
+        warnings=warnings,
         notes=notes,
         rig=use,
     )
     return entry, (dossier, [trials[one.trial] for one in rated])
 
 
-def _find_warnings(
-    dossier: Dossier, trials: Mapping[int, Trial], rated: Sequence[TrialRated]
-) -> Iterator[str]:
+def list_accepted(dossier: Dossier) -> list[TrialRated]:
+    """List the answers of the newest session that count."""
+    numbers = {trial.number for trial in dossier.plan.trials if trial.phase == "main"}
+    rated = dossier.records.find(TrialRated)
+    return [one for one in rated if one.trial in numbers and not one.rejected]
+
+
+def _find_warnings(dossier: Dossier, rated: Sequence[TrialRated]) -> Iterator[str]:
     for chain in dossier.chains[-1:]:
         yield from find_flags(chain)
     yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
-    caught = _judge_catches(trials, rated)
+    caught = judge_catches(dossier.plan, rated)
     if missed := caught.count(False):
         yield f"{missed} of {len(caught)} catch trials not as expected"
 
@@ -345,13 +326,9 @@ def find_flags(chain: Chain) -> Iterator[str]:
         yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
 
 
-def find_catches(plan: Plan, records: Records) -> list[bool]:
-    """Check the answers to all catch trials against what is expected."""
-    trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
-    return _judge_catches(trials, _list_accepted(records, trials))
-
-
-def _judge_catches(trials: Mapping[int, Trial], rated: Sequence[TrialRated]) -> list[bool]:
-    caught = [one for one in rated if trials[one.trial].catch]
+def judge_catches(plan: Plan, rated: Iterable[TrialRated]) -> list[bool]:
+    """Check the answers to catch trials against what is expected."""
+    trials = {trial.number: trial for trial in plan.trials if trial.catch}
+    caught = [one for one in rated if one.trial in trials]
     answers = [is_as_expected(trials[one.trial], one.values) for one in caught]
     return [answer for answer in answers if answer is not None]

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from feel321.names import ANCHOR
 from feel321.protocols.trial import SURFACE
-from feel321.stimuli.sets.anchors import to_db
 from feel321.stimuli.sets.build import Foreseen
 from feel321.stimuli.sets.manifest import StimulusSet, find_raised
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, Recipe
 from feel321.stimuli.sets.render import find_headroom_cost
-from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold
+from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold, to_db
 from feel321.study.actuator import render
 from feel321.study.actuator.mixer import ROUNDING
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
@@ -36,13 +35,6 @@ REACH_DB = 12.0
 
 COSTLY_DB = 1.0
 """A recording that takes less headroom from the others is not worth a line."""
-
-
-LEAST_DB = 0.05
-"""Anchors that are less below the strength of their recording are as strong as it, to the digits that are shown."""
-
-MOST_LISTED = 50
-"""Recordings whose levels are listed; all are among the figures."""
 
 
 # How strongly a study's stimuli will be felt: sensation levels and gains.
@@ -66,16 +58,13 @@ def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Reci
     unfelt = tuple(_find_weak(played, recipe, least=-inf, below=0.0))
     is_accepted = settings.stimuli.below_threshold == ACCEPT
     felt = [one for one in played if one.role != ANCHOR]
-    groups: dict[str, list[Foreseen]] = defaultdict(list)
+    levels: dict[str, dict[str, list[float]]] = {}
     for one in foreseen:
-        groups[one.recording].append(one)
-    levels = {
-        recording: {
-            curve: [end(one.sensation_levels_db[curve] for one in own) for end in (min, max)]
-            for curve in THRESHOLDS
-        }
-        for recording, own in groups.items()
-    }
+        own = levels.setdefault(one.recording, {curve: [inf, -inf] for curve in THRESHOLDS})
+        for curve, (low, high) in own.items():
+            level = one.sensation_levels_db[curve]
+            own[curve] = [min(low, level), max(high, level)]
+    low, high = (end(one.sensation_db for one in played) for end in (min, max))
     return Problems(
         problems=() if is_accepted else unfelt,
         warnings=(
@@ -85,7 +74,11 @@ def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Reci
             *_compare_with_surface(settings, [one.gain for one in felt]),
             *_find_out_of_reach(settings),
         ),
-        notes=(*_describe_gains(played, recipe), *_list_levels(levels)),
+        notes=(
+            *_describe_gains(played, recipe),
+            f"sensation levels: {write_db(low)} to {write_db(high)} dB over the detection threshold "
+            f"({recipe.threshold}) in the loudest 200 ms; feel321 check --json lists every recording",
+        ),
         figures={
             "gain": recipe.gain,
             "threshold": recipe.threshold,
@@ -127,15 +120,11 @@ def describe_gains(foreseen: Iterable[Foreseen], recipe: Recipe) -> list[str]:
 
 
 def _describe_gains(played: Sequence[_Played], recipe: Recipe) -> list[str]:
-    weaker = _find_weak_anchors(played)
     played = [one for one in played if one.role != ANCHOR]  # they have no say in the gain
     gains = [one.gain for one in played if one.level == "as_is"]
     scope = {ONE_GAIN: "one for the whole set", GAIN_PER_RECORDING: "one per recording"}
     how = f"gain, {scope.get(str(recipe.gain), 'as given in study.toml')}"
-    lines = [
-        f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how,
-        *weaker,
-    ]
+    lines = [f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how]
     if recipe.gain != ONE_GAIN:
         return lines
     loudest: dict[str, tuple[float, str]] = {}
@@ -150,26 +139,6 @@ def _describe_gains(played: Sequence[_Played], recipe: Recipe) -> list[str]:
             f'recordings are played {cost_db:.1f} dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that'
         )
     return lines
-
-
-def _find_weak_anchors(played: Sequence[_Played]) -> list[str]:
-    """Find anchors that would not fit the headroom at the strength of their recording: one line for all."""
-    gains = {(one.recording, one.level): one.gain for one in played if one.role == "test"}
-    levels = {(one.recording, one.level): one.sensation_db for one in played if one.role == "test"}
-    short: dict[str, float] = {}
-    for one in played:
-        if one.role == ANCHOR:
-            place = one.recording, one.level
-            is_equal = one.level == "equal_intensity"
-            by_db = levels[place] - one.sensation_db if is_equal else to_db(gains[place] / one.gain)
-            short[one.recording] = max(by_db, short.get(one.recording, 0.0))
-    weak = [name for name, by_db in short.items() if by_db >= LEAST_DB]
-    if not weak:
-        return []
-    return [
-        f"anchors of {len(weak)} of {len(short)} recordings, such as {weak[0]!r}, are up to "
-        f"{max(short.values()):.1f} dB weaker than their recording: their peaks reach the headroom"
-    ]
 
 
 def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
@@ -251,14 +220,10 @@ def _advise(own: Sequence[_Played], weak: Sequence[_Played], recipe: Recipe) -> 
     """Suggest what helps weak stimuli of a recording: its own gain, a stronger rig, or leaving something out."""
     peak = max(one.peak_m_s2 for one in own if one.role != ANCHOR)
     room_db = energy_db(recipe.headroom * recipe.full_scale_m_s2, peak) * 2
-    least = min(one.sensation_db for one in weak)
-    if least == -inf:
-        return "leave out the recording or these reducers"
-    if recipe.gain != GAIN_PER_RECORDING and room_db > COSTLY_DB:
+    is_silent = min(one.sensation_db for one in weak) == -inf
+    if not is_silent and recipe.gain != GAIN_PER_RECORDING and room_db > COSTLY_DB:
         helped = f'gain = "{GAIN_PER_RECORDING}" plays this recording {room_db:.1f} dB stronger'
-        if least + room_db >= WEAK_DB:
-            return helped
-        return f"{helped}; against what is still weak then, leave out these reducers or use a stronger rig"
+        return f"{helped}; leave out what is still weak then, or use a stronger rig"
     return "leave out the recording or these reducers, or use a stronger rig (full_scale_m_s2)"
 
 
@@ -279,18 +244,6 @@ def _compare_with_surface(settings: Settings, gains: Sequence[float]) -> Iterato
 def _write_range(values: Sequence[float]) -> str:
     ends = dict.fromkeys(f"{value:.3g}" for value in (min(values), max(values)))
     return " to ".join(ends)
-
-
-def _list_levels(levels: Mapping[str, Mapping[str, Sequence[float]]]) -> Iterator[str]:
-    """List the weakest and strongest stimulus of each recording under every threshold curve."""
-    width = max(map(len, ("recording", *list(levels)[:MOST_LISTED])))
-    yield "sensation levels, dB over the detection threshold in the loudest 200 ms, weakest to strongest stimulus:"
-    yield f"  {'recording':{width}}" + "".join(f"  {curve:>16}" for curve in THRESHOLDS)
-    for recording, ranges in list(levels.items())[:MOST_LISTED]:
-        cells = (" to ".join(map(write_db, ranges[curve])) for curve in THRESHOLDS)
-        yield f"  {recording:{width}}" + "".join(f"  {text:>16}" for text in cells)
-    if len(levels) > MOST_LISTED:
-        yield f"  and {len(levels) - MOST_LISTED} more recordings; feel321 check --json lists all"
 
 
 def energy_db(energy: float, other: float) -> float:
@@ -380,9 +333,7 @@ def _describe_difference(
     than = "stronger" if difference_db > 0 else "weaker"
     remedy = f"set weight: {how}"
     if not all(actuator.direction for actuator in rig.actuators):
-        remedy += (
-            "; or add direction = [x, y, z] to every actuator, then these weights are the default"
-        )
+        remedy += "; or add direction = [x, y, z] to every actuator"
     elif where:
         remedy += ", or put the coils of x, y and z at right angles"
     return (

@@ -19,7 +19,7 @@ from feel321.study.minutes import find_durations, find_left, observe_pace
 from feel321.study.people import LOCK_FILE
 from feel321.study.session import events
 from feel321.study.session.plan import TOMBSTONE_FILE
-from feel321.study.status import find_catches, find_flags, read_participant
+from feel321.study.status import find_flags, judge_catches, list_accepted, read_participant
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -113,7 +113,8 @@ class Watch:
 def _describe(dossier: Dossier) -> dict[str, Any]:
     """Count what went wrong in a session, without looking at any rating; catch trials have known answers."""
     plan, records = dossier.plan, dossier.records
-    played, caught = list(records.find(events.PartPlayed)), find_catches(plan, records)
+    played = list(records.find(events.PartPlayed))
+    caught = judge_catches(plan, list_accepted(dossier))
     # The experimenter was called, and the page of that call still stands.
     calls = [one.event for one in records if _is_call(one)]
     return {

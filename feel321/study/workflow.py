@@ -21,10 +21,8 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import build as sets
-from feel321.stimuli.sets.anchors import weigh_bands
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
-from feel321.stimuli.sets.recipe import Recipe
-from feel321.stimuli.sets.unread import Unread
+from feel321.stimuli.sets.recipe import Recipe, Unread, weigh_bands
 from feel321.study import strength
 from feel321.study.actuator.certificate import judge_certificates, list_certificates
 from feel321.study.actuator.render import find_mix

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 PARTS: dict[str, Callable[[], Iterator[figures.Figure]]] = {
     "single": signals.measure_single,
     "many": signals.measure_many,
-    "naive": signals.measure_naive,
-    "octave": signals.measure_octave,
     "streams": signals.measure_streams,
     "memory": signals.measure_memory,
     "build": chain.measure_build,

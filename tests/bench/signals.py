@@ -1,14 +1,12 @@
 """Reducers and metrics against what no 321 transform in the frequency domain can do without: the *floor*.
 
-The floor is three forward and one inverse real FFT of the same length; of many signals, of as many at a time as stay in
-the processor's cache. Times are medians of repeated pairs, the thing and its baseline in turn, in CPU time: a machine
-that changes its speed or has other work changes both.
+The floor is three forward real FFTs in one batch and one inverse, of the same length; of many signals, of as many at a
+time as stay in the processor's cache. Times are medians of repeated pairs, the thing and its baseline in turn, in CPU
+time: a machine that changes its speed or has other work changes both.
 """
 
 from __future__ import annotations
 
-import re
-import shutil
 import subprocess
 import sys
 import time
@@ -20,6 +18,7 @@ from figures import Figure
 from scipy import fft
 
 from feel321 import stimuli
+from feel321.analysis.tradeoff.cost import Candidate, time_floor, time_stream
 from feel321.stimuli.reducers.registry import WHY_NOT_STREAMING
 
 if TYPE_CHECKING:
@@ -27,9 +26,8 @@ if TYPE_CHECKING:
 
 RATE_HZ = 10_000.0
 LENGTHS = (100_000, 99_991, 131_072)
-SHORT = 3_000
-MANY = 1_000
-PAIRS = 21
+OTHERS = (3_000, 10_000, 30_000, 300_000, 1_000_000)
+SHORT, MANY, PAIRS = 3_000, 1_000, 21
 FFTS = "times four FFTs"
 REDUCERS = stimuli.REDUCERS
 
@@ -46,18 +44,19 @@ def ratio(work: Callable[[], object], baseline: Callable[[], object], pairs: int
     return float(np.median(ratios[1:]))  # the first pair warms caches and plans
 
 
+def repeat(work: Callable[[], object], n: int) -> Callable[[], None]:
+    """Do short work as often as takes about as long as on 30 000 samples."""
+
+    def several() -> None:
+        for _ in range(max(1, 30_000 // n)):
+            work()
+
+    return several
+
+
 def make_floor(n: int) -> Callable[[], None]:
     """Make the four FFTs of length n."""
-    axis = np.random.default_rng(0).standard_normal(n)
-    spectrum = fft.rfft(axis)
-
-    def floor() -> None:
-        for _ in range(max(1, 30_000 // n)):
-            for _ in range(3):
-                fft.rfft(axis)
-            fft.irfft(spectrum, n)
-
-    return floor
+    return repeat(partial(time_floor, np.random.default_rng(0).standard_normal((3, n))), n)
 
 
 def make_many_floor(samples: np.ndarray) -> Callable[[], None]:
@@ -73,166 +72,73 @@ def make_many_floor(samples: np.ndarray) -> Callable[[], None]:
     return floor
 
 
-def repeat(work: Callable[[], object], n: int) -> Callable[[], None]:
-    """Do short work as often as the floor is."""
-
-    def several() -> None:
-        for _ in range(max(1, 30_000 // n)):
-            work()
-
-    return several
+def unchecked_dft321(acceleration: np.ndarray) -> np.ndarray:
+    """Equations 3 and 4 in four lines without any check: what SciPy itself can do."""
+    spectra = fft.rfft(acceleration)
+    merged = spectra.sum(axis=0)
+    energy = (spectra.real**2 + spectra.imag**2).sum(axis=0)
+    return fft.irfft(merged * (np.sqrt(energy) / np.abs(merged)), acceleration.shape[-1])
 
 
 def measure_single() -> Iterator[Figure]:
-    """One long recording at a time, with promises; all reducers and short recordings without."""
+    """One recording at a time: dft321 at all lengths, with promises; all reducers at two."""
+    for n in (*OTHERS, *LENGTHS):
+        a = np.random.default_rng(1).standard_normal((3, n))
+        floor, pairs = make_floor(n), PAIRS if n < max(OTHERS) else 7
+        own, plain = (
+            repeat(partial(work, a), n)
+            for work in (partial(REDUCERS["dft321"], rate_hz=RATE_HZ), unchecked_dft321)
+        )
+        yield Figure(f"dft321, n = {n}", ratio(own, floor, pairs), FFTS, 1.6)
+        yield Figure(f"four unchecked lines of SciPy, n = {n}", ratio(plain, floor, pairs), FFTS)
     for n in LENGTHS:
         a = np.random.default_rng(1).standard_normal((3, n))
         s, floor = REDUCERS["dft321"](a, RATE_HZ), make_floor(n)
         works: dict[str, tuple[float, Callable[[], object]]] = {
-            "dft321": (1.5, lambda a=a: REDUCERS["dft321"](a, RATE_HZ)),
             "dft321_windowed": (2.5, lambda a=a: REDUCERS["dft321_windowed"](a, RATE_HZ)),
             "spectral_match": (2.0, lambda a=a, s=s: stimuli.spectral_match(a, s, RATE_HZ)),
             "temporal_match": (2.0, lambda a=a, s=s: stimuli.temporal_match(a, s)),
         }
         for name, (limit, work) in works.items():
             yield Figure(f"{name}, n = {n}", ratio(work, floor), FFTS, limit)
-        both = ratio(
-            lambda a=a, s=s: stimuli.spectral_match_details(a, s, RATE_HZ),
-            works["spectral_match"][1],
-        )
-        yield Figure(f"both spectral matches, n = {n}", both, "times spectral_match", 1.1)
         for name, plain, limit in (
             ("dft321_principal", "dft321", 1.5),
             ("dft321_principal_windowed", "dft321_windowed", 2.25),
         ):
-            got = ratio(lambda a=a, f=REDUCERS[name]: f(a, RATE_HZ), works[plain][1])
-            yield Figure(f"{name}, n = {n}", got, f"times {plain}", limit)
-    for n, left_out in ((LENGTHS[0], {"dft321", "dft321_windowed"}), (SHORT, set())):
+            works = (partial(REDUCERS[one], a, RATE_HZ) for one in (name, plain))
+            yield Figure(f"{name}, n = {n}", ratio(*works), f"times {plain}", limit)
+    for n in (LENGTHS[0], SHORT):
         a = np.random.default_rng(1).standard_normal((3, n))
-        for name in [name for name in REDUCERS if name not in left_out]:
-            work = repeat(lambda a=a, f=REDUCERS[name]: f(a, RATE_HZ), n)
-            what = f"{name}, n = {n}" if n == SHORT else f"{name} alone, n = {n}"
-            yield Figure(what, ratio(work, make_floor(n)), FFTS)
+        for name in [name for name in REDUCERS if not name.startswith("dft321_w")]:
+            work = repeat(partial(REDUCERS[name], a, RATE_HZ), n)
+            yield Figure(f"{name} alone, n = {n}", ratio(work, make_floor(n)), FFTS)
 
 
 def measure_many() -> Iterator[Figure]:
-    """A thousand short recordings together, against the FFTs of all, a copy of all, and one by one."""
+    """A thousand short recordings together, against the FFTs of all, and one by one."""
     a = np.random.default_rng(2).standard_normal((MANY, 3, SHORT))
     floor, few = make_many_floor(a), a[:100]
-    what = f"{MANY} x {SHORT}"
-    yield Figure(f"reading {what}", ratio(lambda: np.einsum("kin,kin->k", a, a), floor, 5), FFTS)
     for name in REDUCERS:
         work = partial(stimuli.reduce_many, a, name, rate_hz=RATE_HZ)
         limit = {"dft321": 3.0, "sax321": 1.0, "mag321": 1.0}.get(name)
-        yield Figure(f"{name}, {what}", ratio(work, floor, 3), FFTS, limit)
+        yield Figure(f"{name}, {MANY} x {SHORT}", ratio(work, floor, 3), FFTS, limit)
+        together = partial(stimuli.reduce_many, few, name, rate_hz=RATE_HZ)
         loop = ratio(
             lambda name=name: [stimuli.reduce(one, name, rate_hz=RATE_HZ) for one in few],
-            lambda name=name: stimuli.reduce_many(few, name, rate_hz=RATE_HZ),
+            together,
             5,
         )
         yield Figure(f"{name}, one by one", loop, "times reduce_many", at_least=True)
-    reduced, floor = few[:, 0] + few[:, 1], make_many_floor(few)
-    for name in stimuli.METRICS:
-        work = partial(stimuli.match_many, few, reduced, rate_hz=RATE_HZ, metrics=[name])
-        yield Figure(f"{name}, 100 x {SHORT}", ratio(work, floor, 5), FFTS)
-    work = partial(stimuli.match_many, few, reduced, rate_hz=RATE_HZ, metrics="all")
-    yield Figure(f"all {len(stimuli.METRICS)} metrics, 100 x {SHORT}", ratio(work, floor, 5), FFTS)
-
-
-def naive_dft321(a: np.ndarray) -> np.ndarray:
-    """Equations 3 and 4 as they are written down."""
-    spectra = np.fft.rfft(a)
-    size = np.sqrt((np.abs(spectra) ** 2).sum(axis=0))
-    return np.fft.irfft(size * np.exp(1j * np.angle(spectra.sum(axis=0))), a.shape[-1])
-
-
-def naive_windowed(a: np.ndarray, length: int = 350) -> np.ndarray:
-    """Equations 3 and 4 frame by frame, in a loop."""
-    hop, n = length // 2, a.shape[-1]
-    window = np.sin(np.pi * np.arange(length) / length)
-    padded = np.pad(a, ((0, 0), (hop, length)))
-    out = np.zeros(padded.shape[-1])
-    for start in range(0, n + hop, hop):
-        part = slice(start, start + length)
-        out[part] += window * naive_dft321(padded[:, part] * window)
-    return out[hop : hop + n]
-
-
-def naive_pca321(a: np.ndarray) -> np.ndarray:
-    """Project on the first singular vector."""
-    centred = a - a.mean(axis=1, keepdims=True)
-    axis = np.linalg.svd(centred, full_matrices=False)[0][:, 0]
-    return axis @ centred * np.sign(axis.sum())
-
-
-NAIVE = {
-    "soc321": lambda a: a[0] + a[1] + a[2],
-    "mag321": lambda a: np.sqrt((a**2).sum(axis=0)),
-    "pca321": naive_pca321,
-    "dft321": naive_dft321,
-    "dft321_windowed": naive_windowed,
-}
-
-
-def measure_naive() -> Iterator[Figure]:
-    """Against the formula in plain NumPy, which gives the same signal."""
-    a = np.random.default_rng(3).standard_normal((3, LENGTHS[0]))
-    for name, plain in NAIVE.items():
-        np.testing.assert_allclose(REDUCERS[name](a, RATE_HZ), plain(a), atol=1e-9)
-        got = ratio(lambda f=REDUCERS[name]: f(a, RATE_HZ), lambda f=plain: f(a), 11)
-        yield Figure(f"{name} against NumPy", got, "times the formula in NumPy")
-
-
-OCTAVE = """
-function s = dft321(a)
-  A = fft(a, [], 2);
-  s = real(ifft(sqrt(sum(abs(A) .^ 2, 1)) .* exp(1i * angle(sum(A, 1)))));
-end
-function t = spent(f)
-  t = zeros(1, 15);
-  for k = 1:15, begun = cputime(); f(); f(); f(); t(k) = (cputime() - begun) / 3; end
-  t = median(t);
-end
-a = randn(3, %d);
-printf("dft321 %%.9f\\nmag321 %%.9f\\n", spent(@() dft321(a)), spent(@() sqrt(sum(a .^ 2, 1))));
-"""
-
-
-def measure_octave() -> Iterator[Figure]:
-    """Against the same formulas in Octave, where it is installed."""
-    octave = shutil.which("octave-cli") or shutil.which("octave")
-    if octave is None:
-        print("Octave is not installed: nothing is compared with it (apt-get install octave)")
-        return
-    command = [octave, "--quiet", "--no-gui", "--eval", OCTAVE % LENGTHS[0]]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    a = np.random.default_rng(3).standard_normal((3, LENGTHS[0]))
-    for name, seconds in re.findall(r"(\w+) ([\d.]+)", done.stdout):
-        own = []
-        for _ in range(15):
-            begun = time.process_time()
-            for _ in range(3):
-                REDUCERS[name](a, RATE_HZ)
-            own.append((time.process_time() - begun) / 3)
-        # One after the other, not in turn: other work on the machine may change it, so it is not compared.
-        got = float(np.median(own)) / float(seconds)
-        yield Figure(f"{name} against Octave", got, "times the formula in Octave", compared=False)
 
 
 def measure_streams() -> Iterator[Figure]:
-    """How much of the time that passes a stream takes, in blocks of 64 samples at 48 kHz."""
-    rate_hz, block = 48_000.0, 64
-    blocks = np.random.default_rng(4).standard_normal((750, 3, block))
-    out = np.empty(block)
+    """How much of the time that passes a stream takes, in blocks of 64 samples at 48 kHz: 99 of 100 blocks."""
+    rng = np.random.default_rng(4)
     for name in [name for name in REDUCERS if name not in WHY_NOT_STREAMING]:
-        stream, shares = stimuli.StreamingReducer(name, rate_hz), []
-        for _ in range(3):
-            begun = time.process_time()
-            for one in blocks:
-                stream.process(one, out=out)
-            shares.append((time.process_time() - begun) * rate_hz / (len(blocks) * block))
-        unit = "of the time that passes"
-        yield Figure(f"{name}, stream", float(np.median(shares)), unit, 1.0, compared=False)
+        times_us = time_stream(Candidate(name, name, REDUCERS[name]), rng)
+        share = float(np.quantile(times_us, 0.99)) / (1e6 * 64 / 48_000)
+        unit = "of the time of a block, 99th percentile"
+        yield Figure(f"{name}, stream", share, unit, 0.5, compared=False)
 
 
 # Linux keeps the high-water mark of this process alone; getrusage would inherit that of its parent.

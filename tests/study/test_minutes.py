@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.commands import lab, shared
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.minutes import (
     SIMULATED,
@@ -23,7 +21,6 @@ from feel321.study.minutes import (
 )
 from feel321.study.session.journal import utc_now
 from feel321.study.session.plan import read_dossier
-from feel321.study.session.ports import Place
 from feel321.study.simulation import simulate_study
 from feel321.study.status import read_status
 from feel321.study.workflow import build_study, check_study
@@ -123,44 +120,3 @@ def test_minutes_are_left_to_those_who_go_on(
     assert entry.left_min is None  # there is no stimulus set
     status = read_status(replace(smallest, path=smallest.path))
     assert (status.participants, status.length) == ((), None)
-
-
-def test_breaks_and_rests_are_counted(plan: Plan) -> None:
-    def measure(**rules: Any) -> float:
-        flow = replace(Flow(break_trials=None, break_min=None, rest_s=0.0), **rules)
-        return Sitting(plan.trials, flow, DURATIONS).count_down(SIMULATED)[0]
-
-    plain = measure()
-    assert measure(rest_s=60.0) - plain == pytest.approx(60.0)
-    # Of ten trials each, after every third but not before the rest or the end: 3, 6, 9; 13, 16, 19.
-    assert measure(break_trials=3, break_s=7.0) - plain == pytest.approx(6 * 7.0)
-    assert measure(break_min=0.2, break_s=7.0) > plain
-
-
-def test_less_and_less_is_left(plan: Plan) -> None:
-    left = Sitting(plan.trials, plan.flow, DURATIONS).count_down(Pace())
-    assert list(left) == list(range(21))
-    assert list(left.values()) == sorted(left.values(), reverse=True)
-    assert left[20] == pytest.approx(Pace().page_s)  # the last page
-
-
-def test_the_terminal_shows_what_is_left(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    monkeypatch.setattr(shared, "is_terminal", lambda: True)
-    (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
-    log = lab.SessionLog("p07", "feel321 run", tmp_path / "rig.toml")
-    log.note(Place(12, 48, left_s=14 * 60.0))
-    log.note(Place(13, 48, left_s=13 * 60.0))
-    log.note(Place(13, 48, fault="device 'pulse' stopped"))
-    out, err = capsys.readouterr()
-    assert out == "p07: 12 of 48 done so far\n"
-    shown = [line.rstrip() for line in err.replace("\n", "\r").split("\r") if line.strip()]
-    assert shown == [
-        "p07: 12 of 48 done, about 14 min left",
-        "p07: 13 of 48 done, about 13 min left",
-        "p07: the device failed (device 'pulse' stopped); check it, then press F10 in the participant's window",
-    ]
-    monkeypatch.setattr(shared, "is_terminal", lambda: False)
-    log.note(Place(14, 48, left_s=12 * 60.0))
-    assert capsys.readouterr() == ("", "")

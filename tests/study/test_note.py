@@ -10,10 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.files import hold_lock
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import lab
-from feel321.study.auditing.replay import audit_steps
 from feel321.study.auditing.study import audit_study
 from feel321.study.checkpoints import take_marks
 from feel321.study.cli import main
@@ -21,9 +19,7 @@ from feel321.study.lab import Visit, run_participant
 from feel321.study.people import write_roster
 from feel321.study.persons.withdrawal import release_participant, take_note, withdraw_participant
 from feel321.study.ratings import write_ratings
-from feel321.study.session.events import NOTE_LETTERS, NoteTaken
 from feel321.study.session.journal import read_journal
-from feel321.study.session.plan import require_plan
 from feel321.study.session.ports import Abort
 from feel321.study.status import read_status
 
@@ -118,66 +114,6 @@ def test_a_note_makes_no_old_session_fresh(study: StudyFolder, run: Run) -> None
     assert "warm_up" in read_names(
         study
     )  # 24 h since anything was done, six minutes since the note
-    assert audit_study(study) == []
-
-
-def test_a_session_with_nothing_but_notes_may_still_get_another_rig(
-    study: StudyFolder, run: Run
-) -> None:
-    run(pages={"welcome": [Abort(2.0, "not today")]})
-    note(study)
-    text = study.rig.read_text(encoding="utf-8")
-    study.rig.write_text(text.replace("100.0", "90.0", 1), encoding="utf-8")
-    assert run(1).done == 2
-    assert len(study.journals) == 2
-    assert [one.text for one in read_status(study).participants[0].notes] == ["left coil rattled"]
-    assert audit_study(study) == []
-
-
-def test_an_answer_after_a_note_needs_the_trial_to_be_shown_again(
-    study: StudyFolder, run: Run
-) -> None:
-    run()
-    path = study.journals[-1]
-    records, plan = list(read_journal(path).records), require_plan(path.parent / "plan.json")
-    place = next(n for n, record in enumerate(records) if record.event == "rated")
-    forged = type(records[0])(place, records[place].utc, "note", {"text": "now"})
-    (finding,) = audit_steps([*records[:place], forged, *records[place:]], plan)
-    assert "holds 'rated', and the session was not opened again" in finding
-
-
-def test_nobody_writes_into_a_session_that_runs(study: StudyFolder, run: Run) -> None:
-    run(**leave())
-    folder = study.sessions / "p01"
-    before = study.journals[-1].read_bytes()
-    with (
-        hold_lock(folder / ".lock", busy=""),
-        pytest.raises(BlockingIOError, match="p01: a session is running here; let it finish"),
-    ):
-        note(study)
-    assert study.journals[-1].read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "1 to 1000 characters, got 0"),
-        ("  ", "1 to 1000 characters, got 2"),
-        ("a" * (NOTE_LETTERS + 1), "1 to 1000 characters, got 1001"),
-        ("two\nlines", r"without control characters, got '\\n' at character 4"),
-        ("\x1b[2J", r"got '\\x1b' at character 1"),
-        ("a\u202eb", r"got '\\u202e' at character 2"),
-        ("a\udcffb", r"got '\\udcff' at character 2"),
-    ],
-)
-def test_a_note_is_one_line_of_bounded_length(text: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        NoteTaken(text)
-
-
-def test_the_longest_note_is_taken(study: StudyFolder, run: Run) -> None:
-    run(**leave())
-    note(study, "ä" * NOTE_LETTERS)
     assert audit_study(study) == []
 
 

@@ -10,11 +10,10 @@ import pytest
 from filelock import FileLock
 
 from feel321.files import hold_lock, is_held
-from feel321.protocols.tasks import make_task
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import require_journal
 from feel321.study.session.plan import make_plan
-from feel321.study.session.ports import Abort, Confirm, Pause, Playback
+from feel321.study.session.ports import Confirm, Playback
 from feel321.study.status import describe_balance, read_status
 
 if TYPE_CHECKING:
@@ -34,13 +33,6 @@ def begun(present: Present, scripted: type, tmp_path: Path) -> StudyFolder:
     return StudyFolder(tmp_path)
 
 
-def test_who_finished_has_nothing_left(begun: StudyFolder) -> None:
-    (entry,) = read_status(begun).participants
-    assert (entry.participant, entry.state, entry.number) == ("p01", "finished", 1)
-    assert (entry.done, entry.left, entry.simulated, entry.problem) == (20, 0, True, "")
-    assert entry.last_activity > "2026"
-
-
 @pytest.mark.parametrize(
     ("name", "content", "problem"),
     [
@@ -58,17 +50,6 @@ def test_what_is_broken_hides_nobody_else(
     assert problem in broken.problem
     assert "p02/plan.json: is the plan of 'p01', it was copied here; move it away" in copied.problem
     assert read_status(begun).balance is None  # Nobody is left to count.
-
-
-def test_a_journal_without_its_plan_is_a_problem(begun: StudyFolder) -> None:
-    (begun.sessions / "p01" / "plan.json").unlink()
-    assert "plan.json" in read_status(begun).participants[0].problem
-
-
-def test_a_folder_that_holds_only_a_lock_was_not_begun(begun: StudyFolder) -> None:
-    (begun.sessions / "p02").mkdir()
-    (begun.sessions / "p02" / ".lock").touch()
-    assert [entry.participant for entry in read_status(begun).participants] == ["p01"]
 
 
 def test_states_follow_the_journal(present: Present, scripted: type, tmp_path: Path) -> None:
@@ -164,12 +145,6 @@ def test_records_of_another_make_are_the_problem_of_their_participant(
     assert (fine.state, fine.done, fine.problem) == ("aborted", 2, "")
 
 
-def test_progress_counts_participants(begun: StudyFolder) -> None:
-    steps: list[tuple[int, int]] = []
-    read_status(begun, progress=lambda done, total: steps.append((done, total)))
-    assert steps == [(1, 1)]
-
-
 def test_status_is_blind(begun: StudyFolder, stimuli: StimulusSet) -> None:
     state = read_status(begun)
     shown = "\n".join([str(state), *describe_balance(state.balance)])
@@ -208,18 +183,11 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
         ("similarity", "stimuli"): (10, (2, 2)),
         ("similarity", "recordings"): (2, (5, 5)),
     }
-    assert {(e.position_index, e.carry_over_index) for e in realised.evenness} == {(0.0, 0.0)}
     shutil.rmtree(tmp_path / "sessions" / "n04")
     lines = describe_balance(read_status(StudyFolder(tmp_path)).balance)
     assert lines[0] == "balance: 9 finished (simulated)"
     assert lines[1].startswith("  realism, stimuli: 1 to 2 at each position, ")
     assert lines[1].endswith("; even over 10, 1 to go")
-
-
-def test_shares_of_the_recordings_promise_no_circle(hold: Hold) -> None:
-    realised = hold(2, recordings_per_participant=1)
-    assert {entry.cycle for entry in realised.evenness} == {0}
-    assert "to go" not in "".join(describe_balance(realised))
 
 
 def test_groups_go_round_their_own_circles(hold: Hold) -> None:
@@ -249,18 +217,6 @@ def test_simulated_participants_do_not_fill_the_places_of_real_ones(
     assert (realised.simulated, realised.participants) == (False, 1)
 
 
-def test_pages_of_two_arms_can_never_meet_and_are_not_missed(
-    hold: Hold, stimuli: StimulusSet
-) -> None:
-    louder = tuple(
-        replace(s, stimulus_id=f"{s.stimulus_id}-loud", level="equal") for s in stimuli.stimuli
-    )
-    both = replace(stimuli, stimuli=stimuli.stimuli + louder)
-    realised = hold(10, both, tasks=(make_task("mushra"),))
-    (slots,) = (entry for entry in realised.evenness if entry.what == "slots")
-    assert (slots.position_index, slots.carry_over_index) == (0.0, 0.0)
-
-
 def test_a_second_attempt_counts_where_it_was_run_and_the_bad_one_does_not(
     present: Present, scripted: type, tmp_path: Path
 ) -> None:
@@ -276,12 +232,6 @@ def test_a_second_attempt_counts_where_it_was_run_and_the_bad_one_does_not(
     assert realised is not None
     # Each of five stimuli stands at one place of five, also the one that came again after the other block.
     assert [entry.positions for entry in realised.evenness] == [(0, 1)] * 4
-    assert realised.evenness[0].position_index == pytest.approx(2.0)
-
-
-def test_pages_and_pauses_do_not_count(present: Present, scripted: type, tmp_path: Path) -> None:
-    present(scripted(acts={(1, 1): [Pause(0.0)]}, pages={"pause": [Abort(1.0, "tired")]}))
-    assert read_status(StudyFolder(tmp_path)).balance is None
 
 
 def test_who_only_looks_refuses_no_session(tmp_path: Path) -> None:

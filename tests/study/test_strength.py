@@ -5,15 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
-from math import nan
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from feel321.stimuli.formats.read import read_recording
-from feel321.stimuli.sets.build import Foreseen, foresee_stimuli
+from feel321.stimuli.sets.build import Foreseen
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import Measured
@@ -24,20 +21,11 @@ from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import read_rig
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.lab import Visit, run_participant
 from feel321.study.settings.read import read_settings
-from feel321.study.strength import (
-    describe_built,
-    describe_gains,
-    find_rig_limits,
-    find_strength,
-    find_unfelt,
-)
+from feel321.study.strength import describe_built, find_rig_limits, find_strength
 from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from datetime import datetime
     from pathlib import Path
 
     Capture = pytest.CaptureFixture[str]
@@ -96,28 +84,6 @@ def test_check_says_the_same_before_and_after_the_build(
     assert (
         "gain, as given in study.toml: 0.2 m/s² played per m/s² recorded" in capsys.readouterr().out
     )
-
-
-def test_sessions_of_what_cannot_be_felt_are_refused_and_simulated_with_a_warning(
-    study: StudyFolder, now: Callable[[], datetime], capsys: Capture
-) -> None:
-    build_study(set_up(study, "gain = 0.01"))
-    with pytest.raises(
-        ValueError, match=r"12 of 12 stimuli, such as bumps__sax321__as_is, are below"
-    ) as caught:
-        run_participant(study, Visit("p01"), now=now)
-    assert 'accept it: below_threshold = "accept"' in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert not study.participants
-    assert main(["simulate", str(study.path), "--participants", "2"]) == 0
-    assert "feel321: warning: 12 of 12 stimuli" in capsys.readouterr().err
-    with pytest.raises(
-        FileNotFoundError, match=r"rig\.toml: there is none"
-    ):  # tried out all the same
-        run_participant(replace(study, is_rehearsal=True), Visit("p01"), now=now)
-    set_up(study, 'below_threshold = "accept"')  # needs no new set
-    with pytest.raises(FileNotFoundError, match=r"rig\.toml: there is none"):
-        run_participant(study, Visit("p01"), now=now)
 
 
 def test_one_spike_costs_the_other_recordings_headroom(study: StudyFolder, capsys: Capture) -> None:
@@ -203,56 +169,11 @@ def test_the_rig_is_compared_before_anything_is_built(tmp_path: Path) -> None:
     )
 
 
-def test_real_recordings_below_threshold_are_found_and_a_gain_of_their_own_helps(
-    shared_recordings: Path, tmp_path: Path
-) -> None:
-    names = ("decay_5k.csv", "handheld_7k.csv", "impacts_20k.wav", "knocks_26k.wav")
-    recordings = [read_recording(shared_recordings / name) for name in names]
-    found = {
-        gain: foresee_stimuli(
-            recordings, tmp_path, recipe=Recipe(reducers=("pca321", "dft321"), gain=gain)
-        )
-        for gain in ("set", "per_recording")
-    }
-    unfelt = {
-        gain: {one.recording for one in foreseen if one.sensation_levels_db["contactor"] < 0}
-        for gain, foreseen in found.items()
-    }
-    assert unfelt == {"set": {"decay_5k", "handheld_7k"}, "per_recording": set()}
-
-
 def foresee(recording: str = "oak", reducer: str = "dft321", **own: float) -> Foreseen:
     """A stimulus without samples."""
     levels = dict.fromkeys(THRESHOLDS, 10 ** (own.get("level_db", 20.0) / 20))
     measured = Measured(own.get("peak_m_s2", 1.0), levels, 1.0, 1.0, 1.0, 1.0)
     return Foreseen(recording, reducer, "test", "", measured, "as_is", gain=1.0)
-
-
-@pytest.mark.parametrize(("louder_db", "count"), [(1.2, 1), (0.8, 0)])
-def test_a_recording_that_costs_the_others_a_decibel_is_named(louder_db: float, count: int) -> None:
-    foreseen = [foresee("oak", peak_m_s2=10 ** (louder_db / 20)), foresee("ash")]
-    lines = [line for line in describe_gains(foreseen, Recipe()) if line.startswith("headroom")]
-    assert len(lines) == count
-    assert all("the peak of recording 'oak' (dft321) sets the gain" in line for line in lines)
-
-
-def test_an_anchor_that_does_not_fit_is_named_and_has_no_say_in_the_gain() -> None:
-    anchor = replace(foresee(reducer="anchor_mid", peak_m_s2=90.0), role="anchor", gain=0.5)
-    alone = describe_gains([foresee()], Recipe())
-    lines = describe_gains([foresee(), foresee("ash"), anchor], Recipe())
-    assert [line for line in lines if not line.startswith("anchors")] == alone
-    assert any("such as 'oak'" in line and "reach the headroom" in line for line in lines)
-
-
-def test_a_gain_of_its_own_is_limited_by_the_loudest_stimulus_of_the_recording(
-    study: StudyFolder,
-) -> None:
-    # Headroom is 90 m/s^2: 6.0 dB above the loudest, 39.1 dB above the weak one.
-    foreseen = [foresee(peak_m_s2=45.0), foresee(reducer="mag321", level_db=5.0)]
-    (line,) = find_strength(read_settings(study.settings), foreseen, Recipe()).warnings
-    assert line.endswith(
-        'mag321 5.0 dB; gain = "per_recording" plays this recording 6.0 dB stronger'
-    )
 
 
 def test_a_recording_that_is_raised_by_more_than_40_db_is_named_before_the_build(
@@ -261,14 +182,6 @@ def test_a_recording_that_is_raised_by_more_than_40_db_is_named_before_the_build
     foreseen = [replace(foresee(name), gain=gain) for name, gain in (("oak", 99.0), ("ash", 200.0))]
     (line,) = find_strength(read_settings(study.settings), foreseen, Recipe()).warnings
     assert line.startswith("ash: played 46 dB stronger than it was recorded")
-
-
-def test_silence_cannot_be_felt(study: StudyFolder) -> None:
-    rows = [SimpleNamespace(stimulus_id=name, sensation_level_db=nan) for name in ("a", "b")]
-    rows.append(SimpleNamespace(stimulus_id="c", sensation_level_db=0.0))
-    unfelt: Any = SimpleNamespace(stimuli=rows)
-    line = find_unfelt(read_settings(study.settings), unfelt)
-    assert line.startswith("2 of 3 stimuli, such as a, are below the detection threshold")
 
 
 def test_peaks_of_reduced_stimuli_are_held_against_the_coils_up_to_rounding(tmp_path: Path) -> None:

@@ -14,23 +14,19 @@ import numpy as np
 import pytest
 
 from feel321.protocols.threshold import PROCEDURES, USUAL, estimate_threshold, resume
-from feel321.stimuli.sets.anchors import sensation_level_db
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.stimuli.thresholds import acceleration_threshold
+from feel321.stimuli.thresholds import acceleration_threshold, sensation_level_db
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import create_study
-from feel321.study.observer.model import ObserverModel
-from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import ROSTER_FILE
 from feel321.study.ratings import write_ratings
 from feel321.study.sensation import LOW_RATE_HZ, find_shift
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import require_plan
-from feel321.study.settings.schema import check_factor
 from feel321.study.simulation import simulate_study
 from feel321.study.status import read_status
-from feel321.study.thresholds import find_warnings, is_usable, list_columns, read_thresholds
-from feel321.study.workflow import build_study, check_study
+from feel321.study.thresholds import find_warnings, is_usable, read_thresholds
+from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -140,16 +136,6 @@ def _pair_up(records: list[Any], frequency_hz: float) -> list[tuple[Any, Any]]:
     ]
 
 
-def test_a_block_that_is_not_over_gives_nothing(simulated: StudyFolder) -> None:
-    folder = simulated.sessions / "sim001"
-    plan = require_plan(folder / "plan.json")
-    records = read_journal(folder / "session-01.jsonl").records
-    end = next(n for n, r in enumerate(records) if r.data.get("key") == "threshold_done")
-    assert read_thresholds(plan, type(records)(records[: end + 1]))
-    assert read_thresholds(plan, type(records)(records[:end])) == {}
-    assert list_columns({}) == {}
-
-
 def test_one_frequency_shifts_the_level_of_every_stimulus_alike(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study", "[160.0]")
     simulate_study(study, participants=1, seed=5, now=lambda: datetime.now(UTC))
@@ -198,7 +184,7 @@ def test_between_frequencies_the_shift_is_a_line_over_their_logarithm() -> None:
 @pytest.mark.parametrize("frequency_hz", [40.0, 100.0, 250.0])
 def test_a_tone_at_the_own_threshold_has_level_zero(frequency_hz: float) -> None:
     """By the definition of the sensation level, through the code that computes it for stimuli."""
-    from feel321.stimuli.sets.anchors import loudest_levels, to_db
+    from feel321.stimuli.thresholds import loudest_levels, to_db
 
     shift = find_shift(make_estimates(), curve="contactor")
     assert shift is not None
@@ -238,13 +224,6 @@ def test_what_is_not_usable_is_reported_and_used_for_nothing(
     assert find_shift({40.0: bad[40.0]}, curve="contactor") is None
 
 
-def test_catch_trials_of_all_frequencies_count_together() -> None:
-    """4 of 4 come about by guessing in one of 16, 8 of 8 in one of 256."""
-    assert list(find_warnings({40.0: make_estimate(-20.0, catch_correct=4)})) == []
-    (warning,) = find_warnings(make_estimates(catch_correct=4))
-    assert "8 of 8 silent catch trials correct" in warning
-
-
 def test_a_participant_who_guesses_has_no_sensation_levels(tmp_path: Path) -> None:
     study = make_study(tmp_path / "study")
     with study.settings.open("a", encoding="utf-8") as file:
@@ -256,27 +235,3 @@ def test_a_participant_who_guesses_has_no_sensation_levels(tmp_path: Path) -> No
         "threshold at 250 Hz",
     }
     assert {row["sensation_level_db"] for row in read_rows(study.ratings)} == {""}
-
-
-def test_check_warns_of_thresholds_beyond_the_levels(tmp_path: Path) -> None:
-    """The contactor's curve lies at -15 dB for 250 Hz, at 27 dB for 1000 Hz: 31.7 m/s² peak."""
-    study = create_study(tmp_path / "study")
-    study.settings.write_text(STUDY.format(frequencies="[250.0, 1000.0]"), encoding="utf-8")
-    (warning,) = (line for line in check_study(study).warnings if "session.threshold" in line)
-    assert "at 1000 Hz thresholds are expected around 27 dB (contactor)" in warning
-
-
-def test_no_factor_may_be_called_as_a_column_of_thresholds() -> None:
-    with pytest.raises(ValueError, match="must not be a column"):
-        check_factor("threshold_db_40hz")
-    assert check_factor("threshold_group") == "threshold_group"
-
-
-def test_people_differ_around_the_curve_by_the_planted_spread() -> None:
-    model = ObserverModel(detection_sd=4.0, detection_curve="grasped_stylus")
-    people = [SimulatedObserver(model, seed=1, number=number) for number in range(400)]
-    drawn = np.array([[one.find_threshold(f) for f in FEW] for one in people])
-    curve = acceleration_threshold(list(FEW), threshold="grasped_stylus") / np.sqrt(2)
-    np.testing.assert_allclose(drawn.mean(axis=0), 20 * np.log10(curve), atol=4 * 4 / 20)
-    np.testing.assert_allclose(drawn.std(axis=0), 4.0, rtol=0.15)
-    assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(0.5, abs=0.15)

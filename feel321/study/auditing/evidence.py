@@ -8,18 +8,8 @@ from dataclasses import dataclass, field
 from shlex import quote
 from typing import TYPE_CHECKING
 
-from feel321.study.checkpoints import (
-    EVIDENCE,
-    Checkpoint,
-    FileMark,
-    Own,
-    fetch_branches,
-    is_journal,
-    list_lost,
-    read_lines,
-    read_own,
-    take_marks,
-)
+from feel321.study import checkpoints
+from feel321.study.checkpoints import EVIDENCE, Checkpoint, FileMark, is_journal
 from feel321.study.session.journal import digest
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
 
@@ -56,12 +46,16 @@ class Evidence:
 def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) -> Evidence:
     """Compare a study with its checkpoints, here and at its remotes; expect: the id of one that must be here."""
     found = Evidence()
-    own, today, home = read_own(study), take_marks(study), study.path / EVIDENCE
+    own, today, home = (
+        checkpoints.read_own(study),
+        checkpoints.take_marks(study),
+        study.path / EVIDENCE,
+    )
     history, binding, held = own.history, [own.history], list[str]()
     found.findings += filter(None, [own.problem])
     for url in dict.fromkeys([*own.pushed, *remotes]):
         try:
-            branches = fetch_branches(url, history)
+            branches = checkpoints.fetch_branches(url, history)
         except OSError as error:
             found.remarks.append(f"{url}: could not be looked at ({error})")
             held.append(f"{url} could not be looked at")
@@ -89,7 +83,7 @@ def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) 
 
 def _compare_branch(
     study: StudyFolder,
-    own: Own,
+    own: checkpoints.Own,
     other: tuple[str, str, Sequence[Checkpoint]],
     *,
     found: Evidence,
@@ -119,7 +113,7 @@ def _compare_branch(
         remedy = "if a backup was restored, say so: feel321 seal --reason TEXT"
         found.findings.append(f"{home}: {text}; {remedy}")
     elif unknown:
-        lost = ", ".join(list_lost(theirs[-1].marks, today))
+        lost = ", ".join(checkpoints.list_lost(theirs[-1].marks, today))
         more = f"; not here: {lost}" if lost else ""
         found.remarks.append(f"{home}: another copy of this study went on as {said}{more}")
         return False
@@ -220,7 +214,7 @@ class _Comparison:
     def _judge_journal(self, name: str) -> Iterator[str]:
         """Demand that a journal begins with all that it ever was."""
         path, good = self.study.path / name, 0
-        content = read_lines(path)
+        content = checkpoints.read_lines(path)
         for mark, one in sorted(self.seen[name].items(), key=lambda item: item[0].size):
             when = f"at the checkpoint of {one.utc}; restore it from a copy"
             if len(content) < mark.size:

@@ -293,7 +293,7 @@ def _match(recording: "Recording", samples: "Samples") -> dict[str, Any]:
 
 def _compare_by_rivals(recording: "Recording", samples: "Samples") -> dict[str, Any]:
     """Rival metrics by name, and why one is not known."""
-    from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+    from feel321.stimuli.rivals import RIVALS, measure_batch
 
     measured = measure_batch(recording.acceleration, samples, recording.rate_hz)
     values = {name: float(value) for name, value in measured.items()}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from feel321.study.commands import shared
-from feel321.study.commands.shared import ALONE, Crew, File, Json, Number, Out, Seed, within
+from feel321.study.commands.shared import ALONE, Crew, File, Json, Number, Out, Seed
 from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ def tradeoff(  # noqa: PLR0913 - one per option
     online: bool = False,
     latency_ms: Number | None = None,
     mounting: Literal["any", "recorded"] = "any",
-    axes: Annotated[int, within(1, 3)] = 1,
     tolerance_db: Number | None = None,
     out: Out = None,
     seed: Seed = None,
@@ -51,8 +50,6 @@ def tradeoff(  # noqa: PLR0913 - one per option
         Longest delay online, device included, in ms.  [default: 45]
     mounting
         Mountings of the sensor that advice must hold for.
-    axes
-        Axes that the actuator can move.
     tolerance_db
         How far from the best is as good, in dB of energy.  [default: 1]
     """
@@ -74,7 +71,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
     study = StudyFolder(folder or output)
     with shared.show_progress("tradeoff") as progress:
         result = _compare(
-            study, context, scenes=scenes, extra=extra, thorough=thorough, axes=axes, seed=seed,
+            study, context, scenes=scenes, extra=extra, thorough=thorough, seed=seed,
             workers=crew.employ(), progress=progress,
         )  # fmt: skip
     with shared.recording(study, "tradeoff", output):
@@ -105,7 +102,6 @@ def _compare(  # noqa: PLR0913 - one per choice
     scenes: bool,
     extra: tuple[Path, ...],
     thorough: bool,
-    axes: int,
     seed: int | None,
     workers: "Workers",
     progress: Callable[[int, int], None],
@@ -127,7 +123,6 @@ def _compare(  # noqa: PLR0913 - one per choice
         reducers=dict(REDUCERS) | reducers,
         metrics=metrics,
         windows_ms=[one for one in WINDOWS_MS if one <= context.room_ms] if context.online else (),
-        axes=axes,
         thorough=thorough,
         rng=(settings.study.seed if settings else 0) if seed is None else seed,
         workers=workers,

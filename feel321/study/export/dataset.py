@@ -3,24 +3,38 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import hmac
 import json
 import math
+import re
+import secrets
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from feel321 import __version__, intake
 from feel321.analysis.table.dictionary import describe_column
 from feel321.analysis.table.metrics import gather_info
-from feel321.files import digest_file, make_folder, sync_folder, temporary_folder, write_bytes
+from feel321.files import (
+    digest_file,
+    make_folder,
+    sync_folder,
+    temporary_folder,
+    write_bytes,
+    write_text,
+)
+from feel321.protocols.questions import find_question
 from feel321.records import to_json_value
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import list_info, list_labels
 from feel321.study.checkpoints import find_newest
 from feel321.study.columns import RATING_COLUMNS
-from feel321.study.export.narrative import METHODS_FILE, make_methods
-from feel321.study.export.people import gather_people, number_names
-from feel321.study.ratings import write_ratings
+from feel321.study.export.narrative import METHODS_FILE, make_methods, render
+from feel321.study.people import Progress, list_progress
+from feel321.study.persons.answers import list_answers
+from feel321.study.ratings import list_judgements, write_ratings
 from feel321.study.settings.read import (
     list_origins,
     make_design,
@@ -32,7 +46,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from feel321.protocols.questions import Question
-    from feel321.study.export.people import Person
+    from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
     from feel321.types import MetricInfo
@@ -61,6 +75,16 @@ OWN = {
 """Meanings of columns that the data dictionary lacks or defines differently."""
 
 
+KEY_FILE = ".export.key"
+"""File in the study's folder: the key that draws the new numbers. It is never exported."""
+
+LABEL = re.compile(r"[0-9A-Za-z]+")
+"""What BIDS allows as the label of a participant."""
+
+OLDEST, BAND = 80, 5
+"""Ages are given in bands of five years, and from 80 on as one."""
+
+
 def export_bids(
     study: StudyFolder, folder: Path, *, keep_ids: bool = False, simulated: bool = False
 ) -> list[str]:
@@ -68,7 +92,8 @@ def export_bids(
 
     keep_ids: keep the study's codes of participants. simulated: simulated participants too.
     """
-    if folder.is_symlink() or (folder.exists() and not (folder.is_dir() and _is_empty(folder))):
+    is_empty = folder.is_dir() and not any(folder.iterdir())
+    if folder.is_symlink() or (folder.exists() and not is_empty):
         raise FileExistsError(f"{folder}: already holds something; name a new or empty folder")
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
     people = gather_people(study, stimuli, keep_ids=keep_ids, simulated=simulated)
@@ -90,8 +115,109 @@ def export_bids(
     return missing
 
 
-def _is_empty(folder: Path) -> bool:
-    return not any(folder.iterdir())
+# Participants, under new numbers.
+
+
+@dataclass(frozen=True, slots=True)
+class Person:
+    """A participant of a dataset; label: after `sub-`; rows: the judgements, as `ratings.csv` has them."""
+
+    label: str
+    progress: Progress
+    rows: tuple[dict[str, Any], ...]
+    answers: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """The name in every table."""
+        return f"sub-{self.label}"
+
+
+def gather_people(
+    study: StudyFolder, stimuli: StimulusSet, *, keep_ids: bool, simulated: bool
+) -> list[Person]:
+    """Gather everybody who judged something and did not withdraw; simulated people only where they are asked for."""
+    everybody = [one for one in list_progress(study) if simulated or not one.simulated]
+    rows = {
+        one.participant: list_judgements(
+            study.read_person(study.sessions / one.participant), stimuli
+        )
+        for one in everybody
+    }
+    everybody = [one for one in everybody if rows[one.participant]]
+    if not everybody:
+        hint = "; simulated participants are exported with --simulated only" * bool(
+            study.participants
+        )
+        raise ValueError(f"{study.path}: no ratings of real participants to export{hint}")
+    labels = name_people(study, [one.participant for one in everybody], keep_ids=keep_ids)
+    people = [
+        Person(
+            labels[one.participant],
+            one,
+            tuple(rows[one.participant]),
+            list_passed_on(study, one.participant),
+        )
+        for one in everybody
+    ]
+    return sorted(people, key=lambda person: person.label)
+
+
+def name_people(study: StudyFolder, names: Sequence[str], *, keep_ids: bool) -> dict[str, str]:
+    """Give participants new numbers in an order that only the study's own key gives; or check their codes."""
+    if keep_ids:
+        if odd := [name for name in names if not LABEL.fullmatch(name)]:
+            raise ValueError(
+                f"--keep-ids: BIDS allows letters and digits in a participant's code, got {odd[0]!r}; export without it"
+            )
+        return {name: name for name in names}
+    path = study.path / KEY_FILE
+    if not path.exists():
+        write_text(path, f"{secrets.token_hex(32)}\n", private=True)
+    key = bytes.fromhex(path.read_text(encoding="utf-8").strip())
+    drawn = sorted(names, key=lambda name: hmac.new(key, name.encode(), hashlib.sha256).hexdigest())
+    width = max(2, len(str(len(drawn))))
+    return {name: f"{number:0{width}}" for number, name in enumerate(drawn, start=1)}
+
+
+def list_passed_on(study: StudyFolder, participant: str) -> dict[str, str]:
+    """List the answers to question pages that may be passed on: nothing personal, nothing typed freely."""
+    own = study.read_person(study.sessions / participant)
+    answers = {}
+    for row in list_answers(own):
+        question = find_question(own.plan.questions, f"question.{row['question']}")
+        is_open = row["personal"] == "true" or row["kind"] not in {"choice", "number", "likert"}
+        if is_open or question is None or row["rejected"] == "true" or row["answer"] == "":
+            continue
+        repeated = row["occasion"] > 1 or question.when == "between"
+        name, answer = row["question"], row["answer"]
+        if name.casefold() == "age" and answer.replace(".", "", 1).isdigit():
+            name, answer = "age_band", band_age(float(answer))
+        answers[f"{name}_{row['occasion']}" if repeated else name] = answer
+    return answers
+
+
+def band_age(years: float) -> str:
+    """Give an age as a band of five years.
+
+    Examples
+    --------
+    >>> band_age(23), band_age(91)
+    ('20-24', '80+')
+    """
+    if years >= OLDEST:
+        return f"{OLDEST}+"
+    low = int(years // BAND) * BAND
+    return f"{low}-{low + BAND - 1}"
+
+
+def number_names(values: Iterable[str], stem: str) -> dict[str, str]:
+    """Give numbers to names that tell where and when something was made; `uncalibrated` and nothing stay."""
+    kept = {"", "uncalibrated"}
+    found = [value for value in dict.fromkeys(values) if value not in kept]
+    return {value: value for value in kept} | {
+        value: f"{stem}{number}" for number, value in enumerate(sorted(found), start=1)
+    }
 
 
 # Files.
@@ -222,11 +348,6 @@ def _write_stimuli(study: StudyFolder, settings: Settings, folder: Path) -> None
         )
 
 
-def label_task(protocol: str) -> str:
-    """Make the label that a task has in file names."""
-    return "".join(letter for letter in protocol if letter.isalnum() and letter.isascii())
-
-
 def _write_judgements(
     study: StudyFolder, settings: Settings, people: Sequence[Person], *, folder: Path
 ) -> None:
@@ -240,14 +361,14 @@ def _write_judgements(
     several = any(session > 1 for _, session, _ in parts)
     for (name, session, protocol), rows in parts.items():
         visit = [f"ses-{session:02}"] if several else []
-        file = "_".join([name, *visit, f"task-{label_task(protocol)}", "beh.tsv"])
+        file = "_".join([name, *visit, f"task-{_make_label(protocol)}", "beh.tsv"])
         write_tsv(folder.joinpath(name, *visit, "beh", file), columns, rows)
     scales = {protocol: rows[0]["scale"] for (*_, protocol), rows in parts.items()}
     meanings = describe("ratings.csv", columns)
     texts = read_study_texts(settings, study.path)
     for protocol, scale in scales.items():
         about = _describe_task(protocol, scale, texts=texts, settings=settings)
-        _write_json(folder / f"task-{label_task(protocol)}_beh.json", {**about, **meanings})
+        _write_json(folder / f"task-{_make_label(protocol)}_beh.json", {**about, **meanings})
 
 
 def _describe_task(
@@ -256,7 +377,7 @@ def _describe_task(
     asked, page = texts["scales"].get(scale, {}), texts["pages"].get(f"instructions.{protocol}", {})
     ends = f"0 ({asked.get('low_label', '')}) to 100 ({asked.get('high_label', '')})"
     return {
-        "TaskName": label_task(protocol),
+        "TaskName": _make_label(protocol),
         "TaskDescription": f"{asked.get('question', protocol)} The answer is given in points from {ends}.",
         "Instructions": " ".join(page.get("text", "").split()),
         "InstitutionName": settings.publication.institution,
@@ -264,6 +385,11 @@ def _describe_task(
         "InstitutionAddress": settings.publication.address,
         "StimulusPresentation": {"SoftwareName": "feel321", "SoftwareVersion": __version__},
     }
+
+
+def _make_label(protocol: str) -> str:
+    """Make the label that a task has in file names."""
+    return "".join(letter for letter in protocol if letter.isalnum() and letter.isascii())
 
 
 # Words.
@@ -275,7 +401,7 @@ def _write_words(
     """Write what the dataset is, who made it and how it may be used."""
     own = settings.publication
     title = own.title or settings.study.name
-    about = {
+    about: dict[str, Any] = {
         "Name": title,
         "BIDSVersion": BIDS_VERSION,
         "DatasetType": "raw",
@@ -289,64 +415,16 @@ def _write_words(
         "GeneratedBy": [
             {"Name": "feel321", "Version": __version__, "Description": "feel321 export"}
         ],
-        "SourceDatasets": [{"Version": f"checkpoint {newest}"}]
-        if (newest := find_newest(study))
-        else [],
     }
+    if newest := find_newest(study):
+        about["SourceDatasets"] = [{"Version": f"checkpoint {newest}"}]
     _write_json(folder / "dataset_description.json", about)
     _write(folder / ".bidsignore", f"/{METHODS_FILE}\n")
     simulated = sum(one.progress.simulated for one in people)
-    ghosts = f" {simulated} of them are simulated: programs, not people." if simulated else ""
-    _write(folder / "README", README.format(
-        title=title, description=own.description or "No description was given.",
-        people=f"{len(people)} participants felt vibrations on a stylus and judged them.{ghosts}",
-    ))  # fmt: skip
+    facts = {"title": title, "own": own, "count": len(people), "simulated": simulated}
+    _write(folder / "README", render("readme.txt", **facts))
     if own.authors:
-        _write(folder / "CITATION.cff", _format_citation(settings, title))
-
-
-README = """\
-{title}
-
-{description}
-
-{people}
-
-- sub-*/: judgements, one row each, by task (BIDS, modality beh); a sidecar describes every column
-- participants.tsv, phenotype/: participants, and answers to question pages where there are any
-- stimuli/: the vibrations as WAV files, and stimuli.tsv with their metrics
-- methods.md: the study as a paper's methods section, where a report was made of it
-- CITATION.cff: authors and licence, where they were given
-
-De-identification: participants are numbered in random order, unless the study's codes were kept; times are relative to
-the start of a session; ages are in bands; personal answers, texts that participants typed, experimenters' notes, dates,
-names of machines and people, and all data of those who withdrew are left out.
-
-Written by feel321 export.
-"""
-
-
-def _format_citation(settings: Settings, title: str) -> str:
-    """Format `CITATION.cff` 1.2.0; JSON's strings are YAML's."""
-    own = settings.publication
-
-    def list_lines(facts: Mapping[str, Any]) -> list[str]:
-        known = ((name, value) for name, value in facts.items() if value)
-        return [f"{name}: {json.dumps(value, ensure_ascii=False)}" for name, value in known]
-
-    lines = list_lines({
-        "cff-version": "1.2.0", "message": own.acknowledgements or "If you use this dataset, please cite it as below.",
-        "type": "dataset", "title": title, "abstract": own.description, "version": own.version,
-        "date-released": own.released, "license": own.licence, "doi": own.doi, "keywords": own.keywords,
-    })  # fmt: skip
-    lines.append("authors:")
-    for author in own.authors:
-        first, *others = list_lines({
-            "family-names": author.family, "given-names": author.given,
-            "orcid": author.orcid and f"https://orcid.org/{author.orcid}", "affiliation": author.affiliation,
-        })  # fmt: skip
-        lines += [f"  - {first}", *(f"    {line}" for line in others)]
-    return "\n".join(lines) + "\n"
+        _write(folder / "CITATION.cff", render("citation.txt", **facts))
 
 
 def _write_methods(study: StudyFolder, folder: Path) -> list[str]:

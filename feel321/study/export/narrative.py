@@ -90,8 +90,6 @@ def write_methods(study: StudyFolder, report: Path) -> None:
 
 def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bool = True) -> str:
     """Make the text of the methods section; without days where it goes along with a dataset."""
-    from jinja2 import Environment, StrictUndefined
-
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli).stimuli
     with intake.open_text(study.manifest) as file:
         tests = [row for row in csv.DictReader(file) if row["role"] == "test"]
@@ -101,11 +99,8 @@ def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bo
     certificates, unknown = find_used(study)
     protocols = [task.protocol for task in make_design(settings, study.path).tasks]
     usual = {name: f"[{name}]" for name in ("metrics", "draws", "seed", "margin")}
-    pages = Environment(  # noqa: S701 - the text is Markdown, in which nothing is escaped
-        undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True
-    )
-    template = pages.from_string(intake.read_text(Path(__file__).with_name("methods.md")))
-    return template.render(
+    return render(
+        "methods.md",
         count=_count,
         median=median,
         is_finite=math.isfinite,
@@ -136,6 +131,17 @@ def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bo
             if one["quantity"] == "n_flagged" and one["panel"] == "any"
         ],
     )
+
+
+def render(name: str, **values: object) -> str:
+    """Render a text of this folder, in which nothing is escaped."""
+    from jinja2 import Environment, StrictUndefined
+
+    pages = Environment(  # noqa: S701 - plain text
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    pages.policies["json.dumps_kwargs"] = {"ensure_ascii": False}
+    return pages.from_string(intake.read_text(Path(__file__).with_name(name))).render(**values)
 
 
 def find_used(study: StudyFolder) -> tuple[list[Certificate], set[str]]:

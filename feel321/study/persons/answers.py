@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import write_table, write_text
 from feel321.protocols.questions import PREFIX, find_question
 from feel321.study.session.events import QuestionAnswered, SessionSuperseded
-from feel321.study.session.plan import TOMBSTONE_FILE, read_as_written, read_dossier
+from feel321.study.session.plan import read_as_written
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Journal, Records
-    from feel321.study.session.plan import Dossier, Plan
+    from feel321.study.session.plan import Dossier
 
     Row = dict[str, Any]
 
@@ -50,48 +50,30 @@ def write_answers(study: StudyFolder) -> list[Row]:
     return rows
 
 
-def read_answers(folder: Path) -> Iterator[Row]:
-    """Read the answers of one participant; a withdrawn one has none."""
-    if not (folder / TOMBSTONE_FILE).exists():
-        yield from list_answers(read_dossier(folder))
-
-
-def list_answers(dossier: Dossier) -> Iterator[Row]:
+def list_answers(dossier: Dossier) -> list[Row]:
     """List the answers of one participant."""
     plan, folder = dossier.plan, dossier.folder
     personal = read_personal(folder)
+    rows: list[Row] = []
     for number, chain in enumerate(dossier.chains, start=1):
-        facts = {
-            "session": number,
-            "rejected": _write_flag(is_so=chain.records.has(SessionSuperseded)),
-            "simulated": _write_flag(is_so=plan.simulated),
-        }
+        rejected = "true" if chain.records.has(SessionSuperseded) else "false"
         with read_as_written(folder):
             answers = list(chain.records.find(QuestionAnswered))
-        yield from ({**_describe(one, plan, personal), **facts} for one in answers)
-
-
-def _describe(answered: QuestionAnswered, plan: Plan, personal: Mapping[str, Any]) -> Row:
-    question = find_question(plan.questions, f"{PREFIX}{answered.question}")
-    storage, value = "journal", answered.value
-    if answered.sha256:
-        storage = "apart" if answered.sha256 in personal else "removed"
-        value = personal.get(answered.sha256)
-    return {
-        "participant": plan.participant,
-        "question": answered.question,
-        "kind": question.kind if question else "",
-        "when": question.when if question else "",
-        "occasion": answered.occasion,
-        "answer": "" if value is None else value if isinstance(value, str) else f"{value:.12g}",
-        "personal": _write_flag(is_so=answered.personal),
-        "response_time_s": answered.stood_s,
-        "storage": storage,
-    }
-
-
-def _write_flag(*, is_so: bool) -> str:
-    return "true" if is_so else "false"
+        for one in answers:
+            question = find_question(plan.questions, f"{PREFIX}{one.question}")
+            value, storage = one.value, "journal"
+            if one.sha256:
+                value = personal.get(one.sha256)
+                storage = "apart" if one.sha256 in personal else "removed"
+            rows.append({
+                "participant": plan.participant, "session": number, "question": one.question,
+                "kind": question.kind if question else "", "when": question.when if question else "",
+                "occasion": one.occasion,
+                "answer": "" if value is None else value if isinstance(value, str) else f"{value:.12g}",
+                "personal": "true" if one.personal else "false", "response_time_s": one.stood_s,
+                "rejected": rejected, "simulated": "true" if plan.simulated else "false", "storage": storage,
+            })  # fmt: skip
+    return rows
 
 
 # Personal answers apart from the journal.
@@ -105,24 +87,17 @@ def make_keeper(folder: Path, journal: Journal) -> Callable[[str, int, float | s
     def keep(question: str, occasion: int, value: float | str | None) -> str:
         known = {event.sha256 for event in journal.records.find(QuestionAnswered)}
         row = {"session": session, "question": question, "occasion": occasion, "value": value}
-        return keep_answer(folder, row, known=known)
+        salt = secrets.token_hex(16)
+        sha256 = _digest(folder.name, row, salt)
+        # Without the answers of this session whose records were never written.
+        others = _read_rows(folder)
+        rows = [one for one in others if one["session"] != session or one["sha256"] in known]
+        rows.append(row | {"salt": salt, "sha256": sha256})
+        text = "".join(f"{json.dumps(one, ensure_ascii=False)}\n" for one in rows)
+        write_text(folder / PERSONAL_FILE, text, private=True)
+        return sha256
 
     return keep
-
-
-def keep_answer(folder: Path, row: Row, *, known: Collection[str]) -> str:
-    """Add an answer to a participant's file, without those of its session whose records were never written."""
-    salt = secrets.token_hex(16)
-    sha256 = _digest(folder.name, row, salt)
-    rows = [
-        one
-        for one in _read_rows(folder)
-        if one["session"] != row["session"] or one["sha256"] in known
-    ]
-    rows.append(row | {"salt": salt, "sha256": sha256})
-    text = "".join(f"{json.dumps(one, ensure_ascii=False)}\n" for one in rows)
-    write_text(folder / PERSONAL_FILE, text, private=True)
-    return sha256
 
 
 def read_personal(folder: Path) -> dict[str, Any]:

@@ -9,7 +9,7 @@ finishes it. Links go, and what they lead to is named and left. What verbs wrote
 import csv
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime
@@ -70,7 +70,8 @@ def withdraw_participant(
     is_over = found is not None and found.state == progress.REMOVED
     if found and is_over and not any((progress.find_leftovers(folder), *find_data_left(study))):
         if is_begun(study, "withdraw", participant):  # killed before its last checkpoint
-            _announce([note_checkpoint(study, "withdraw", who=participant)], warn)
+            if problem := note_checkpoint(study, "withdraw", who=participant):
+                warn(problem)
         elif not removed:
             raise ValueError(
                 f"participant {participant}: withdrew at {found.utc}, all data are gone"
@@ -78,37 +79,63 @@ def withdraw_participant(
         return removed
     if folder.is_symlink():  # what it leads to is left, but looked at
         found = found or _make_tombstone(folder, reason=reason, now=now)
-        _announce(_drop_link(folder), warn)
+        _drop_link(folder, warn)
     with hold_folder(folder), declaring(study, "withdraw", who=participant, warn=warn):
         # Or the tombstone of a withdrawal that was interrupted.
         tombstone = found or _make_tombstone(folder, reason=reason, now=now)
         progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVING))
         removed += _remove_data(folder, warn)
-        _announce(_clear_derived(study, tombstone), warn)
+        _clear_derived(study, tombstone, warn)
         progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVED))
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
     return removed
 
 
-def _announce(lines: Iterable[str], say: Say) -> None:
-    for line in filter(None, lines):
-        say(line)
-
-
-def _clear_derived(study: StudyFolder, tombstone: progress.Tombstone) -> Iterator[str]:
-    """Remove the participant from all that was derived, whatever a kill left of it included; yield what is left."""
+def _clear_derived(study: StudyFolder, tombstone: progress.Tombstone, say: Say) -> None:
+    """Remove the participant from all that was derived, whatever a kill left of it included; say what is left."""
     sweep(study.path)
     sweep_temporary()
     for path in sorted(study.path.rglob("*")):
-        if UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name):
-            still = f"{path}: is still being written; when it is finished, run feel321 audit"
-            yield from _drop_link(path) if path.is_symlink() else [still]
-    yield from _renew_tables(study)
+        is_unfinished = UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name)
+        if is_unfinished and not _drop_link(path, say):
+            say(f"{path}: is still being written; when it is finished, run feel321 audit")
+    tables: dict[Path, Callable[[], object]] = {
+        study.ratings: lambda: write_ratings(study, read_stimuli(study.stimuli)),
+        study.path / progress.ROSTER_FILE: lambda: progress.write_roster(study),
+        study.path / ANSWERS_FILE: lambda: write_answers(study),
+        study.path / MATCHES_FILE: lambda: write_matches(study, read_stimuli(study.stimuli)),
+    }
+    for path, write in tables.items():
+        is_there = path.exists()
+        _drop_link(path, say)
+        if not is_there:
+            continue
+        try:
+            write()
+        except (OSError, ValueError) as error:
+            # A derived table can be made again; the data of someone who withdrew may not stay.
+            path.unlink(missing_ok=True)
+            say(f"{path}: was removed, because it could not be rewritten ({error})")
     if tombstone.journals:
-        yield from _clear_results(study)
-        for output in list_outputs(study, before=tombstone.utc):
+        _clear_results(study, say)
+        for output in _list_outputs(study, before=tombstone.utc):
             is_there = Path(output.path).exists()
-            yield output.describe() if is_there else f"{output.describe()}; nothing is there now"
+            say(output.describe() if is_there else f"{output.describe()}; nothing is there now")
+
+
+def _clear_results(study: StudyFolder, say: Say) -> None:
+    """Remove the folders of results that were made of ratings."""
+    from feel321.analysis.report.folder import remove_results
+
+    for folder in _list_results(study):
+        if _drop_link(folder, say):
+            continue
+        remove_results(folder)
+        verb = {"report": "analyze"}.get(folder.name, folder.name)
+        again = f"because they held the participant's data; make them again: feel321 {verb}"
+        say(f"{folder}: results were removed {again}")
+        if folder.exists():
+            say(f"{folder}: holds other files; remove those with the participant's data")
 
 
 def _withdraw_rehearsals(study: StudyFolder, participant: str, *, say: Say) -> list[str]:
@@ -118,7 +145,7 @@ def _withdraw_rehearsals(study: StudyFolder, participant: str, *, say: Say) -> l
     is_code = not study.is_rehearsal and PARTICIPANT_ID.fullmatch(participant)
     if not is_code or not (folder.is_symlink() or folder.is_dir()):
         return []
-    _announce(_drop_link(folder), say)
+    _drop_link(folder, say)
     with hold_folder(folder):
         removed = _remove_data(folder, say)
     (folder / progress.LOCK_FILE).unlink(missing_ok=True)
@@ -218,38 +245,23 @@ def _remove_data(folder: Path, say: Say) -> list[str]:
     kept = {folder / TOMBSTONE_FILE, folder / progress.LOCK_FILE}
     removed = sorted({*folder.rglob("*")} - kept, reverse=True)
     for path in removed:
-        if path.is_symlink():
-            _announce(_drop_link(path), say)
-        elif path.is_dir():
+        if path.is_dir() and not path.is_symlink():
             path.rmdir()
-        else:
+        elif not _drop_link(path, say):
             path.unlink()
     sync_folder(folder)
     return sorted(path.relative_to(folder).as_posix() for path in removed)
 
 
-def _drop_link(path: Path) -> Iterator[str]:
-    """Remove a link, and name what it leads to: that is left as it is."""
-    if path.is_symlink():
-        target = path.resolve()
-        path.unlink()
-        yield f"{path}: was a link and is removed; {target} is left, remove the participant's data there"
-
-
-def _clear_results(study: StudyFolder) -> Iterator[str]:
-    """Remove the folders of results that were made of ratings."""
-    from feel321.analysis.report.folder import remove_results
-
-    for folder in _list_results(study):
-        if folder.is_symlink():
-            yield from _drop_link(folder)
-            continue
-        remove_results(folder)
-        verb = {"report": "analyze"}.get(folder.name, folder.name)
-        again = f"because they held the participant's data; make them again: feel321 {verb}"
-        yield f"{folder}: results were removed {again}"
-        if folder.exists():
-            yield f"{folder}: holds other files; remove those with the participant's data"
+def _drop_link(path: Path, say: Say) -> bool:
+    """Remove a link, and name what it leads to: that is left as it is; whether it was one."""
+    if not path.is_symlink():
+        return False
+    target = path.resolve()
+    path.unlink()
+    remedy = f"{target} is left, remove the participant's data there"
+    say(f"{path}: was a link and is removed; {remedy}")
+    return True
 
 
 def _list_results(study: StudyFolder) -> Iterator[Path]:
@@ -261,31 +273,13 @@ def _list_results(study: StudyFolder) -> Iterator[Path]:
             yield folder
 
 
-def _renew_tables(study: StudyFolder) -> Iterator[str]:
-    """Rewrite, without the participant, the tables that are there; yield what is left to do by hand."""
-    tables: dict[Path, Callable[[], object]] = {
-        study.ratings: lambda: write_ratings(study, read_stimuli(study.stimuli)),
-        study.path / progress.ROSTER_FILE: lambda: progress.write_roster(study),
-        study.path / ANSWERS_FILE: lambda: write_answers(study),
-        study.path / MATCHES_FILE: lambda: write_matches(study, read_stimuli(study.stimuli)),
-    }
-    for path, write in tables.items():
-        is_there = path.exists()
-        yield from _drop_link(path)
-        if is_there:
-            try:
-                write()
-            except (OSError, ValueError) as error:
-                # A derived table can be made again; the data of someone who withdrew may not stay.
-                path.unlink(missing_ok=True)
-                yield f"{path}: was removed, because it could not be rewritten ({error})"
-
-
 # What is left of those who withdrew, for the audit.
 
 
 def find_data_left(study: StudyFolder) -> Iterator[str]:
     """Find data of those who withdrew in every place but their own folder, which the audit looks at by itself."""
+    from feel321.analysis.report.folder import list_own
+
     stones = _read_tombstones(study)
     for name in stones:
         finish = f"finish: feel321 withdraw {study.path} --participant {name}"
@@ -295,22 +289,16 @@ def find_data_left(study: StudyFolder) -> Iterator[str]:
             if name in _list_named(study.path / table):
                 yield f"{study.path / table}: holds rows of {name}, who withdrew; {finish}"
     if newest := _find_newest(stones):
-        for folder in _list_results(study):
-            yield from _find_old_results(folder, datetime.fromisoformat(newest).timestamp())
-
-
-def _find_old_results(folder: Path, newest: float) -> Iterator[str]:
-    from feel321.analysis.report.folder import list_own
-
-    for path in (folder / name for name in list_own(folder)):
-        if path.stat().st_mtime < newest:
+        last = datetime.fromisoformat(newest).timestamp()
+        results = [folder / name for folder in _list_results(study) for name in list_own(folder)]
+        for path in (one for one in results if one.stat().st_mtime < last):
             yield f"{path}: was made before somebody withdrew; remove it, and make it again"
 
 
 def list_stale(study: StudyFolder) -> Iterator[str]:
     """Name what verbs wrote outside of the study before somebody withdrew, as far as it is there."""
     if newest := _find_newest(_read_tombstones(study)):
-        for output in list_outputs(study, before=newest):
+        for output in _list_outputs(study, before=newest):
             if Path(output.path).exists():
                 yield output.describe()
 
@@ -371,7 +359,7 @@ def recording_output(study: StudyFolder, verb: str, path: Path, *, now: Clock) -
         yield
 
 
-def list_outputs(study: StudyFolder, *, before: str) -> list[WrittenOutput]:
+def _list_outputs(study: StudyFolder, *, before: str) -> list[WrittenOutput]:
     """List what was written until a time."""
     last = datetime.fromisoformat(before)
     return [one for one in _read_outputs(study) if datetime.fromisoformat(one.utc) <= last]

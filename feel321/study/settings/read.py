@@ -17,13 +17,11 @@ from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import MODEL, read_texts
 from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
-from feel321.stimuli.formats.own import find_format, read_own
-from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.formats.read import find_format, read_own, read_recording
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, check_names
-from feel321.stimuli.sets.unread import Unread
+from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, Unread, check_names
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
 from feel321.study.session.identity import identify_frozen
@@ -506,7 +504,7 @@ def _list_groups(
 
 def list_items(settings: Settings) -> list[Item]:
     """List the stimuli that will be built from the first recording; those of the others are alike."""
-    from feel321.stimuli.sets.anchors import ANCHORS
+    from feel321.stimuli.sets.recipe import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title
     made = [(name_of(name), "test") for name in stimuli.reducers]

@@ -25,8 +25,15 @@ from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import AXES, UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS
-from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
+from feel321.stimuli.sets.recipe import (
+    ANCHORS,
+    GAINS,
+    LEVELS,
+    NO_REFERENCE,
+    ORIGINAL,
+    Recipe,
+    check_names,
+)
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.admission import OURS, name_protocols

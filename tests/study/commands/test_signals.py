@@ -15,7 +15,7 @@ from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.match import spectral_match
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.rivals.catalog import RIVALS
+from feel321.stimuli.rivals import RIVALS
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.study.cli import main

@@ -10,7 +10,6 @@ import pytest
 
 from feel321.analysis.tradeoff import cost, measure
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.analyze import find_ratings
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.settings.edit import edit_settings
@@ -120,19 +119,6 @@ def test_ratings_recordings_own_methods_seed_and_folder_are_taken_as_told(
     assert "loudness" in {one["metric"] for one in content["points"]}
 
 
-def test_recordings_alone_need_no_study(
-    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    samples = np.random.default_rng(0).standard_normal((3, 500))
-    np.savez(tmp_path / "other.npz", acceleration=samples, rate_hz=2500.0, unit="m/s^2")
-    monkeypatch.chdir(study)  # whose recordings were not asked for
-    assert main(["tradeoff", "../other.npz", "--out", "made", "--axes", "3"]) == 0
-    assert capsys.readouterr().out.startswith("other: ")
-    content = read(study / "made")
-    assert [one["recording"] for one in content["choices"]] == ["other"]
-    assert "three_axes" in {one["reducer"] for one in content["verdicts"]}
-
-
 def test_thorough_also_looks_for_known_failures(
     study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,27 +128,6 @@ def test_thorough_also_looks_for_known_failures(
     assert scenes == {"bumps", *measure.BATTERY}
 
 
-def test_ratings_are_found_once_there_are_any(study: Path) -> None:
-    assert find_ratings(StudyFolder(study)) is None
-    assert main(["build", str(study)]) == 0
-    assert find_ratings(StudyFolder(study)) is None
-    write_ratings(study)
-    table = find_ratings(StudyFolder(study))
-    assert table is not None
-    assert sorted(table.rows["rating"]) == [41, 42, 51, 52]
-
-
-def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path) -> None:
-    assert main(["build", str(study)]) == 0
-    assert main(["simulate", str(study), "--participants", "1", "--seed", "0"]) == 0
-    folder = StudyFolder(study)
-    folder.ratings.unlink()
-    table = find_ratings(folder)
-    assert table is not None
-    assert bool(table.rows["simulated"].all())
-    assert folder.ratings.is_file()
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
@@ -170,7 +135,6 @@ def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path)
         ([], 1, "no study.toml in"),
         (["{folder}", "{folder}/nothing.csv"], 1, "nothing.csv: no such study or recording"),
         (["--scenes", "--seed", "-1"], 2, '"-1" for --seed. Allowed: 0 or more'),
-        (["--scenes", "--axes", "4"], 2, '"4" for --axes. Allowed: 1 to 3'),
         (["--scenes", "--latency-ms", "5"], 2, "--latency-ms must be left out offline, got 5; add"),
         (
             ["--scenes", "--online", "--latency-ms", "nan"],

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -16,11 +15,9 @@ import pytest
 
 from feel321.study.analyze import analyze_study
 from feel321.study.export import dataset as dataset_module
-from feel321.study.export import people
-from feel321.study.export.dataset import NO_METHODS, export_bids
-from feel321.study.export.people import KEY_FILE, band_age, blur, name_people
+from feel321.study.export.dataset import KEY_FILE, NO_METHODS, band_age, export_bids
 from feel321.study.folder import StudyFolder
-from feel321.study.settings.publication import PublicationTable, check_orcid
+from feel321.study.settings.publication import check_orcid
 from tests.study.export.conftest import PLANTED
 
 if TYPE_CHECKING:
@@ -60,15 +57,6 @@ def test_the_validator_of_bids_finds_no_error_and_no_avoidable_warning(dataset: 
     assert {key[1:] for key in found} <= UNAVOIDABLE
 
 
-def test_the_validator_sees_what_is_wrong(dataset: Path, tmp_path: Path) -> None:
-    shutil.copytree(dataset, tmp_path / "copy")
-    (tmp_path / "copy" / "sub-01" / "beh" / "notes.txt").write_text("hello")
-    (tmp_path / "copy" / "participants.json").write_text("{}")
-    codes = {key[:2] for key in validate(tmp_path / "copy")}
-    assert ("error", "NOT_INCLUDED") in codes
-    assert ("warning", "TSV_ADDITIONAL_COLUMNS_UNDEFINED") in codes
-
-
 def test_nothing_that_identifies_anybody_is_exported(studied: StudyFolder, dataset: Path) -> None:
     journals = b"".join(path.read_bytes() for path in studied.journals)
     for place, planted in PLANTED.items():
@@ -102,22 +90,8 @@ def test_answers_are_exported_unless_they_are_personal_or_typed(dataset: Path) -
     assert about["tired"]["Levels"] == {"1": "not at all", "2": "point 2", "3": "very tired"}
 
 
-def test_codes_are_kept_where_that_is_asked_for(export: Callable[..., Path]) -> None:
-    people = pd.read_csv(export(keep_ids=True) / "participants.tsv", sep="\t")
-    assert sorted(people["participant_id"]) == ["sub-quux9", "sub-zorro7"]
-
-
 def test_the_same_study_gives_the_same_bytes(dataset: Path, export: Callable[..., Path]) -> None:
     assert read_all(export()) == read_all(dataset)
-
-
-def test_another_key_gives_another_order(tmp_path: Path) -> None:
-    orders = set()
-    for _ in range(12):  # the same one twelve times has a chance of 1 in 2048
-        (tmp_path / KEY_FILE).unlink(missing_ok=True)
-        orders.add(name_people(StudyFolder(tmp_path), ["a", "b"], keep_ids=False)["a"])
-    assert orders == {"01", "02"}
-    assert (tmp_path / KEY_FILE).stat().st_mode & 0o777 == 0o600
 
 
 def test_nothing_is_overwritten(studied: StudyFolder, dataset: Path, tmp_path: Path) -> None:
@@ -167,24 +141,6 @@ def test_every_column_has_a_meaning(dataset: Path) -> None:
     assert "How real did this vibration feel?" in about["TaskDescription"]
 
 
-def test_what_nobody_said_is_named_and_not_invented(dataset: Path) -> None:
-    lines = PublicationTable().list_missing()
-    assert [line.split(":")[0] for line in lines] == [
-        f"publication.{name}"
-        for name in (
-            "title",
-            "description",
-            "authors",
-            "licence",
-            "ethics",
-            "institution",
-            "funding",
-            "released",
-        )
-    ]
-    assert "Not said" not in (dataset / "README").read_text()
-
-
 @pytest.mark.parametrize("orcid", ["0000-0002-1825-0098", "0000-0002-1825-009", "orcid"])
 def test_an_orcid_with_a_wrong_digit_is_refused(orcid: str) -> None:
     assert check_orcid("0000-0002-1694-233X") == "0000-0002-1694-233X"
@@ -196,26 +152,6 @@ def test_ages_are_bands() -> None:
     assert [band_age(years) for years in (18, 24.9, 79, 80, 102)] == [
         "15-19", "20-24", "75-79", "80+", "80+",
     ]  # fmt: skip
-
-
-def test_an_age_is_a_band_however_often_it_is_asked() -> None:
-    assert blur("age", "76") == blur("Age", "76.0") == ("age_band", "75-79")
-    assert blur("age", "20 to 30") == ("age", "20 to 30")
-    assert blur("tired", "3") == ("tired", "3")
-
-
-def test_every_age_is_asked_for_in_a_column_of_bands(
-    studied: StudyFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked = {"question": "age", "personal": "false", "kind": "number", "rejected": "false"}
-    rows = [
-        asked | {"answer": answer, "occasion": place} for place, answer in ((1, "10"), (2, "76"))
-    ]
-    question = SimpleNamespace(when="between", name="age")
-    monkeypatch.setattr(people, "list_answers", lambda _: rows)
-    monkeypatch.setattr(people, "find_question", lambda *_: question)
-    passed = people.list_passed_on(studied, PLANTED["code"])
-    assert passed == {"age_band_1": "10-14", "age_band_2": "75-79"}
 
 
 @pytest.mark.parametrize("last", ["participants.tsv", "README"])

@@ -64,25 +64,3 @@ def test_scales_and_answers_from_session_to_table(smallest: StudyFolder) -> None
     assert {row["participant"] for row in read(smallest, ANSWERS_FILE)} == {"sim002"}
     withdraw_participant(smallest, "sim002", now=now)
     assert read(smallest, ANSWERS_FILE) == write_answers(smallest) == []
-
-
-def test_a_study_that_asks_nothing_has_no_table_of_answers(smallest: StudyFolder) -> None:
-    simulate_study(smallest, participants=1, seed=3, now=now)
-    assert not (smallest.path / ANSWERS_FILE).exists()
-
-
-def test_the_own_scale_is_answered_as_without_others(smallest: StudyFolder) -> None:
-    simulate_study(smallest, participants=2, seed=3, now=now)
-    alone = [row["rating"] for row in read(smallest, "ratings.csv")]
-    for name in ("sim001", "sim002"):
-        withdraw_participant(smallest, name, now=now)
-    other = smallest.path.parent / "other"
-    smallest.path.rename(other)
-    moved = type(smallest)(other)
-    for path in (moved.sessions, moved.ratings):
-        path.rename(path.with_name(f"former-{path.name}"))
-    with moved.settings.open("a", encoding="utf-8") as file:
-        file.write(ASKING)
-    simulate_study(moved, participants=2, seed=3, now=now)
-    own = [row["rating"] for row in read(moved, "ratings.csv") if row["scale"] == "realism"]
-    assert own == alone

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -46,32 +45,3 @@ def test_withdraw_wants_to_be_meant(begun: Any, say: Say, monkeypatch: pytest.Mo
         assert code == expected
         assert (begun.study.sessions / "p01" / "plan.json").exists() == (answer != "y")
         assert ("nothing was removed" in out) == (answer != "y")
-
-
-def test_withdraw_says_what_was_removed_and_what_is_left_to_do(begun: Any, say: Say) -> None:
-    begun.study.report.mkdir()
-    code, out, err = say(
-        "withdraw", begun.study.path, "--participant", "p01", "--yes", "--reason", "moved away"
-    )
-    assert code == 0
-    assert out == (
-        f"{begun.study.path}: removed 2 files of p01; a tombstone keeps the code. "
-        "Copies that feel321 did not make must be removed by hand\n"
-    )
-    assert err.startswith(
-        f"feel321: warning: {begun.study.report}: results were removed because they held"
-    )
-    assert (
-        json.loads((begun.study.sessions / "p01" / "withdrawn.json").read_text())["reason"]
-        == "moved away"
-    )
-
-
-def test_release_says_which_number_is_free(begun: Any, say: Say) -> None:
-    assert say("withdraw", begun.study.path, "--participant", "p02", "--keep-data") == (
-        0,
-        f"{begun.study.path}: p02 is released, number 2 is free\n",
-        "",
-    )
-    code, _, err = say("withdraw", begun.study.path, "--participant", "p02", "--keep-data")
-    assert (code, err) == (1, "feel321: participant p02: was released before; number 2 is free\n")

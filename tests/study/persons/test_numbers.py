@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import os
 import signal
 import subprocess
 import sys
@@ -16,7 +14,6 @@ from feel321.study.numbers import (
     PLANNED,
     Station,
     find_doubles,
-    find_station,
     hold_numbers,
     plan_participants,
     read_holder,
@@ -25,11 +22,8 @@ from feel321.study.numbers import (
 from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PLAN_FILE, make_plan, require_plan
-from feel321.study.settings.schema import Settings
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.plan import Design, Plan
@@ -63,17 +57,6 @@ def test_numbers_are_given_in_the_order_of_asking_and_kept(lab: Any, plan_here: 
     assert stored == {"a": 2, "b": 1, "c": 3, "d": 4, "sim001": 1}
 
 
-def test_the_same_person_gets_the_same_plan(lab: Any, now: Any, plan_here: Any) -> None:
-    plan_here("p01", "p02")
-    before = {path: path.read_bytes() for path in lab.study.sessions.glob("*/plan.json")}
-    plan_here("p02", "p01")
-    assert {path: path.read_bytes() for path in before} == before
-    for name in ("p01", "p02"):
-        release_participant(lab.study, name, now=now)
-    assert plan_here("p01", "p02") == {"p01": 1, "p02": 2}
-    assert {path: path.read_bytes() for path in before} == before
-
-
 def test_the_lowest_freed_number_is_given_again(lab: Any, now: Any) -> None:
     for name in ("p01", "p02", "p03", "p04"):
         lab.begin(name)
@@ -88,35 +71,7 @@ def test_the_lowest_freed_number_is_given_again(lab: Any, now: Any) -> None:
     assert list(find_doubles(read_holders(lab.study))) == []
 
 
-GIVEN = [
-    ((1, 2, 1), ["+a", "+b", "s+x", "+c", "-b", "+d", "+e", "-a", "-d", "+f", "s+y", "+g", "+h"],
-     [1, 3, 1, 5, 3, 7, 1, 3, 3, 9]),
-    ((2, 2, 2), ["+a", "s+x", "-a", "+b", "+c", "+d", "-d", "+e", "+f", "+g", "-c", "-f", "+h", "+i", "+j"],
-     [3, 3, 3, 4, 7, 7, 8, 11, 4, 8, 12]),
-    ((3, 3, 4), ["+a", "+b", "+c", "+d", "+e", "-b", "-e", "+f", "+g", "+h"],
-     [9, 10, 11, 12, 21, 10, 21, 22]),
-]  # fmt: skip
 """Station, order of asking (+) and leaving (-), and the numbers that a database gave for it; s: simulated."""
-
-
-@pytest.mark.parametrize(("share", "order", "numbers"), GIVEN)
-def test_numbers_are_those_that_a_database_gave(
-    lab: Any,
-    now: Any,
-    plan_here: Any,
-    share: tuple[int, ...],
-    order: Sequence[str],
-    numbers: list[int],
-) -> None:
-    given = []
-    for step in order:
-        name = step[-1]
-        if "+" in step:
-            simulated = step[0] == "s"
-            given += plan_here(name, simulated=simulated, station=Station(*share)).values()
-        else:
-            release_participant(lab.study, name, now=now)
-    assert given == numbers
 
 
 @pytest.mark.parametrize("block", [1, 2, 6])
@@ -128,16 +83,6 @@ def test_shares_of_stations_are_all_numbers_once(of: int, block: int) -> None:
     for share in shares:
         own = [number for number in range(1, 10 * of * block + 1) if share.has(number)]
         assert {(number - 1) % block for number in own[:block]} == set(range(block))
-
-
-def test_shares_are_set_in_study_toml() -> None:
-    given = {"recordings": [{"scene": "bumps"}], "between": {"grip": ["pen", "power"]}}
-    assert find_station(Settings.model_validate(given)) == Station(1, 1, 2)
-    stations = {"stations": {"this": 2, "of": 3}}
-    assert find_station(Settings.model_validate(given | stations)) == Station(2, 3, 2)
-    for wrong in ({"this": 3, "of": 2}, {"this": 0}, {"station": 1}):
-        with pytest.raises(ValueError, match="stations"):
-            Settings.model_validate(given | {"stations": wrong})
 
 
 @pytest.mark.parametrize(
@@ -261,21 +206,3 @@ def test_a_claim_that_is_killed_at_any_call_loses_and_doubles_nothing(lab: Any) 
     before = read_numbers(lab.study)
     left = [f"k{n}-0" for n in range(1, kill_at) if f"k{n}-0" not in before]
     assert [lab.claim(name) for name in left] == [len(before) + 1 + n for n in range(len(left))]
-
-
-def test_processes_that_are_killed_from_outside_leave_dense_numbers(lab: Any) -> None:
-    processes = [claim(lab.study, f"w{place}", times=500) for place in range(3)]
-    for process in processes:
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    while len(read_numbers(lab.study)) < 12:
-        assert any(process.poll() is None for process in processes)
-    for process in processes:
-        os.kill(process.pid, signal.SIGKILL)
-        process.communicate()
-        assert lab.claim(f"after{process.pid}") > 12
-    numbers = sorted(read_numbers(lab.study).values())
-    assert numbers == list(range(1, len(numbers) + 1))
-    for plan in lab.study.sessions.glob("*/plan.json"):
-        assert json.loads(plan.read_bytes())["participant"] == plan.parent.name
-        require_plan(plan)

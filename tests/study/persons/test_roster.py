@@ -5,11 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.agenda import Agenda
 from feel321.study.people import write_roster
 from feel321.study.persons.withdrawal import release_participant, withdraw_participant
-from feel321.study.session.events import PageRead
-from feel321.study.session.journal import require_journal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -42,40 +39,6 @@ def test_one_row_per_participant_by_plan_and_journals(lab: Any, now: Any) -> Non
     ]
 
 
-def test_who_is_planned_and_no_more_has_no_times(lab: Any) -> None:
-    (lab.begin("p01") / "session-01.jsonl").unlink()
-    (row,) = read(write_roster(lab.study))
-    assert (row["state"], row["sessions"], row["done"], row["total"]) == ("claimed", "0", "0", "4")
-    assert (row["first_utc"], row["last_utc"]) == ("", "")
-
-
-@pytest.mark.parametrize(
-    ("pages", "passed"),
-    [
-        ([], ""),
-        (["training_again"], ""),
-        (["training_passed"], "true"),
-        (["training_failed"], "false"),
-        (
-            ["training_passed", "training_failed"],
-            "false",
-        ),  # Of two tasks, each with training of its own.
-    ],
-)
-def test_training_is_passed_if_no_part_of_it_failed(
-    lab: Any, now: Any, monkeypatch: pytest.MonkeyPatch, pages: list[str], passed: str
-) -> None:
-    journal = require_journal(lab.begin("p01") / "session-01.jsonl", now=now)
-    for key in pages:
-        journal.write(PageRead(key, 1.0, 1.0))
-    # These pages would not come one after another; what matters here is which were read.
-    monkeypatch.setattr(
-        "feel321.study.session.plan.replay", lambda plan, _records: Agenda(plan.trials, plan.flow)
-    )
-    (row,) = read(write_roster(lab.study))
-    assert row["training_passed"] == passed
-
-
 def test_a_broken_journal_is_named_and_the_old_table_stays(lab: Any) -> None:
     journal = lab.begin("p01") / "session-01.jsonl"
     path = write_roster(lab.study)
@@ -86,7 +49,3 @@ def test_a_broken_journal_is_named_and_the_old_table_stays(lab: Any) -> None:
     ):
         write_roster(lab.study)
     assert path.read_bytes() == before
-
-
-def test_a_study_without_participants_has_an_empty_roster(lab: Any) -> None:
-    assert read(write_roster(lab.study)) == []

@@ -5,8 +5,6 @@ from __future__ import annotations
 import gzip
 import json
 import shutil
-import subprocess
-import sys
 import tempfile
 import zipfile
 from dataclasses import replace
@@ -221,67 +219,6 @@ def test_what_was_written_elsewhere_before_a_withdrawal_is_named_until_it_is_gon
     assert remark.startswith(named)
     shutil.rmtree(out)
     assert examine(planted).remarks == (withdrew,)
-
-
-DYING = """
-import os, signal, sys
-from datetime import UTC, datetime
-from pathlib import Path
-from feel321.study.folder import StudyFolder
-from feel321.study.persons.withdrawal import withdraw_participant
-import feel321.analysis.report.folder, feel321.stimuli.sets.manifest, filelock
-root = Path(sys.argv[1])
-steps = {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate"}
-def now():
-    return datetime.now(UTC)
-def die_at(last):
-    left = last
-    def count(event, arguments):
-        nonlocal left
-        if event in steps and root.name in str(arguments[0]):
-            left -= 1
-            if left < 0:
-                os.kill(os.getpid(), signal.SIGKILL)
-    sys.addaudithook(count)
-for place in sorted(root.iterdir(), key=lambda path: int(path.name)):
-    study, child = StudyFolder(place / "study"), os.fork()
-    if not child:
-        die_at(int(place.name))
-        withdraw_participant(study, "sim002", now=now)
-        os._exit(0)
-    _, status = os.waitpid(child, 0)
-    print(place.name, "whole" if os.WIFEXITED(status) else "killed", flush=True)
-"""
-
-
-def kill_at_steps(planted: StudyFolder, root: Path, steps: range) -> dict[int, str]:
-    for step in steps:
-        shutil.copytree(planted.path, root / str(step) / "study", symlinks=True)
-    done = subprocess.run(
-        [sys.executable, "-c", DYING, root], capture_output=True, text=True, check=True
-    )
-    return {int(line.split()[0]): line.split()[1] for line in done.stdout.splitlines()}
-
-
-@pytest.mark.parametrize("stride", [200, pytest.param(1, marks=pytest.mark.soak)])
-def test_after_any_kill_the_same_call_finishes_and_nothing_is_found(
-    planted: StudyFolder, tmp_path: Path, stride: int
-) -> None:
-    make_report(planted.report)
-    plant_more(planted)
-    shutil.rmtree(tmp_path / "tmp" / "feel321-1-dead")
-    (root := tmp_path / "kills").mkdir()
-    ends = kill_at_steps(planted, root, range(0, 600, stride))
-    assert "killed" in ends.values()
-    assert "whole" in ends.values()
-    for step in ends:
-        study = type(planted)(root / str(step) / "study")
-        main(["withdraw", str(study.path), "--participant", WHO, "--yes", "-q"])
-        assert grep(study.path, SECRET) == set(), step
-        assert audit_study(study) == [], step
-        assert {path.name for path in (study.sessions / WHO).iterdir()} - {".lock"} == {
-            "withdrawn.json"
-        }
 
 
 def test_audit_names_what_came_back_with_a_copy(planted: StudyFolder, tmp_path: Path) -> None:

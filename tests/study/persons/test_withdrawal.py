@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import csv
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -14,11 +12,7 @@ import pytest
 from feel321.files import hold_lock
 from feel321.study.numbers import read_holders
 from feel321.study.people import find_leftovers, read_tombstone, write_roster
-from feel321.study.persons.withdrawal import (
-    find_data_left,
-    release_participant,
-    withdraw_participant,
-)
+from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.plan import PLAN_FILE
 
@@ -149,20 +143,6 @@ def test_the_slot_is_free_and_the_code_is_not(two: Any, now: Any) -> None:
     assert two.claim("p03") == 1
 
 
-def test_a_broken_journal_does_not_keep_anybody_from_withdrawing(two: Any, now: Any) -> None:
-    (two.study.sessions / "p01" / "session-01.jsonl").write_bytes(b"nonsense\nand more")
-    (two.study.sessions / "p01" / "plan.json").write_bytes(b"nonsense")
-    withdraw_participant(two.study, "p01", now=now)
-    tombstone = read_tombstone(two.study.sessions / "p01")
-    assert [(a.lines, a.tip) for a in tombstone.journals] == [(1, digest(b"nonsense"))]
-
-
-def test_someone_who_only_has_a_slot_can_withdraw(lab: Any, now: Any) -> None:
-    lab.claim("p01")
-    assert withdraw_participant(lab.study, "p01", now=now) == ["plan.json"]
-    assert holders(lab.study)["p01"].state == "withdrawn"
-
-
 def test_a_running_session_is_not_pulled_away(two: Any, now: Any) -> None:
     before = read_files(two.study.path)
     message = "p01: a session is running here; let it finish or stop it first"
@@ -183,81 +163,6 @@ def test_nobody_else_can_leave(two: Any, now: Any, leave: Callable[..., Any], na
     ):
         leave(two.study, name, now=now)
     assert read_files(two.study.path) == before
-
-
-def test_nobody_withdraws_twice(two: Any, now: Any) -> None:
-    withdraw_participant(two.study, "p01", now=now)
-    before = read_files(two.study.sessions)
-    with pytest.raises(
-        ValueError,
-        match=r"participant p01: withdrew at 2026-01-01T12:00:00\+00:00, all data are gone",
-    ):
-        withdraw_participant(two.study, "p01", now=now)
-    assert read_files(two.study.sessions) == before
-
-
-def test_derived_tables_are_written_anew_and_the_report_goes(
-    two: Any, now: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_roster(two.study)
-    two.study.ratings.write_text("participant\np01\np02\n")
-    write_report_files(two.study.report)
-    (two.study.path / "rehearsals" / "p01").mkdir(parents=True)
-    monkeypatch.setattr("feel321.study.persons.withdrawal.read_stimuli", lambda folder: folder)
-    monkeypatch.setattr(
-        "feel321.study.persons.withdrawal.write_ratings",
-        lambda study, _stimuli: study.ratings.write_text(
-            "\n".join(path.parent.name for path in study.journals)
-        ),
-    )
-    warnings: list[str] = []
-    withdraw_participant(two.study, "p01", now=now, warn=warnings.append)
-    assert two.study.ratings.read_text() == "p02"
-    with (two.study.path / "participants.csv").open() as file:
-        assert [row["participant"] for row in csv.DictReader(file)] == ["p02"]
-    assert warnings == [
-        f"{two.study.report}: results were removed because they held the participant's data; make them again: "
-        "feel321 analyze",
-        f"{two.study.report}: holds other files; remove those with the participant's data",
-    ]
-    assert read_files(two.study.report) == {"mine.csv": b"p01"}
-    assert not (two.study.path / "rehearsals" / "p01").exists()
-
-
-@pytest.mark.parametrize("content", [None, "{"])
-def test_a_report_goes_whose_list_is_gone_or_damaged(
-    two: Any, now: Any, content: str | None
-) -> None:
-    write_report_files(two.study.report)
-    (two.study.report / "methods.md").write_text("4 participants")
-    listed = two.study.report / "results.json"
-    listed.unlink() if content is None else listed.write_text(content)
-    withdraw_participant(two.study, "p01", now=now)
-    assert read_files(two.study.report) == {"mine.csv": b"p01"}
-    (two.study.report / "tables").mkdir()
-    (two.study.report / "tables" / "old.csv").write_text("p01")
-    os.utime(two.study.report / "tables" / "old.csv", (0, 0))
-    assert any(
-        "old.csv: was made before somebody withdrew" in one for one in find_data_left(two.study)
-    )
-
-
-def test_a_report_without_the_participant_stays(two: Any, now: Any) -> None:
-    write_report_files(two.study.report)
-    before = read_files(two.study.report)
-    two.claim("p03")
-    withdraw_participant(two.study, "p03", now=now)
-    assert read_files(two.study.report) == before
-    (two.study.report / "mine.csv").unlink()
-    withdraw_participant(two.study, "p02", now=now)
-    assert not two.study.report.exists()
-
-
-def test_what_a_kill_left_of_a_table_goes_too(two: Any, now: Any) -> None:
-    left = two.study.path / ".ratings.csv.4711.part"
-    left.write_text("p01", encoding="utf-8")
-    withdraw_participant(two.study, "p01", now=now)
-    assert not left.exists()
 
 
 def test_a_table_that_cannot_be_written_anew_is_removed(two: Any, now: Any) -> None:
@@ -342,17 +247,6 @@ def test_release_keeps_the_data_and_frees_the_slot(lab: Any, now: Any) -> None:
     withdraw_participant(lab.study, "p01", now=now)  # That is still possible.
     with pytest.raises(ValueError, match="participant p01: withdrew, there is nothing to release"):
         release_participant(lab.study, "p01", now=now)
-
-
-def test_who_has_finished_is_not_released(two: Any, now: Any) -> None:
-    before = read_files(two.study.sessions)
-    with pytest.raises(
-        ValueError,
-        match="participant p01: has finished, so the slot stays taken; to remove the data",
-    ):
-        release_participant(two.study, "p01", now=now)
-    after = read_files(two.study.sessions)
-    assert {name: after[name] for name in before} == before
 
 
 @pytest.mark.parametrize("left", ["plan", "empty journal"])

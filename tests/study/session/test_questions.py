@@ -10,8 +10,8 @@ import pytest
 from feel321.protocols.questions import Question, label_points
 from feel321.protocols.tasks import make_task
 from feel321.study.auditing.replay import audit_steps
-from feel321.study.persons.answers import read_answers
-from feel321.study.session.plan import create_plan, make_plan, require_plan
+from feel321.study.persons import answers
+from feel321.study.session.plan import create_plan, make_plan, read_dossier, require_plan
 from feel321.study.session.ports import Abort, Confirm, Pause
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def test_the_table_of_answers_says_whose_and_which(
     tmp_path: Path, present: Callable[..., list[Any]], scripted: type, asking: Plan
 ) -> None:
     present(scripted(), plan=asking)
-    rows = list(read_answers(tmp_path / "sessions" / "p01"))
+    rows = answers.list_answers(read_dossier(tmp_path / "sessions" / "p01"))
     assert [(row["question"], row["answer"], row["personal"]) for row in rows] == [
         ("age", "18", "true"),
         ("hand", "left", "false"),
@@ -149,5 +149,3 @@ def test_the_table_of_answers_says_whose_and_which(
     assert {(row["participant"], row["session"], row["rejected"]) for row in rows} == {
         ("p01", 1, "false")
     }
-    (tmp_path / "sessions" / "p01" / "withdrawn.json").touch()
-    assert list(read_answers(tmp_path / "sessions" / "p01")) == []

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import watch
 from feel321.study.cli import main
 from feel321.study.session import journal as journals
 from feel321.study.session.plan import PLAN_FILE, require_plan
@@ -168,20 +167,6 @@ def test_what_cannot_be_read_is_named_and_hides_nobody_else(copied: StudyFolder)
     ]  # fmt: skip
     assert read_row(page, "sim002")[1:4] == ["finished", "10", "10"]
     assert "Nobody has begun yet." in write_page(replace(copied, is_rehearsal=True))
-
-
-def test_unchanged_journals_are_read_once(
-    copied: StudyFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    read, reads = watch.read_participant, []
-    monkeypatch.setattr(
-        watch, "read_participant", lambda study, own: reads.append(own.name) or read(study, own)
-    )
-    looking = Watch(copied, lambda: NOON)
-    looking.write_page()
-    add(copied, "note", text="a word")
-    looking.write_page()
-    assert reads == ["sim001", "sim002", "sim001"]
 
 
 def test_no_other_file_is_overwritten(
