@@ -6,7 +6,6 @@ A result is a frozen dataclass: `@dataclass(frozen=True, slots=True, repr=False,
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -56,13 +55,19 @@ class Result:
         str
             Several lines: the numbers, and the notes if there are any.
         """
-        notes = getattr(self, "notes", ())
-        return "\n".join((type(self).__name__, _write_frame(self.to_frame()), *notes))
+        frame, notes, digits = self.to_frame(), getattr(self, "notes", ()), "{:.4g}".format
+        if len(frame) == 1:
+            table = frame.T.to_string(header=False, float_format=digits)
+        else:
+            table = frame.to_string(index=False, float_format=digits, max_rows=MOST_ROWS)
+        return "\n".join((type(self).__name__, table, *notes))
 
     def __repr__(self) -> str:
         """Write numbers, names and flags in one line of at most 200 characters."""
         known = [(name, _shorten(value)) for name, value in _list_scalars(self)]
-        told = ", ".join(f"{name}={value}" for name, value in known or _list_sizes(self))
+        sized = [(name, one) for name, one in _list_fields(self) if hasattr(one, "__len__")]
+        known = known or [(name, f"<{len(one)}>") for name, one in sized if len(one)]
+        told = ", ".join(f"{name}={value}" for name, value in known)
         text = f"{type(self).__name__}({told})"
         return text if len(text) <= REPR_WIDTH else f"{text[: REPR_WIDTH - 4]}...)"
 
@@ -81,10 +86,10 @@ class Result:
         return f"{table}>{name}{rest}{notes}"
 
     def __eq__(self, other: object) -> bool:
-        """Compare field by field; numbers that are not defined are equal."""
+        """Compare as JSON holds them; numbers that are not defined are equal."""
         if type(self) is not type(other):
             return NotImplemented
-        return all(_is_equal(value, getattr(other, name)) for name, value in _list_fields(self))
+        return bool(to_json_value(self) == to_json_value(other))
 
     def __hash__(self) -> int:
         """Hash by what the repr shows."""
@@ -110,56 +115,19 @@ def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
     return value.reset_index().to_dict("records") if hasattr(value, "reset_index") else str(value)
 
 
-def _list_fields(value: object) -> list[tuple[str, Any]]:
+def _list_fields(value: Result) -> list[tuple[str, Any]]:
     fields = dataclasses.fields(value)  # type: ignore[arg-type]  # every result is a dataclass
     return [(field.name, getattr(value, field.name)) for field in fields]
 
 
-def _list_scalars(value: object) -> list[tuple[str, Any]]:
+def _list_scalars(value: Result) -> list[tuple[str, Any]]:
     import numpy as np
 
-    return [
-        (name, entry)
-        for name, entry in _list_fields(value)
-        if isinstance(entry, bool | int | float | str | np.generic)
-    ]
-
-
-def _list_sizes(value: object) -> list[tuple[str, str]]:
-    """How much each field of a result without numbers holds, if it holds anything."""
-    sized = [(name, entry) for name, entry in _list_fields(value) if hasattr(entry, "__len__")]
-    return [(name, f"<{len(entry)}>") for name, entry in sized if len(entry)]
+    kinds = bool | int | float | str | np.generic
+    return [(name, entry) for name, entry in _list_fields(value) if isinstance(entry, kinds)]
 
 
 def _shorten(value: object) -> str:
     import numpy as np
 
     return f"{value:.4g}" if isinstance(value, float | np.floating) else repr(value)
-
-
-def _write_frame(frame: DataFrame) -> str:
-    if len(frame) == 1:
-        frame = frame.T
-        return frame.to_string(header=False, float_format="{:.4g}".format)
-    return frame.to_string(index=False, float_format="{:.4g}".format, max_rows=MOST_ROWS)
-
-
-def _is_equal(one: Any, other: Any) -> bool:  # noqa: ANN401 - fields hold anything
-    import numpy as np
-
-    if dataclasses.is_dataclass(one) and type(one) is type(other):
-        one, other = dict(_list_fields(one)), dict(_list_fields(other))
-    if hasattr(one, "equals"):  # a table or a column of pandas
-        return type(one) is type(other) and bool(one.equals(other))
-    if isinstance(one, np.ndarray):
-        same = isinstance(other, np.ndarray) and one.dtype.kind == other.dtype.kind
-        return same and np.array_equal(one, other, equal_nan=one.dtype.kind in "fc")
-    if isinstance(one, float) and isinstance(other, float):
-        return one == other or (math.isnan(one) and math.isnan(other))
-    if isinstance(one, tuple | list) and isinstance(other, tuple | list):
-        return len(one) == len(other) and all(map(_is_equal, one, other))
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(
-            _is_equal(entry, other[key]) for key, entry in one.items()
-        )
-    return bool(one == other)

@@ -111,15 +111,3 @@ def test_check_method_reports_each_check_and_fails_where_one_does(
     assert "FAILED  scaling: a signal 2 times as strong must give an output 2 times" in printed
     assert main(["check", str(folder), "--method", "dft321"]) == 1
     assert "dft321 is feel321's own" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", ["original", "none"])
-def test_what_is_a_reference_and_no_reducer_is_refused_as_one(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording = tmp_path / "a.csv"
-    recording.write_text("t,x,y,z\n" + "".join(f"{n / 1000},1,{n % 7},0\n" for n in range(100)))
-    out = tmp_path / "o.wav"
-    assert main(["reduce", str(recording), "--reducer", name, "-o", str(out)]) == 2
-    assert f"got '{name}'" in capsys.readouterr().err
-    assert not out.exists()

@@ -27,7 +27,7 @@ from feel321.study.actuator.certificate import (
     begin_certificate,
     read_certificate,
 )
-from feel321.study.actuator.output import Bench, OnStep, SweepStopped, open_bench
+from feel321.study.actuator.output import Bench, OnStep, open_bench
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import (
     ABOVE,
@@ -432,7 +432,6 @@ class Calibration:
     folder: Path
     agree: Callable[[Certificate], bool] = lambda _: True
     on_step: OnStep | None = None
-    is_stopping: Callable[[], bool] = lambda: False
 
     def run(self) -> Certificate:
         """Measure the coils, make their filters, and verify them by playing through them."""
@@ -450,7 +449,6 @@ class Calibration:
             n_longest=max(n_main, n_coils * n_quiet),
             total_s=n_all / rate_hz,
             on_step=self.on_step,
-            is_stopping=self.is_stopping,
         )
         with opened as bench:
             noise_m_s2 = float(
@@ -504,7 +502,7 @@ class Calibration:
             with _named(actuator.name):
                 coils[actuator.name] = design_coil(self.rig, actuator, runs[actuator.name])
         if not self.agree(self._certify(coils)):
-            raise SweepStopped
+            raise KeyboardInterrupt
         return coils
 
     def _certify(self, coils: Mapping[str, CoilCertificate]) -> Certificate:

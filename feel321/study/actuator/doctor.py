@@ -148,7 +148,7 @@ AUDIBLE = 3.0  # ratio of a hum to the noise without it
 
 def probe_coils(
     rig: Rig, certificate: Certificate | None, *, rate_hz: float
-) -> tuple[list[dict[str, Any]], str]:
+) -> tuple[dict[str, dict[str, Any]], str]:
     """Play a probe on each coil in turn, and find what is wrong with each; and a hum, while nothing plays.
 
     level_m_s2: median response at full scale; delay_ms: since it was sent.
@@ -162,7 +162,7 @@ def probe_coils(
         n_repeats=2,
         peak=1.0,
     )
-    asked, found = make_sweep(sweep), []
+    asked, found = make_sweep(sweep), dict[str, dict[str, Any]]()
     known = certificate if certificate and certificate.method == MEASURED else None
     is_seen = len(require_sensor(rig).inputs) == len(AXES)
     diagnosis = Diagnosis(known, rig) if known and is_seen else None
@@ -184,7 +184,7 @@ def probe_coils(
                 fault = diagnosis.judge(sent, recorded).removeprefix(f"{actuator.name}: ")
             else:
                 fault = find_fault(rig, actuator, seen, recorded=recorded, sent=peak * asked)
-            found.append({"coil": actuator.name, **_describe(seen), "fault": fault})
+            found[actuator.name] = {**_describe(seen), "fault": fault}
     return found, _find_hum(silence, rate_hz=rate_hz)
 
 

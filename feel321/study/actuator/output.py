@@ -444,10 +444,6 @@ N_TRIES = 4  # of a playback in which the device ran dry, or samples were lost
 CLIPPED = 0.999  # of the sensor's full scale
 
 
-class SweepStopped(Exception):  # noqa: N818 - nothing went wrong
-    """A key was pressed; the coils are silent."""
-
-
 @dataclass(slots=True, kw_only=True)
 class Bench:
     """An open output, and what the measurements on it share; sounds: those that it plays, to which more are added."""
@@ -458,7 +454,6 @@ class Bench:
     sounds: dict[str, Frames]
     total_s: float = 0.0
     on_step: OnStep | None = None
-    is_stopping: Callable[[], bool] = lambda: False
     done_s: float = 0.0
 
     def play(self, samples: Mapping[int, Samples], *, n: int) -> Samples:
@@ -468,7 +463,10 @@ class Bench:
             sound[:, channel - 1] = own
         self.sounds[""] = sound
         for _ in range(N_TRIES):
-            played, recorded = self._play_once()
+            self.output.start("", gap_s=0.05)
+            while self.output.is_playing:
+                sleep(0.002)
+            played, recorded = self.output.collect(), self.output.captured
             if played.error or recorded is None or recorded.shape[1] < n:
                 raise OSError(
                     played.error or "the sensor's input gave too few samples; check its device"
@@ -485,15 +483,6 @@ class Bench:
         if self.on_step is not None:
             self.on_step(round(self.done_s), round(self.total_s))
         return recorded[:, :n].astype(np.float64)
-
-    def _play_once(self) -> tuple[Playback, Frames | None]:
-        self.output.start("", gap_s=0.05)
-        while self.output.is_playing:
-            if self.is_stopping():
-                self.output.stop()
-                raise SweepStopped
-            sleep(0.002)
-        return self.output.collect(), self.output.captured
 
     def _check(self, recorded: Frames, *, clipped: int) -> None:
         if clipped:

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from time import monotonic, sleep
 from types import SimpleNamespace
 from typing import Any
 
@@ -29,7 +25,6 @@ from feel321.study.actuator.certificate import (
     list_certificates,
     write_certificate,
 )
-from feel321.study.actuator.output import Output, SweepStopped
 from feel321.study.actuator.response import Sweep, find_slip, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig
 from feel321.study.actuator.simulated import BLOCK_FRAMES, SimulatedCoil, SimulatedStream
@@ -198,71 +193,6 @@ def test_limits_that_are_not_kept_are_named(rig: Rig, certificate: Certificate) 
     assert list(find_failures(rig, coil)) == []
 
 
-def test_a_stop_is_silent_within_a_block(
-    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sent: list[tuple[bool, float]] = []
-    stopped: list[bool] = []
-    serve, stop = SimulatedStream._serve, Output.stop
-
-    def watch(stream: Any) -> None:
-        is_stopped, fill = bool(stopped), stream._fill
-
-        def keep(out: Any, *given: Any) -> None:
-            fill(out, *given)
-            sent.append((is_stopped, float(np.abs(out).max())))
-
-        monkeypatch.setattr(stream, "_fill", keep)
-        serve(stream)
-        monkeypatch.setattr(stream, "_fill", fill)
-
-    def note(output: Any) -> None:
-        stop(output)
-        stopped.append(True)
-        wait_for_blocks(sent, n=4)
-
-    monkeypatch.setattr(SimulatedStream, "_serve", watch)
-    monkeypatch.setattr(Output, "stop", note)
-    with pytest.raises(SweepStopped):
-        calibrate(
-            alter(rig, 'simulation', speed=4.0), tmp_path,
-            is_stopping=lambda: sum(level > 0 for _, level in sent) > 20,
-        )  # fmt: skip
-    after = [level for is_stopped, level in sent if is_stopped]
-    assert len(after) >= 3
-    assert not any(after[1:])  # the first one holds the fade
-
-
-def wait_for_blocks(sent: list[tuple[bool, float]], *, n: int) -> None:
-    end_s = monotonic() + 60
-    while sum(is_stopped for is_stopped, _ in sent) < n and monotonic() < end_s:
-        sleep(0.001)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are of POSIX")
-def test_any_key_ends_it_where_stdin_is_a_terminal(tmp_path: Path) -> None:
-    import pty
-
-    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
-    (tmp_path / "rig.toml").write_text(RIG.replace("speed = 100", "speed = 1"), encoding="utf-8")
-    own, theirs = pty.openpty()
-    command = [Path(sys.executable).with_name("feel321"), "calibrate", str(tmp_path)]
-    process = subprocess.Popen(command, stdin=theirs, stderr=subprocess.PIPE, text=True)
-    try:
-        while process.poll() is None:
-            os.write(own, b"x")
-            sleep(0.05)
-        assert process.stderr is not None
-        assert "feel321: interrupted" in process.stderr.read()
-        assert process.returncode == 130
-    finally:
-        process.kill()
-        process.communicate()
-        os.close(own)
-        os.close(theirs)
-    assert list_certificates(tmp_path) == []
-
-
 def call(study: Path, *arguments: str) -> int:
     return main(["calibrate", str(study), *arguments])
 
@@ -275,10 +205,8 @@ def test_the_verb_stores_a_certificate_and_its_figure(
     monkeypatch.setattr(Calibration, "run", lambda _: certificate)
     assert call(tmp_path) == 0
     first, left, *_ = capsys.readouterr().out.splitlines()
-    assert first.startswith(
-        f"certificate {certificate.id} (measured): passed; 20 to 1000 Hz at 8000 Hz"
-    )
-    assert left.startswith("left coil: 4")
+    assert first.startswith(f"certificate {certificate.id} (measured): passed; valid until ")
+    assert left == "left coil:"
     files = sorted(path.suffix for path in (tmp_path / "calibration").iterdir())
     assert files == [".json", ".npz", ".svg"]
     found = judge_certificates(tmp_path, rig, now=MADE, rate_hz=RATE_HZ)[0]
@@ -296,10 +224,7 @@ def test_gains_can_be_typed(tmp_path: Path, rig: Rig, capsys: Any) -> None:
     (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
     gains = [word for name in ("left", "right") for word in ("--manual", f"{name} coil=12.5")]
     assert call(tmp_path, *gains, "--device", "file") == 0
-    assert (
-        "left coil: 12.5 m/s² at full scale, typed, to ± 2.0 dB; no filter"
-        in capsys.readouterr().out
-    )
+    assert "  target 12.5\n" in capsys.readouterr().out
     (path,) = list_certificates(tmp_path)
     assert json.loads(path.read_text(encoding="utf-8"))["method"] == "manual"
     assert judge_certificates(tmp_path, rig, now=MADE)[0] is None  # of the device "file"
@@ -315,7 +240,7 @@ def probe(monkeypatch: pytest.MonkeyPatch) -> Any:
     def run(rig: Rig, certificate: Certificate | None) -> dict[str, str]:
         found, hum = doctor.probe_coils(rig, certificate, rate_hz=RATE_HZ)
         assert hum == ""
-        return {one["coil"]: one["fault"] for one in found}
+        return {name: one["fault"] for name, one in found.items()}
 
     return run
 
@@ -402,7 +327,7 @@ def test_coils_that_are_done_are_kept_and_designed_anew_without_playing(
         assert coil.latency == written.coils[name].latency
         assert math.isnan(coil.least_coherence_after)
     assert "dB off at 20 Hz with its filter" in again.failures[0]  # with so little gain
-    with pytest.raises(SweepStopped):
+    with pytest.raises(KeyboardInterrupt):
         Calibration(
             rig=rig, rate_hz=RATE_HZ, made=MADE, folder=tmp_path, agree=lambda _: False
         ).redesign()
@@ -437,9 +362,9 @@ def test_gain_and_band_that_are_proposed_flatten_ordinary_coils(
 def test_what_is_proposed_and_what_it_costs_is_said_before_it_is_written(
     rig: Rig, certificate: Certificate, smallest: Any, capsys: Any
 ) -> None:
-    from feel321.study.commands.rig import _agree
+    from feel321.study.commands.rig import agree
 
-    assert _agree(smallest, rig, certificate)
+    assert agree(smallest, rig, certificate)
     left, _, strongest, weakest = capsys.readouterr().err.splitlines()
     assert left.startswith("left coil: flat from 20 to 1000 Hz within ")
     assert strongest.startswith("strongest stimulus ")

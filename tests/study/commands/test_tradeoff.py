@@ -12,7 +12,7 @@ from feel321.analysis.tradeoff import cost, measure
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.settings.edit import edit_settings
+from feel321.study.settings.read import edit_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,17 +59,6 @@ def write_ratings(study: Path) -> None:
         for k, one in enumerate(tests)
     ]
     folder.ratings.write_text("\n".join(lines) + "\n")
-
-
-def test_one_line_per_recording_and_where_the_page_is(study: Path, capsys: Capture) -> None:
-    assert main(["tradeoff", str(study)]) == 0
-    advice, common, page = capsys.readouterr().out.splitlines()
-    assert advice.startswith("bumps: ")
-    assert common.endswith("suffices for the recording.")
-    assert page == str(study / "tradeoff" / "index.html")
-    content = read(study / "tradeoff")
-    assert [one["recording"] for one in content["choices"]] == ["bumps"]
-    assert "people" not in content
 
 
 def read(folder: Path) -> dict[str, Any]:
@@ -155,13 +144,3 @@ def test_bad_use_is_one_line(
     assert (out, len(err.splitlines())) == ("", 1)
     assert message in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_page_that_is_not_ours_is_refused_before_anything_is_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    monkeypatch.setattr("feel321.study.analyze.gather_recordings", lambda *_, **__: 1 / 0)
-    (tmp_path / "index.html").write_text("mine")
-    assert main(["tradeoff", "--scenes", "--out", str(tmp_path)]) == 1
-    assert "exists and is not of a former report" in capsys.readouterr().err
-    assert (tmp_path / "index.html").read_text() == "mine"
