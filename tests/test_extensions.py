@@ -11,7 +11,7 @@ import pytest
 from feel321 import stimuli
 from feel321.extensions import find_method
 from feel321.stimuli.conform import check_method
-from feel321.stimuli.guard import OwnMetric, OwnReducer, find_reducer
+from feel321.stimuli.guard import OwnMetric, OwnReducer
 
 CODE = """\
 import numpy as np
@@ -140,14 +140,14 @@ def test_taken_names_and_places_outside_the_study_are_refused(study: Path) -> No
         ("my321", "reducer must be one of"),
     ):
         with pytest.raises(ValueError, match=message):
-            find_reducer(given, stimuli.REDUCERS, folder=study)
+            OwnReducer(find_method("reducer", given, taken=stimuli.REDUCERS, folder=study))
 
 
 MADE = {"made321": {"file": "made/{recording}.wav"}}
 
 
 def find_made(folder: Path, declared: dict[str, dict[str, object]] | None = None) -> OwnReducer:
-    return find_reducer("made321", (), folder=folder, declared=declared or MADE)
+    return OwnReducer(find_method("reducer", "made321", folder=folder, declared=declared or MADE))
 
 
 def test_what_was_made_elsewhere_is_read_for_each_recording(study: Path) -> None:

@@ -45,12 +45,8 @@ def test_a_filter_is_padded_by_a_period_of_its_corner() -> None:
     ("changes", "message"),
     [
         ({"high_pass_hz": 0.0}, "high_pass_hz must be .*got 0.0"),
-        ({"low_pass_hz": -5.0}, "low_pass_hz must be .*got -5.0"),
         ({"high_pass_hz": 900.0, "low_pass_hz": 500.0}, "must be below low_pass_hz"),
         ({"crop_s": (1.0, 0.5)}, "0 <= start < end"),
-        ({"crop_s": (-1.0, 0.5)}, "0 <= start < end"),
-        ({"crop_s": (1.0,)}, "0 <= start < end"),
-        ({"crop_s": 1.0}, "0 <= start < end"),
     ],
 )
 def test_steps_that_make_no_sense_are_refused(changes: dict[str, object], message: str) -> None:

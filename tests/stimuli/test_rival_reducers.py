@@ -55,16 +55,6 @@ def test_bands_keep_the_energy_of_all_axes_band_by_band(n: int) -> None:
         assert (np.abs(np.fft.fft(reduced)[band]) ** 2).sum() == pytest.approx(total, rel=1e-9)
 
 
-def test_each_band_moves_along_its_own_axis() -> None:
-    """50 Hz along x, 200 Hz along y, 800 Hz along z: all three tones as they are, whatever their axes."""
-    tones = np.array([np.sin(2 * np.pi * f * TIME + p) for f, p in ((50, 0), (200, 1), (800, 2))])
-    reduced = reduce("dft321_bands", tones * [[3.0], [2.0], [1.0]])
-    found = reduced @ tones.T / 2000
-    assert np.abs(found) == pytest.approx([3, 2, 1], rel=1e-9)
-    rest = reduced - found @ tones
-    assert np.abs(rest).max() < 1e-9
-
-
 def brute_filter_bank(acceleration: np.ndarray) -> np.ndarray:
     """Sample by sample, with all its state in the open."""
     reduced = np.zeros(acceleration.shape[1])

@@ -407,24 +407,19 @@ def test_a_set_whose_anchor_is_no_anchor_is_refused(
     ("changes", "message"),
     [
         ({"reducers": ("dft",)}, "must be one of sax321"),
-        ({"reducers": ()}, "one or more names, each once"),
         ({"reducers": ("dft321", "dft321")}, "each once"),
         ({"levels": ("loud",)}, "must be one of as_is, equal_intensity"),
         ({"reference": "best"}, "must be one of original, none, sax321"),
         ({"rate_hz": 44100.5}, "whole number of Hz"),
-        ({"rate_hz": 100.0}, "from 2000 to 384000"),
         ({"headroom": 1.5}, "at most 1"),
-        ({"full_scale_m_s2": 0.0}, "full_scale_m_s2 must be .*got 0.0"),
         (
             {"gain": float("inf")},
             "gain must be a finite number above 0, 'set' or 'per_recording'; got inf",
         ),
-        ({"gain": "loud"}, "gain must be .*got 'loud'"),
         (
             {"threshold": "finger"},
             "threshold must be one of contactor, grasped_stylus; got 'finger'",
         ),
-        ({"fade_s": -1.0}, "fade_s must be .*got -1.0"),
     ],
 )
 def test_recipes_that_cannot_be_cooked_are_refused(

@@ -83,9 +83,6 @@ def test_a_header_of_two_to_the_31_samples_is_refused_without_allocating(tmp_pat
     ("content", "message"),
     [
         (b"", "ends inside its header"),
-        (b"RIFF\x00\x00\x00\x00WAVE", "ends inside its header"),
-        (b"RF64\x00\x00\x00\x00WAVE", "begin with RIFF and WAVE"),
-        (b"\x00garbage in the file", "begin with RIFF and WAVE"),
         (b"RIFF\x00\x00\x00\x00WAVEdata\x00\x00\x00\x00", "before any format chunk"),
         (_header(8, channels=0, frame_bytes=0), "above 0, got 0, 8000 Hz, 0 bytes"),
         (
@@ -93,12 +90,6 @@ def test_a_header_of_two_to_the_31_samples_is_refused_without_allocating(tmp_pat
             "WAV coding 0x0007 of 8 bits is not read; save as PCM or float",
         ),
         (_header(4, channels=3) + b"abcd", "frames of 1 bytes for 3 channels of 8 bits"),
-        (_header(9, coding=3, channels=1, frame_bytes=5) + bytes(9), "coding 0x0003 of 40 bits"),
-        (
-            _header(16, coding=3, channels=3, frame_bytes=8) + bytes(16),
-            "frames of 8 bytes for 3 channels of 64 bits",
-        ),
-        (_header(4)[:34] + bytes(2) + _header(4)[36:] + b"abcd", "coding 0x0001 of 0 bits"),
         (b"RIFF" + bytes(4) + _header(4)[8:] + b"abcd", "chunks that cannot be read"),
         (_header(0), "holds no samples"),
     ],
@@ -113,12 +104,9 @@ def test_what_is_not_a_wav_file_is_refused(tmp_path: Path, content: bytes, messa
     ("samples", "rate", "message"),
     [
         ([], 8000, "shape"),
-        (np.zeros((2, 2, 2)), 8000, "shape"),
         ([np.nan], 8000, "must be finite"),
         ([1e39], 8000, "float32"),
         ([1.0], 8000.5, "whole number"),
-        ([1.0], 2**32, "whole number"),
-        ([1.0], 0, "above 0"),
     ],
 )
 def test_what_a_wav_cannot_hold_is_refused(

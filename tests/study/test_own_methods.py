@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from feel321.stimuli.sets.manifest import find_methods
 from feel321.study.analyze import read_study_table
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
@@ -42,7 +43,7 @@ def test_every_step_takes_the_labs_own_methods_and_a_change_of_them_is_named(
     built = study.build()
     assert {one.reducer for one in built if one.role == "test"} == {"dft321", "my321", "wav321"}
     assert {one.recording for one in built} == {"bumps", "hard_taps", "tap"}
-    digests = built.find_methods()
+    digests = find_methods(built.folder)
     assert digests.keys() == {"my321", "wav321", "snr"}
     assert study.stimuli()["tap__reference__as_is"].metrics["snr"] == pytest.approx(100.0)
     study.simulate(2, rng=1)

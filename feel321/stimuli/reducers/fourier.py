@@ -141,7 +141,8 @@ class FourierFrames:
         np.multiply(blocks[..., :-1, :], self._rise, out=frames[..., 1:, :hop])
         np.multiply(blocks, self._fall, out=frames[..., hop:])
         self._previous = blocks[..., -1, :].copy()
-        merged = self.merge(np.moveaxis(fft.rfft(frames), -3, 0), frames)
+        spectra = fft.rfft(frames)
+        merged = self.merge(spectra if spectra.ndim == 3 else np.moveaxis(spectra, -3, 0), frames)  # noqa: PLR2004 - axes x frames x bins
         reduced = fft.irfft(merged, 2 * hop, overwrite_x=True)
         finished = reduced[..., :hop] * self._rise
         reduced[..., hop:] *= self._fall
@@ -216,8 +217,9 @@ from 26 to 2.5, on a drifting rotor from 6.7 to 1.6, on a chirp from 3.9 to 1.9,
 # No tilt beyond this: the axis stays a leading one, and what is known badly cannot turn it far.
 _FARTHEST = 0.5
 # Directions below this share of the energy (3 % of the amplitude) are left alone: what is there may be noise.
-_WEAK = 1e-3
+_WEAK = 1e-3 * np.eye(3)
 
+_TINY = np.finfo(np.float64).tiny
 # So few that what is worked on stays in the processor's cache.
 _AT_A_TIME = 8192
 # A projection below this share of the motion has a phase that rounding (1e-15 or so) changes by more than 1e-9.
@@ -321,17 +323,10 @@ def measure(spectra: Bins) -> tuple[Samples, Samples]:
     energy = np.empty(spectra.shape[1:])
     covariance = np.zeros((*energy.shape[:-1], 3, 3))
     for few in _cut_bins(spectra):
-        of_axes = bin_energy(spectra[..., few])
-        vibration = slice(0 if few.start else 1, None)
-        real = spectra[..., few][..., vibration].view(np.float64)
-        sums = of_axes[..., vibration].sum(axis=-1)
-        for i in range(3):
-            covariance[..., i, i] += sums[i]
-            covariance[..., i, i - 1] += np.einsum("...k,...k->...", real[i], real[i - 1])
-        of_axes[0] += of_axes[1]
-        np.add(of_axes[0], of_axes[2], out=energy[..., few])
-    for i in range(3):
-        covariance[..., i - 1, i] = covariance[..., i, i - 1]
+        part = spectra[..., few]
+        np.add.reduce(bin_energy(part), axis=0, out=energy[..., few])
+        vibration = part[..., 0 if few.start else 1 :].view(np.float64)
+        covariance += np.einsum("i...k,j...k->...ij", vibration, vibration)
     vibrates = np.einsum("...ii->...", covariance) > ROUNDING**2 * energy[..., 0]
     return energy, covariance * vibrates[..., None, None]
 
@@ -345,12 +340,12 @@ def share_out(covariance: Samples) -> Samples:
 def tilt(axis: Samples, shares: Samples, anchor: Samples) -> Samples:
     """Tilt axes towards weak directions, by point 4 of the module's notes; shares: the covariance, of trace 1."""
     onset = np.einsum("...ij,...j->...i", anchor, axis)
-    aside = np.linalg.solve(shares + _WEAK * np.eye(3), onset[..., None])[..., 0]
-    deviations = np.sqrt(np.einsum("...i,...i->...", aside, onset))[..., None]
-    aside *= TILT / np.where(deviations > 0, deviations, 1.0)
-    far = np.sqrt(np.einsum("...i,...i->...", aside, aside))[..., None]
-    aside *= _FARTHEST / np.maximum(far, _FARTHEST)
-    return unit(axis + aside, axis)
+    aside = np.linalg.solve(shares + _WEAK, onset[..., None])[..., 0]
+    deviation = np.sqrt(np.einsum("...i,...i->...", aside, onset))
+    far = np.sqrt(np.einsum("...i,...i->...", aside, aside))
+    # So long that it is TILT standard deviations, but no longer than the farthest; where there is no onset it is 0.
+    size = np.minimum(TILT / np.maximum(deviation, _TINY), _FARTHEST / np.maximum(far, _TINY))
+    return unit(axis + size[..., None] * aside, axis)
 
 
 def align(spectra: Bins, energy: Samples, *, axis: Samples) -> Bins:
@@ -381,7 +376,10 @@ def _cut_bins(spectra: Bins) -> Iterator[slice]:
 def unit(vectors: Samples, otherwise: Samples) -> Samples:
     """Scale vectors to length 1; where one is zero, use the other."""
     length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
-    return np.asarray(np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise))
+    there = length > 0
+    if there.all():
+        return np.asarray(vectors / length)
+    return np.where(there, vectors / np.where(there, length, 1.0), otherwise)
 
 
 MEMORY = 0.99
@@ -434,7 +432,7 @@ class TrackingFrames(FourierFrames):
         energy, covariances = measure(spectra)
         covariances, self._covariance = _remember(covariances, self._covariance, axis=-3)
         strength = energy.sum(axis=-1)
-        anchors, waking = self._find_anchors(strength**0.25, frames)
+        anchors, waking = self._find_anchors(np.sqrt(np.sqrt(strength)), frames)
         shares = share_out(covariances)
         leading = leading_axis(shares + PULL_PER_FRAME * anchors)
         leading = self._keep_sign(leading, anchors, waking)
@@ -449,9 +447,12 @@ class TrackingFrames(FourierFrames):
         """Mean products of the onsets so far, frame by frame; and the onset where silence ends, 0 elsewhere."""
         loudest = np.concatenate([self._loudness, loudness], axis=-1)
         np.maximum.accumulate(loudest, axis=-1, out=loudest)
-        louder = np.diff(loudest, axis=-1)
+        louder = loudest[..., 1:] - loudest[..., :-1]
+        scale = np.where(loudest > 0, loudest, 1.0)[..., 1:, None, None]
         onsets, sums = np.zeros((*louder.shape, 3)), np.zeros((*louder.shape, 3, 3))
-        for one in np.ndindex(louder.shape[:-1]) if louder.any() else ():
+        if not louder.any():
+            return (sums + self._anchor) / scale, onsets
+        for one in np.ndindex(louder.shape[:-1]):
             if (records := np.flatnonzero(louder[one])).size:
                 found = find_onset(np.moveaxis(frames[one][:, records, :], 0, 1))
                 onsets[one][records], sums[one][records] = found
@@ -459,7 +460,7 @@ class TrackingFrames(FourierFrames):
         sums = self._anchor + np.cumsum(sums, axis=-3)
         self._loudness, self._anchor = loudest[..., -1:], sums[..., -1:, :, :]
         onsets *= ((loudest[..., :-1] == 0) & (louder > 0))[..., None]
-        return sums / np.where(loudest > 0, loudest, 1.0)[..., 1:, None, None], onsets
+        return sums / scale, onsets
 
     def _keep_sign(self, axes: Samples, anchors: Samples, waking: Samples) -> Samples:
         """Flip each axis to point along the one before it, the first along the first onset; silence has no axis."""

@@ -50,9 +50,3 @@ def test_who_is_rated_worse_is_not_advised_and_the_others_are_reported() -> None
     assert "ratings do not show whether people agree" in heard.summary()
     other = advise_tradeoff(frame, ratings=rate(recording="elsewhere"), margin=5.0)
     assert other.choices[["answer", "people"]].to_numpy().tolist() == [["worse", ""]]
-
-
-@pytest.mark.parametrize("margin", [0, -5.0, float("nan"), float("inf")])
-def test_a_margin_must_be_one(margin: float) -> None:
-    with pytest.raises(ValueError, match="margin must be a number of points above 0, got"):
-        compare_rated(rate(), margin=margin)
