@@ -24,8 +24,8 @@ from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_v
 from feel321.doors import name_of
 from feel321.files import write_text
 from feel321.study.session.events import SessionBegun, TrialRated
-from feel321.study.session.identity import FROZEN_FILE
 from feel321.study.session.journal import list_journals
+from feel321.study.session.opening import FROZEN_FILE
 from feel321.study.session.plan import PLAN_FILE
 
 if TYPE_CHECKING:

@@ -31,8 +31,8 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import ratings, sessions
 from feel321.study.metrics import measure_declared
 from feel321.study.observer.model import make_model
-from feel321.study.session import codes
 from feel321.study.session import plan as plans
+from feel321.study.session.plan import list_by_code
 from feel321.study.settings import read, schema
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def tabulate_plan(
     for number in range(1, groups + 1):
         who = f"sim{number:03d}"
         plan = plans.make_plan(design, stimuli, who, number=number, simulated=True)
-        by_code = codes.list_by_code(stimuli, seed=plan.seed)
+        by_code = list_by_code(stimuli, seed=plan.seed)
         judged = [
             (one, two) for one in plan.trials if one.phase == "main" for two in one.judgements
         ]
@@ -242,11 +242,6 @@ def _plant(
     felt: dict[str, float] = {}
     if len(chosen) < len(asked):
         model = make_model(settings)
-        if model.uses_percepts:
-            raise ValueError(
-                "simulated observers of [observer] feel more than the two matches, so their slopes are not known; give "
-                "one of every metric: --effect METRIC=POINTS"
-            )
         felt = {model.spectral_metric: model.spectral, "temporal_match": model.temporal}
     return DataFrame([
         {

@@ -353,7 +353,7 @@ class Study:
         """
         import pandas as pd
 
-        from feel321.study.session.codes import list_codes
+        from feel321.study.session.plan import list_codes
 
         plan = self._find(participant).plan
         rows = [

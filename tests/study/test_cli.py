@@ -194,7 +194,7 @@ def test_a_study_from_new_to_report(
     again = run("simulate", folder, "--participants", "4")
     assert again == f"{study.ratings}: 96 ratings\nplanted in realism, in points: {said}\n"
     people = json.loads(run("status", folder, "--json"))["participants"]
-    assert [entry["done"] for entry in people] == [24] * 4
+    assert [entry["answered"] for entry in people] == [24] * 4
     with study.journals[0].open("ab") as file:
         file.write(b"{}")
     table = run("status", folder)

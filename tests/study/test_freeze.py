@@ -26,7 +26,8 @@ from feel321.study.freeze import (
 )
 from feel321.study.ratings import write_ratings
 from feel321.study.session.engine import run_session
-from feel321.study.session.plan import Stale, create_plan, make_plan, open_session
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Stale, create_plan, make_plan
 from feel321.study.settings.read import make_design, make_identity, read_settings
 from feel321.study.simulation import simulate_study
 
