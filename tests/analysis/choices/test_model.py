@@ -97,39 +97,3 @@ def test_planted_weights_are_covered_as_often_as_promised(n: int, plant: Plant) 
         planned = truth * fixed["unit"].fillna(1.0).to_numpy()
         covered += ((fixed["low"] <= planned) & (planned <= fixed["high"])).to_numpy()
     assert covered.min() >= (0.8 if n < 100 else 0.9) * n
-
-
-def test_what_was_felt_first_is_told_from_the_metrics(plant: Plant) -> None:
-    planted = plant(weights=(5.0, 0.0), order=1.0, lapse=0.0)
-    fixed = analysis.fit_choices(planted.read(), lapse=0.0).fixed
-    assert fixed.loc["order", "low"] <= 1.0 <= fixed.loc["order", "high"]
-    turned = planted.votes.rename(columns={"stimulus_id": "other_id", "other_id": "stimulus_id"})
-    turned = turned.assign(rating=100 - turned["rating"])
-    other = analysis.fit_choices(planted._replace(votes=turned).read(), lapse=0.0).fixed
-    expected = fixed["estimate"] * [1, 1, -1]
-    assert other["estimate"].tolist() == pytest.approx(expected.tolist(), rel=1e-6)
-
-
-def test_what_has_no_estimate_is_refused(plant: Plant) -> None:
-    planted = plant(participants=4, recordings=4)
-    sure = differ(planted)[:, 0] > 0
-    certain = planted.votes.assign(rating=np.where(sure, 100, 0))
-    same = planted.stimuli.assign(twin=2 * planted.stimuli["temporal_match"], flat=1.0)
-    for given, metrics, message in [
-        (certain, METRICS, "choices must not all follow the metrics"),
-        (planted.votes, ("temporal_match", "twin"), "must not be collinear"),
-        (planted.votes, ("flat",), "'flat' never does; leave it out"),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            analysis.fit_choices(given, metrics, stimuli=same, lapse=0)
-    with pytest.raises(
-        ValueError, match=r"lapse must be from 0 to less than 0.5, or None, got 0.7"
-    ):
-        analysis.fit_choices(planted.votes, METRICS, stimuli=same, lapse=0.7)
-
-
-def test_two_people_give_weights_and_no_interval(plant: Plant) -> None:
-    found = analysis.fit_choices(plant(participants=2).read(), lapse=0.05)
-    assert found.fixed["se"].isna().all()
-    assert found.fixed["estimate"].notna().all()
-    assert "Below 3 participants or 3 recordings there is no interval." in found.notes
