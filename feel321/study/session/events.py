@@ -232,12 +232,12 @@ class TonePresented(AttemptEvent, event="tone"):
 class Played:
     """How a part was felt: what the device reports, the engine passes on and the journal keeps.
 
-    onset_s: None where it never began. underruns, clipped: times that the device ran dry within the samples, samples that
-    were limited. completed: it was felt to its end. error: the device's message, empty if all went well. measured: by the device,
-    such as its own time of the onset. dac_source: `device` where that time is its own, `latency` where it is the time
-    of the request and the latency. delivered: what the hand got, compared with what was asked (`actuator.delivered`);
-    with `coherence` if a sensor measured it, without if a certificate predicts it. fault: what is wrong with the rig by
-    this playback, with the coil named (`actuator.faults`).
+    onset_s: None where it never began. underruns, clipped: times that the device ran dry within the samples, samples
+    that were limited. completed: it was felt to its end. error: the device's message, empty if all went well. measured:
+    by the device, such as its own time of the onset. dac_source: `device` where that time is its own, `latency` where
+    it is the time of the request and the latency. delivered: what the hand got, compared with what was asked
+    (`actuator.delivered`); with `coherence` if a sensor measured it, without if a certificate predicts it. fault: what
+    is wrong with the rig by this playback, with the coil named (`actuator.faults`).
     """
 
     requested_s: float
