@@ -68,8 +68,8 @@ screenshots: .venv/.tests ## the documentation's pictures of screens and report,
 	xvfb-run -a -s "-screen 0 1280x1024x24" $(PYTHON) docs/docsite/screenshots.py
 
 bench: export OPENBLAS_NUM_THREADS = 1
-bench: .venv/.tests ## speed and memory in one table, against the FFTs, NumPy, Octave and the stored run; ARGS="--accept" stores it
-	$(PYTHON) tests/bench/bench.py $(ARGS)
+bench: .venv/.tests ## speed and memory in one table, against the FFTs
+	$(PYTHON) tests/bench/bench.py
 
 soak: .venv/.tests ## the tests that take minutes
 	$(PYTHON) -m pytest -m "soak or hypothesis" --hypothesis-profile=soak $(ARGS) || [ $$? -eq 5 ]  # pytest's 5: there is none

@@ -11,11 +11,10 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
-    from tqdm import tqdm
 
 
 TICK_S = 1.0
@@ -67,33 +66,26 @@ def follow(
         return
     from tqdm import tqdm
 
-    with tqdm(desc=what, leave=False, bar_format="{desc}: {elapsed}{postfix}") as bar, _tick(bar):
+    over = Event()
+    with tqdm(desc=what, leave=False, bar_format="{desc}: {elapsed}{postfix}") as bar:
 
         def move(done: int, total: int) -> None:
             bar.bar_format = "{desc}: {n_fmt}/{total_fmt} |{bar:20}| {elapsed}<{remaining}{postfix}"
             bar.total = total
             bar.update(done - bar.n)
 
-        with announcing(bar.set_postfix_str):
-            yield move
+        def tick() -> None:
+            while not over.wait(TICK_S):  # the clock runs while a step takes long
+                bar.refresh()
 
-
-@contextmanager
-def _tick(bar: tqdm[NoReturn]) -> Iterator[None]:
-    """Let the clock of a bar run while a step takes long."""
-    over = Event()
-
-    def refresh() -> None:
-        while not over.wait(TICK_S):
-            bar.refresh()
-
-    ticking = Thread(target=refresh, daemon=True)
-    ticking.start()
-    try:
-        yield
-    finally:
-        over.set()
-        ticking.join()
+        ticking = Thread(target=tick, daemon=True)
+        ticking.start()
+        try:
+            with announcing(bar.set_postfix_str):
+                yield move
+        finally:
+            over.set()
+            ticking.join()
 
 
 @contextmanager
@@ -152,12 +144,12 @@ def clean_text(text: str, *, keep: str = "") -> str:
     """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() or c in keep else _spell(c) for c in text)
 
+    def spell(character: str) -> str:
+        # As JSON does, so that what was printed as JSON stays what it was.
+        return json.dumps(character)[1:-1].replace("\x7f", "\\u007f")
 
-def _spell(character: str) -> str:
-    """Spell a character as JSON does, so that what was printed as JSON stays what it was."""
-    return json.dumps(character)[1:-1].replace("\x7f", "\\u007f")
+    return "".join(c if c.isprintable() or c in keep else spell(c) for c in text)
 
 
 def describe(value: object) -> str:

@@ -174,6 +174,7 @@ def list_entry_points(kind: str) -> dict[str, str]:
 
 
 def _find_declared(kind: str, name: str, table: Mapping[str, Any], *, folder: Path) -> Method:
+    """Find the method of a table of the study."""
     own = {key: value for key, value in table.items() if value is not None}
     forms = {form: own.pop(form) for form in ("use", "command", "file") if form in own}
     if len(forms) != 1:
@@ -359,16 +360,22 @@ def _on_path(*folders: Path | None) -> Iterator[None]:
 @lru_cache(maxsize=256)
 def _load(method: Method, folder: Path | None) -> Any:  # noqa: ANN401 - whatever the lab wrote
     where, _, name = method.place.rpartition(":")
-    load = _load_file if method.origin == "file" else _load_module
+    is_file = method.origin == "file"
+    load = _load_file if is_file else _load_module
     module = call(method, load, where, folder, doing="cannot be loaded")
-    if method.origin == "file" and _digest_file((folder or Path()) / where) != method.sha256:
-        raise ValueError(f"{method}: {where} was changed in the meantime; run the command again")
+    home = folder or Path()
+    found = (
+        _digest_file(home / where) if is_file else _digest_module(method.kind, method.place, folder)
+    )
+    if found != method.sha256:
+        said = "was changed in the meantime, or is other code on this machine"
+        raise ValueError(f"{method}: {where} {said}; run the command again")
     if not hasattr(module, name):
         raise ValueError(
             f"{method}: {where} defines no {name!r}; check the name in {method.place!r}"
         )
-    found = getattr(module, name)
-    return call(method, found, doing="cannot be made") if inspect.isclass(found) else found
+    made = getattr(module, name)
+    return call(method, made, doing="cannot be made") if inspect.isclass(made) else made
 
 
 def _load_module(where: str, folder: Path | None) -> Any:  # noqa: ANN401 - the module of a lab

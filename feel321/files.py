@@ -36,7 +36,8 @@ def write_table(
     path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], *, private: bool = False
 ) -> int:
     """Write a CSV table in one step, and count its rows; what a row holds besides the columns is left out."""
-    return write_chunks(path, list_csv(columns, rows), private=private) - 1
+    chunks = (line.encode() for line in list_csv(columns, rows))
+    return _write(path, chunks, private=private) - 1
 
 
 def list_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Iterator[str]:
@@ -69,11 +70,6 @@ def defuse(cell: Any) -> Any:  # noqa: ANN401 - any cell of a table
     except ValueError:
         return f"'{cell}"
     return cell
-
-
-def write_chunks(path: Path, chunks: Iterable[str], *, private: bool = False) -> int:
-    """Write a text file as `write_text` does, but piece by piece, never in memory as a whole; counts the pieces."""
-    return _write(path, (chunk.encode() for chunk in chunks), private=private)
 
 
 def digest_file(path: Path) -> str:

@@ -136,18 +136,14 @@ def decode(content: bytes, name: str) -> str:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         at = len(content) - len(error.object) + error.start  # the mark is left out
-        raise ValueError(_blame(content, at, name)) from None
+        what = f"the byte 0x{content[at]:02x}, which is not UTF-8 (perhaps Latin-1; byte {at + 1} of the file)"
+        line = content.count(b"\n", 0, at) + 1
+        raise ValueError(f"{name}: line {line} holds {what}; save the file as UTF-8") from None
     if (at := content.find(b"\0")) >= 0:
-        raise ValueError(_blame(content, at, name))
+        line = content.count(b"\n", 0, at) + 1
+        what = f"a zero byte (byte {at + 1} of the file), as no text does"
+        raise ValueError(f"{name}: line {line} holds {what}; is it damaged?")
     return text
-
-
-def _blame(content: bytes, at: int, name: str) -> str:
-    line = content.count(b"\n", 0, at) + 1
-    if not content[at]:
-        return f"{name}: line {line} holds a zero byte (byte {at + 1} of the file), as no text does; is it damaged?"
-    what = f"the byte 0x{content[at]:02x}, which is not UTF-8 (perhaps Latin-1; byte {at + 1} of the file)"
-    return f"{name}: line {line} holds {what}; save the file as UTF-8"
 
 
 def check_lines(content: bytes) -> None:

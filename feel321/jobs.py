@@ -10,21 +10,17 @@ ever for a task that was given up, such as one that takes the memory of four wor
 
 from __future__ import annotations
 
-import io
 import os
-import pickle
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 from contextvars import copy_context
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import islice
-from pathlib import Path, PurePath
+from pathlib import Path
 from re import fullmatch
 from typing import Any
-
-from feel321.extensions import Method, find_method
 
 __all__ = ["Workers"]
 
@@ -78,9 +74,7 @@ class Workers:
 ALONE = Workers()
 """This process only."""
 
-AGAIN = "check scheduler and workers and run the command again: what is finished is kept"
-MODULES = ("feel321", "numpy", "scipy", "soxr")
-"""What decides the bytes of results, besides Python's minor version."""
+AGAIN = "check scheduler and workers and run the command again"
 
 
 def as_workers(workers: int | Workers) -> Workers:
@@ -161,15 +155,22 @@ def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
     except (OSError, TypeError, ValueError) as error:
         raise OSError(f"{address}: no Dask cluster answers ({error}); {AGAIN}") from None
     crew, versions = client.get_executor(), _find_versions()  # type: ignore[no-untyped-call]  # distributed's types
+
+    def submit(place: int, job: Job) -> Future[Numbered]:
+        function, arguments, named = job
+        # A worker is in a folder of its own.
+        own = [one.absolute() if isinstance(one, Path) else one for one in arguments]
+        sent: Future[Numbered] = crew.submit(
+            _do_there, place, (function, tuple(own), named), versions
+        )
+        return sent
+
     try:
-        for place, (result, failure) in _keep_busy(
+        yield from _keep_busy(
             jobs,
-            lambda place, job: crew.submit(_do_there, place, _pack(job), versions),
+            submit,
             count_threads=lambda: sum(client.nthreads().values()),  # type: ignore[no-untyped-call]  # distributed's types
-        ):
-            if failure is not None:
-                raise failure
-            yield place, result
+        )
     except (CancelledError, KilledWorker) as error:
         what = str(error) or "its scheduler is gone"
         raise OSError(f"{address}: the Dask cluster failed ({what}); {AGAIN}") from None
@@ -179,55 +180,16 @@ def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
 
 
 def _find_versions() -> dict[str, str]:
-    """Find the versions that all machines must have."""
-    found = {name: str(__import__(name).__version__) for name in MODULES}
+    """Find the versions that all machines must have, as they decide the bytes of results."""
+    modules = ("feel321", "numpy", "scipy", "soxr")
+    found = {name: str(__import__(name).__version__) for name in modules}
     return {**found, "Python": f"{sys.version_info.major}.{sys.version_info.minor}"}
 
 
-def _do_there(
-    place: int, content: bytes, versions: dict[str, str]
-) -> tuple[int, tuple[Any, Exception | None]]:
-    """Do a job on a worker, unless its versions are others; what a job raises is part of the reply."""
+def _do_there(place: int, job: Job, versions: dict[str, str]) -> Numbered:
+    """Do a job on a worker, unless its versions are others."""
     own = _find_versions()
-    other = ", ".join(f"{k} {own[k]} instead of {v}" for k, v in versions.items() if own[k] != v)
-    if other:
-        message = f"a worker has {other}; install the same versions there, or stop it"
-        return place, (None, ValueError(message))
-    try:
-        function, arguments, named = pickle.loads(content)  # noqa: S301 - what a worker is there for
-        return place, (function(*arguments, **named), None)
-    except Exception as error:  # noqa: BLE001 - whatever it is, it is raised where the job was sent from
-        return place, (None, error)
-
-
-def _pack(job: Job) -> bytes:
-    """Pickle a job; its paths are made absolute, and they and a lab's own methods must be the same on a worker."""
-    from cloudpickle import Pickler
-
-    class Packer(Pickler):  # type: ignore[misc]  # cloudpickle has no types
-        def reducer_override(self, obj: Any) -> Any:  # noqa: ANN401 - anything in a job
-            if isinstance(obj, PurePath):
-                path = Path(os.path.abspath(obj))  # noqa: PTH100 - links stay as they are
-                return _take_path, (str(path), path.exists())
-            if isinstance(obj, Method) and obj.origin == "module":
-                return _take_method, astuple(obj)
-            return super().reducer_override(obj)
-
-    content = io.BytesIO()
-    Packer(content, protocol=pickle.HIGHEST_PROTOCOL).dump(job)
-    return content.getvalue()
-
-
-def _take_path(path: str, exists: bool) -> Path:  # noqa: FBT001 - arguments of a pickle
-    if exists and not Path(path).exists():
-        raise FileNotFoundError(
-            f"{path}: not there on a worker; let all machines see the study's folder under the same name"
-        )
-    return Path(path)
-
-
-def _take_method(*facts: Any) -> Method:  # noqa: ANN401 - fields of a method
-    method = Method(*facts)
-    if find_method(method.kind, method.place).sha256 != method.sha256:
-        raise ValueError(f"a worker has other code of {method}; install the same version there")
-    return method
+    if other := [f"{k} {own[k]} instead of {v}" for k, v in versions.items() if own[k] != v]:
+        message = f"a worker has {', '.join(other)}; install the same versions there, or stop it"
+        raise ValueError(message)
+    return _do(place, job)

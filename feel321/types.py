@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 __all__ = [
     "Direction",
-    "Grid",
     "Level",
     "Method",
     "Metric",
     "MetricInfo",
-    "OnGap",
     "PathLike",
     "Progress",
     "Reducer",
@@ -39,18 +37,11 @@ Progress: TypeAlias = bool | Callable[[int, int], None]
 Level: TypeAlias = Literal["as_is", "equal_intensity"]
 """How the gain of stimuli is chosen: see `feel321.stimuli.LEVELS`."""
 
-Grid: TypeAlias = Literal["linear", "log"]
-"""Frequencies of a spectral match: evenly spaced, or in equal steps of the logarithm."""
-
 Method: TypeAlias = Literal["pearson", "spearman", "kendall"]
 """A kind of correlation."""
 
 Direction: TypeAlias = Literal["better", "worse"]
 """Which way a metric points: whether a larger value means a better match or a worse one."""
-
-
-OnGap: TypeAlias = Literal["raise", "hold", "zero"]
-"""What can stand for a missing sample: an error, the last sample that arrived (0 before the first), or 0."""
 
 
 class Reducer(Protocol):

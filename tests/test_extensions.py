@@ -1,6 +1,5 @@
 """A lab's own methods are found, digested and called like feel321's."""
 
-import os
 import pickle
 import sys
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ import pytest
 from feel321 import stimuli
 from feel321.extensions import find_method
 from feel321.stimuli.conform import check_method
-from feel321.stimuli.guard import OwnMetric, OwnReducer, find_reducer
+from feel321.stimuli.guard import OwnMetric, OwnReducer
 
 CODE = """\
 import numpy as np
@@ -75,17 +74,6 @@ def test_a_file_a_package_an_entry_point_and_a_function_are_one_reducer(study: P
     np.testing.assert_array_equal(OwnReducer(methods[0])(turned, 1e4), [expected, -expected])
 
 
-def test_a_file_edited_within_the_same_second_is_read_anew(study: Path) -> None:
-    path, found = study / "methods" / "my321.py", []
-    for index in (0, 1, 2):
-        path.write_text(CODE.replace("acceleration.sum(axis=0)", f"acceleration[{index}]"))
-        os.utime(path, (1e9, 1e9))
-        method = find_method("reducer", "methods/my321.py:my321", folder=study)
-        found.append(OwnReducer(method)(SCENE.acceleration, SCENE.rate_hz))
-    np.testing.assert_array_equal(found, SCENE.acceleration)
-    assert not (path.parent / "__pycache__").exists()
-
-
 def test_a_method_survives_the_way_to_another_process(study: Path) -> None:
     method = find_method("metric", "methods/my321.py:crest", folder=study)
     again = pickle.loads(pickle.dumps(method))  # noqa: S301 - what the line itself pickles
@@ -142,24 +130,6 @@ def test_a_set_holds_the_labs_own_reducers_and_metrics_and_is_built_alike_by_two
     assert json_files[0] == json_files[1]
 
 
-def test_sets_without_methods_of_the_lab_keep_their_keys() -> None:
-    from feel321.stimuli.sets.recipe import Recipe, describe_recipe
-    from feel321.stimuli.sets.render import list_drafts, list_methods
-
-    plain = Recipe(reducers=["dft321"])
-    assert list_methods(plain) == {}
-    assert "metrics" not in describe_recipe(plain)
-    assert "methods" not in describe_recipe(plain)
-
-    def own321(acceleration: np.ndarray, _: float) -> np.ndarray:
-        return acceleration[0]
-
-    mixed = Recipe(reducers=["dft321", own321])
-    first, second = (list_drafts(SCENE, one)[0] for one in (plain, mixed))
-    assert first == second
-    assert list_drafts(SCENE, mixed)[1].reducer == "own321"
-
-
 def test_taken_names_and_places_outside_the_study_are_refused(study: Path) -> None:
     (study / "methods" / "mine.py").write_text("def dft321(a, r):\n    return a[0]\n")
     for given, message in (
@@ -170,14 +140,14 @@ def test_taken_names_and_places_outside_the_study_are_refused(study: Path) -> No
         ("my321", "reducer must be one of"),
     ):
         with pytest.raises(ValueError, match=message):
-            find_reducer(given, stimuli.REDUCERS, folder=study)
+            OwnReducer(find_method("reducer", given, taken=stimuli.REDUCERS, folder=study))
 
 
 MADE = {"made321": {"file": "made/{recording}.wav"}}
 
 
 def find_made(folder: Path, declared: dict[str, dict[str, object]] | None = None) -> OwnReducer:
-    return find_reducer("made321", (), folder=folder, declared=declared or MADE)
+    return OwnReducer(find_method("reducer", "made321", folder=folder, declared=declared or MADE))
 
 
 def test_what_was_made_elsewhere_is_read_for_each_recording(study: Path) -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import operator
 from itertools import count
 
-import pytest
-
 from feel321.analysis.tradeoff.cost import list_candidates
 from feel321.analysis.tradeoff.measure import QUICK, Scope, measure_recording
 from feel321.jobs import Job, Workers, gather_results, run_jobs
@@ -35,17 +33,3 @@ def test_jobs_are_taken_only_a_few_ahead() -> None:
     place, result = next(run_jobs(jobs))
     assert result == place + 1
     assert next(taken) <= 3
-
-
-@pytest.mark.parametrize(
-    "address", ["127.0.0.1:8786", "tcp://host", "http://host:1", "tcp://:port"]
-)
-def test_an_address_that_is_none_is_refused(address: str) -> None:
-    with pytest.raises(ValueError, match=r"^scheduler must be tcp://HOST:PORT or tls://.*got "):
-        Workers(1, address)
-
-
-def test_a_cluster_needs_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("feel321.jobs.find_spec", lambda _: None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'feel321\[cluster\]'"):
-        [*run_jobs([], workers=Workers(1, "tcp://127.0.0.1:1"))]

@@ -7,16 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.doors import (
-    Registry,
-    as_names,
-    as_path,
-    as_rng,
-    as_seed,
-    describe,
-    follow,
-    import_lazily,
-)
+from feel321.doors import Registry, as_names, as_path, as_rng, as_seed
 from feel321.records import REPR_WIDTH, Result
 
 
@@ -81,26 +72,6 @@ def test_doors_refuse_in_one_line() -> None:
         as_names("dft321", "reducers")
 
 
-def test_what_was_got_is_described_in_a_few_words() -> None:
-    described = {describe(value) for value in (-3, "x" * 80, "a\nb", np.ones((3, 2)))}
-    assert described == {"-3", "a str", "'a\\nb'", "ndarray of shape (3, 2)"}
-
-
-def test_a_generator_goes_through_and_a_seed_is_repeated() -> None:
-    generator = np.random.default_rng(3)
-
-    assert as_rng(generator) is generator
-    assert as_rng(3).random() == as_rng(np.int64(3)).random() == np.random.default_rng(3).random()
-
-
-def test_names_are_imported_when_they_are_asked_for_and_unknown_ones_are_not() -> None:
-    find = import_lazily("feel321.stimuli", {"as_path": "feel321.doors:as_path"})
-
-    assert find("as_path") is as_path
-    with pytest.raises(AttributeError, match=r"feel321\.stimuli. has no attribute .other."):
-        find("other")
-
-
 def test_a_registry_survives_pickling_and_copying() -> None:
     registry = Registry("thing", {"one": len, "two": max})
     for again in (pickle.loads(pickle.dumps(registry)), copy.deepcopy(registry)):  # noqa: S301 - our own bytes
@@ -126,35 +97,8 @@ def test_several_entries_are_chosen_by_name_by_dotted_name_or_as_they_are() -> N
         registry.choose("one")
 
 
-def test_rows_that_are_plain_records_are_compared_field_by_field() -> None:
-    @dataclass(frozen=True)
-    class Row:
-        value: float
-
-    assert make(parts=(Row(float("nan")),)) == make(parts=(Row(float("nan")),))
-    assert make(parts=(Row(1.0),)) != make(parts=(Row(2.0),))
-
-
 def test_a_seed_is_taken_or_drawn() -> None:
     assert as_seed(7) == 7
     assert as_seed(np.random.default_rng(1)) == as_seed(np.random.default_rng(1)) >= 0
     with pytest.raises(TypeError, match="rng must be a whole number from 0"):
         as_seed(-1)
-
-
-def test_progress_is_a_bar_a_function_or_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    steps: list[tuple[int, int]] = []
-    for progress in (False, True, lambda done, total: steps.append((done, total))):
-        with follow(progress, "chart") as move:
-            move(1, 2)
-    assert steps == [(1, 2)]
-    assert "chart" in capsys.readouterr().err
-
-
-def test_a_result_without_numbers_tells_how_much_it_holds() -> None:
-    @dataclass(frozen=True, slots=True, repr=False, eq=False)
-    class Rows(Result):
-        rows: pd.DataFrame
-        notes: tuple[str, ...] = ()
-
-    assert repr(Rows(pd.DataFrame({"a": [1, 2]}))) == "Rows(rows=<2>)"

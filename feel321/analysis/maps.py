@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.space import (
-    Ellipses,
-    Space,
     align_spaces,
     bootstrap_space,
     check_dissimilarities,
     fit_space,
     gather_dissimilarities,
+    make_space,
     refit_space,
 )
 from feel321.analysis.table.schema import LABELS, PAIRED
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.arrays import Values
+    from feel321.records import Statistic
 
 ALL, BOTH, RECORDING = "all", "interaction and sample", "recording"
 """Kinds of groups: every recording, every interaction at every sample, each recording; others are `LABELS`."""
@@ -62,8 +62,8 @@ class GroupMap:
     name: str
     names: tuple[str, ...]
     matrices: Values
-    space: Space
-    ellipses: Ellipses | None = None
+    space: Statistic
+    ellipses: Statistic | None = None
     n_recordings: int = 0
     people: tuple[str, ...] = ()
 
@@ -104,8 +104,8 @@ def map_all(rows: DataFrame, *, rng: np.random.Generator) -> GroupMap:
 
 
 def _place(
-    matrices: Values, whole: Space, *, draws: int, rng: np.random.Generator
-) -> tuple[Space, Ellipses | None]:
+    matrices: Values, whole: Statistic, *, draws: int, rng: np.random.Generator
+) -> tuple[Statistic, Statistic | None]:
     """Map a group and turn its map, with its ellipses if there are draws, onto the map of all."""
     ellipses = bootstrap_space(matrices, draws=draws, rng=rng) if draws else None
     space = ellipses.space if ellipses else fit_space(matrices, rng=rng)
@@ -113,7 +113,7 @@ def _place(
         raise ValueError("the group lacks a stimulus")
     turned, (start, sign) = turn_map(space, whole)
     if ellipses:
-        ellipses = replace(ellipses, space=turned, angle=(start + sign * ellipses.angle) % 180)
+        ellipses = ellipses.replace(space=turned, angle=(start + sign * ellipses.angle) % 180)
     return turned, ellipses
 
 
@@ -125,7 +125,7 @@ def _count(rows: DataFrame) -> dict[str, Any]:
     return {"n_recordings": len(rows["recording"].unique()), "people": people}
 
 
-def turn_map(space: Space, reference: Space) -> tuple[Space, tuple[float, float]]:
+def turn_map(space: Statistic, reference: Statistic) -> tuple[Statistic, tuple[float, float]]:
     """Turn and mirror a map onto another, its size as it is; also what becomes of an angle a in degrees: c + s a."""
     one, other = (place - place.mean(axis=0) for place in (space.positions, reference.positions))
     left, _, right = np.linalg.svd(one.T @ other)
@@ -133,7 +133,8 @@ def turn_map(space: Space, reference: Space) -> tuple[Space, tuple[float, float]
     # A row vector at angle a goes to a + c under a rotation, and to c - a under a mirror.
     angle = math.degrees(math.atan2(turn[0, 1], turn[0, 0]))
     sign = float(np.sign(np.linalg.det(turn)))
-    return replace(space, positions=one @ turn), (angle, sign)
+    turned = make_space(one @ turn, space.stress, ordinal=space.ordinal, names=space.names)
+    return turned, (angle, sign)
 
 
 def compare_groups(

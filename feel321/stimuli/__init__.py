@@ -4,7 +4,6 @@ Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `reduce
 """
 
 from feel321.names import METRIC_INFO
-from feel321.stimuli.batch import match_many, reduce_many
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording, read_recordings
 from feel321.stimuli.match import (
@@ -19,15 +18,19 @@ from feel321.stimuli.match import (
 )
 from feel321.stimuli.metrics import METRICS, match
 from feel321.stimuli.recording import Recording, Reduced
-from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer, reduce
+from feel321.stimuli.reducers.registry import REDUCERS, StreamingReducer, reduce, reduce_many
 from feel321.stimuli.rotation import INVARIANTS, rotation_statistics
-from feel321.stimuli.sets.anchors import ANCHORS, felt_level, sensation_level_db
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, check_stimuli, read_stimuli
-from feel321.stimuli.sets.recipe import LEVELS, Recipe
+from feel321.stimuli.sets.recipe import ANCHORS, LEVELS, Recipe
 from feel321.stimuli.spectra import Spectrogram, Spectrum, psd, spectrogram
 from feel321.stimuli.synthesis import SCENES, make_scene
-from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold
+from feel321.stimuli.thresholds import (
+    THRESHOLDS,
+    acceleration_threshold,
+    felt_level,
+    sensation_level_db,
+)
 from feel321.stimuli.wav import read_wav, write_wav
 
 __all__ = [
@@ -57,7 +60,6 @@ __all__ = [
     "felt_level",
     "make_scene",
     "match",
-    "match_many",
     "psd",
     "read_recording",
     "read_recordings",

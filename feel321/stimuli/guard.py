@@ -10,6 +10,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -74,7 +75,7 @@ class OwnReducer:
     def _reduce(self, samples: Samples, rate_hz: float) -> Samples:
         where = _describe_input(samples, rate_hz)
         if self.method.origin == "command":
-            output: object = _run_reducer(self.method, samples, rate_hz)
+            output: object = _run_program(self.method, samples, rate_hz)
         elif self.method.origin == "made":
             output = _read_made(self.method, self.recording, rate_hz)
         else:
@@ -163,7 +164,7 @@ class OwnMetric:
         samples, signal = check_acceleration(acceleration), coerce_real(reduced, "reduced")
         where, info = _describe_input(samples, rate_hz), self.info
         if self.method.origin == "command":
-            value: object = _run_metric(self.method, samples, signal, rate_hz=rate_hz)
+            value: object = _run_program(self.method, samples, rate_hz, reduced=signal)
         else:
             function = self.method.load()
             value = _call_on_copies(
@@ -183,26 +184,14 @@ class OwnMetric:
         return number
 
 
-def find_reducer(
-    given: object,
-    taken: Collection[str],
-    *,
-    folder: Path | None = None,
-    declared: Mapping[str, Mapping[str, Any]] | None = None,
-) -> OwnReducer:
+def find_reducer(given: object, taken: Collection[str]) -> OwnReducer:
     """Find a lab's reducer."""
-    return OwnReducer(find_method("reducer", given, taken=taken, folder=folder, declared=declared))
+    return OwnReducer(find_method("reducer", given, taken=taken))
 
 
-def find_metric(
-    given: object,
-    taken: Collection[str],
-    *,
-    folder: Path | None = None,
-    declared: Mapping[str, Mapping[str, Any]] | None = None,
-) -> OwnMetric:
+def find_metric(given: object, taken: Collection[str]) -> OwnMetric:
     """Find a lab's metric."""
-    return OwnMetric(find_method("metric", given, taken=taken, folder=folder, declared=declared))
+    return OwnMetric(find_method("metric", given, taken=taken))
 
 
 def _describe_input(samples: Samples, rate_hz: float) -> str:
@@ -229,13 +218,22 @@ def _check_output(method: Method, output: object, samples: Samples, *, where: st
     return reduced
 
 
-def _run_reducer(method: Method, samples: Samples, rate_hz: float) -> Samples:
-    """Run a program from WAV to WAV."""
+def _run_program(
+    method: Method, samples: Samples, rate_hz: float, *, reduced: Samples | None = None
+) -> object:
+    """Run a program from WAV to WAV; or, given a reduced signal, one that prints a number."""
     if samples.ndim != 2:  # noqa: PLR2004 - axes x samples
         raise ValueError(f"{method}: a command takes one signal at a time; leave out batches")
     with temporary_folder() as folder:
         source, target = folder / "input.wav", folder / "output.wav"
         write_wav(source, samples, round(rate_hz))
+        if reduced is not None:
+            write_wav(target, reduced, round(rate_hz))
+            printed = _run(method, {"{input}": str(source), "{reduced}": str(target)})
+            last = printed.rpartition("\n")[2].strip()
+            with suppress(ValueError):
+                return float(last)
+            return last
         _run(method, {"{input}": str(source), "{output}": str(target)})
         if not target.is_file():
             raise ValueError(
@@ -268,22 +266,6 @@ def _read_output(method: Method, path: Path, rate_hz: float, *, name: str) -> Sa
             f"{method}: {name} must have its recording's rate of {round(rate_hz)} Hz, got {rate} Hz; resample it"
         )
     return samples
-
-
-def _run_metric(
-    method: Method, samples: Samples, reduced: Samples, *, rate_hz: float
-) -> str | float:
-    """Run a program that prints a number."""
-    with temporary_folder() as folder:
-        source, target = folder / "input.wav", folder / "reduced.wav"
-        write_wav(source, samples, round(rate_hz))
-        write_wav(target, reduced, round(rate_hz))
-        printed = _run(method, {"{input}": str(source), "{reduced}": str(target)})
-    last = printed.rpartition("\n")[2].strip()
-    try:
-        return float(last)
-    except ValueError:
-        return last
 
 
 def _run(method: Method, files: Mapping[str, str]) -> str:

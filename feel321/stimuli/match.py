@@ -37,10 +37,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.doors import check_name
 from feel321.records import Result
 from feel321.stimuli import recording
-from feel321.types import Grid, Samples
+from feel321.types import Samples
 
 Signal: TypeAlias = recording.Signal
 
@@ -135,10 +134,6 @@ class _Edges(NamedTuple):
         return cls(whole, position - whole)
 
 
-GRIDS = {"linear": linear_grid, "log": log_grid}
-"""Name -> frequencies that the spectral match averages over."""
-
-
 class OriginalSpectrum:
     """The smoothed spectrum of one recording, ready to be compared with many reduced signals.
 
@@ -147,9 +142,9 @@ class OriginalSpectrum:
     is compared with a reduced signal of its own.
     """
 
-    def __init__(self, samples: Samples, rate_hz: float, *, grid: Grid = "linear") -> None:
+    def __init__(self, samples: Samples, rate_hz: float) -> None:
         n = samples.shape[-1]
-        frequencies = GRIDS[grid](n, rate_hz)
+        frequencies = linear_grid(n, rate_hz)
         self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
         # Axis by axis: three spectra at once cost more in fresh memory than they save in calls.
         first, *others = np.moveaxis(samples, -2, 0)
@@ -234,7 +229,6 @@ class OriginalSpectrum:
 
 
 _SILENT = 1e-12
-_BEYOND_COMPARISON = 1e80
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -295,9 +289,7 @@ class TemporalMatch(Result):
     reason: str = ""
 
 
-def spectral_match(
-    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None, *, grid: Grid = "linear"
-) -> float:
+def spectral_match(acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None) -> float:
     r"""Compute how well a reduced signal keeps the energy of all three axes at every frequency (eq. 1).
 
     Parameters
@@ -308,8 +300,6 @@ def spectral_match(
         The reduced signal, same unit.
     rate_hz : float, optional
         Sampling rate in Hz, unless a Recording is given.
-    grid : {"linear", "log"}
-        Frequencies averaged over: the DFT's own from 20 Hz to min(1000 Hz, Nyquist), as in the paper, or 24 per octave.
 
     Returns
     -------
@@ -338,18 +328,18 @@ def spectral_match(
     >>> round(stimuli.spectral_match([u, u, u], u + u + u, 1000), 9)
     -1.0
     """
-    original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
+    original, signal = _compare(acceleration, reduced, rate_hz)
     return float(original.match(signal))
 
 
 def spectral_match_details(
-    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None, *, grid: Grid = "linear"
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None
 ) -> SpectralMatch:
     """Compute both spectral matches, and show them frequency by frequency.
 
     Parameters
     ----------
-    acceleration, reduced, rate_hz, grid : as for `spectral_match`
+    acceleration, reduced, rate_hz : as for `spectral_match`
         What is compared.
 
     Returns
@@ -365,18 +355,18 @@ def spectral_match_details(
     >>> found.n_frequencies, bool(abs(1 - found.deviation.mean() - found.value) < 1e-12)
     (981, True)
     """
-    original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
+    original, signal = _compare(acceleration, reduced, rate_hz)
     return original.describe(signal)
 
 
 def spectral_match_bounded(
-    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None, *, grid: Grid = "linear"
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None
 ) -> float:
     r"""Compute the spectral match with deviations relative to the stronger spectrum: eq. 1, bounded by 0 and 1.
 
     Parameters
     ----------
-    acceleration, reduced, rate_hz, grid : as for `spectral_match`
+    acceleration, reduced, rate_hz : as for `spectral_match`
         What is compared.
 
     Returns
@@ -393,14 +383,11 @@ def spectral_match_bounded(
     .. math:: M_{sb} = 1 - \frac{1}{n_f} \sum_{f = 20\,\mathrm{Hz}}^{1000\,\mathrm{Hz}} \frac{|E - S|}{\max(E, S)}
         = \frac{1}{n_f} \sum_f \frac{\min(E, S)}{\max(E, S)}
 
-    - Where S <= E everywhere it is the paper's eq. 1. Twice the energy scores 1/2, where eq. 1 gives 0; ten times the
-      energy scores 1/10, where eq. 1 gives -8: eq. 1 has no lower bound, so that a few frequencies of a few stimuli
-      decide a mean or a slope.
-    - It is symmetric in E and S, and one factor on both signals does not change it. Like eq. 1 it depends on the
-      recording through the sum of the axes' energies, which turning the sensor does not change.
+    - Where S <= E everywhere it is the paper's eq. 1. Ten times the energy scores 1/10, where eq. 1 gives -8: eq. 1 has
+      no lower bound, so that a few frequencies of a few stimuli decide a mean or a slope.
+    - It is symmetric in E and S; one factor on both signals, and turning the sensor, do not change it.
     - Eq. 1 leaves out frequencies at which the recording has no energy (below 1e-12 of its mean energy per bin). Here
-      they are left out only where the reduced signal has none either (below 1e-12 of the stronger signal's mean energy
-      per bin): energy that the reduced signal adds to empty bands counts as a deviation of 1.
+      energy that the reduced signal adds to empty bands counts as a deviation of 1.
 
     Examples
     --------
@@ -410,7 +397,7 @@ def spectral_match_bounded(
     >>> round(stimuli.spectral_match_bounded([u, u, u], u + u + u, 1000), 9)
     0.333333333
     """
-    original, signal = _compare(acceleration, reduced, rate_hz, grid=grid)
+    original, signal = _compare(acceleration, reduced, rate_hz)
     return float(original.match_both(signal)[1])
 
 
@@ -470,11 +457,9 @@ def temporal_match_details(
     >>> stimuli.temporal_match_details([[3, 4], [4, 3], [0, 0]], [3, 4]).silent_axes
     (2,)
     """
-    samples = recording.admit(
-        *recording.as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
-    ).samples
-    # The reduced signal's strength does not matter, so it gets a scale of its own.
-    (signal,) = recording.scale_down(recording.check_reduced(reduced, samples.shape))
+    given, rate = recording.as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
+    samples, _ = recording.admit(given, rate)
+    signal = recording.check_reduced(reduced, samples.shape)
     correlations = axis_correlations(samples, signal)
     x, y, z = (float(r) for r in correlations)
     silent = tuple(int(axis) for axis in np.flatnonzero(np.isnan(correlations)))
@@ -534,14 +519,11 @@ def temporal_match_windowed(
 
     .. math:: M_{tw} = \frac{\sum_w E_w \, M_{tm}(w)}{\sum_w E_w}
 
-    - *Length*. In less than two periods of 20 Hz any two waveforms correlate; in much longer windows the axis turns.
-      Two unrelated signals that fill the felt band score about 0.06, and more if their band is narrower.
-    - *Weights*. What is felt is the energy. Pauses, in which noise correlates with nothing, hold next to none of it.
-    - *Sign*. The absolute value is taken in each window, for the paper's reason: the skin does not feel the direction.
-      So a reduced signal may change its sign from window to window at no cost, and eq. 2 is what notices that; a change
-      of sign within a window is noticed by both.
-    - A recording of up to 0.15 s is one window: there it is eq. 2. A gain on either signal changes nothing. It changes
-      with the mounting of the sensor, as eq. 2 does.
+    - In less than two periods of 20 Hz any two waveforms correlate; in much longer windows the axis turns. Two
+      unrelated signals that fill the felt band score about 0.06, and more if their band is narrower.
+    - A reduced signal may change its sign from window to window at no cost, as the skin does not feel the direction;
+      eq. 2 is what notices that. A change within a window is noticed by both.
+    - A recording of up to 0.15 s is one window: there it is eq. 2. It changes with the mounting, as eq. 2 does.
 
     Examples
     --------
@@ -554,8 +536,8 @@ def temporal_match_windowed(
     (0.71, 1.0)
     """
     given, rate = recording.as_pair(acceleration, reduced, rate_hz)
-    samples = recording.admit(given, rate).samples
-    (signal,) = recording.scale_down(recording.check_reduced(reduced, samples.shape))
+    samples, _ = recording.admit(given, rate)
+    signal = recording.check_reduced(reduced, samples.shape)
     return float(match_in_windows(samples, signal, float(rate)))
 
 
@@ -581,17 +563,10 @@ PLANNED = ("spectral_match_bounded", "temporal_match")
 
 
 def _compare(
-    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None, *, grid: Grid
+    acceleration: Signal, reduced: ArrayLike, rate_hz: float | None
 ) -> tuple[OriginalSpectrum, Samples]:
-    """Check a pair, and return the recording's spectrum and the reduced signal, both scaled into a safe range."""
-    check_name(grid, GRIDS, "grid")
+    """Check a pair, and return the recording's spectrum and the reduced signal."""
     given, rate = recording.as_pair(acceleration, reduced, rate_hz)
-    admitted = recording.admit(given, rate)
-    signal = recording.check_reduced(reduced, admitted.samples.shape)
-    if admitted.exponents is not None:
-        signal = np.ldexp(signal, -admitted.exponents)
-    if recording.largest(signal) > _BEYOND_COMPARISON * recording.SAFE_PEAK[1]:
-        raise ValueError(
-            "reduced is more than 1e80 times as strong as the recording; are they in the same unit?"
-        )
-    return OriginalSpectrum(admitted.samples, float(rate), grid=grid), signal
+    samples, _ = recording.admit(given, rate)
+    signal = recording.check_reduced(reduced, samples.shape)
+    return OriginalSpectrum(samples, float(rate)), signal

@@ -24,7 +24,7 @@ from feel321.types import Metric, Reducer, Samples
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.stimuli.rivals.pairs import Pair
+    from feel321.stimuli.rivals import Pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class RivalMetric:
     @property
     def measure(self) -> Callable[[Pair], Samples]:
         """What measures it on pairs."""
-        from feel321.stimuli.rivals.catalog import RIVALS
+        from feel321.stimuli.rivals import RIVALS
 
         return RIVALS[self.name].measure
 
@@ -49,7 +49,7 @@ class RivalMetric:
         self, acceleration: Signal, reduced: ArrayLike, rate_hz: float | None = None
     ) -> float:
         """Compare three axes, (3, n), with one, (n,)."""
-        from feel321.stimuli.rivals.pairs import make_pair
+        from feel321.stimuli.rivals import make_pair
 
         return float(self.measure(make_pair(acceleration, reduced, rate_hz)))
 

@@ -1,9 +1,6 @@
 """Recordings: three axes of acceleration at a sampling rate, and the checks that every reducer and metric begins with.
 
 Units: acceleration in m/s², rate in Hz, time in s.
-
-Reducers are homogeneous of degree one, so a recording whose squares would overflow or vanish is scaled by a
-power of two (which is exact) and its output scaled back. Ordinary recordings pass unscaled.
 """
 
 from __future__ import annotations
@@ -12,7 +9,7 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple, SupportsFloat, TypeAlias
+from typing import TYPE_CHECKING, SupportsFloat, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -150,33 +147,6 @@ class Recording(Result):
                 f"crop_s ({start_s}, {end_s}) holds no sample at {self.rate_hz:g} Hz; keep a longer part"
             )
         return replace(self, acceleration=self.acceleration[:, start:end])
-
-    def with_(
-        self,
-        *,
-        acceleration: ArrayLike | None = None,
-        rate_hz: float | None = None,
-        name: str | None = None,
-    ) -> Recording:
-        """Make a copy in which something is changed.
-
-        Parameters
-        ----------
-        acceleration : array_like, shape (3, n_samples), optional
-            Other samples in m/s²; the copy gets a digest of its own.
-        rate_hz : float, optional
-            Another rate in Hz; the copy gets a digest of its own.
-        name : str, optional
-            Another name.
-
-        Returns
-        -------
-        Recording
-            The copy.
-        """
-        given = {"acceleration": acceleration, "rate_hz": rate_hz, "name": name}
-        changes = {field: value for field, value in given.items() if value is not None}
-        return replace(self, **changes)  # type: ignore[arg-type]  # checked by the class
 
     def to_frame(self) -> DataFrame:
         """Return the samples as a table.
@@ -371,36 +341,33 @@ def check_rate(rate_hz: SupportsFloat | str, what: str = "rate_hz", unit: str = 
     return rate
 
 
-class Admitted(NamedTuple):
-    """Samples (..., 3, n) in a safe range, their energy (..., 1), and the way back to the caller's unit."""
-
-    samples: Samples
-    energy: Samples
-    exponents: NDArray[np.intc] | None = None
-
-    def restore(self, reduced: Samples) -> Samples:
-        """Return a reduced signal in the caller's unit."""
-        return reduced if self.exponents is None else np.ldexp(reduced, self.exponents)
-
-
-def admit(acceleration: ArrayLike, rate_hz: float) -> Admitted:
-    """Check a reducer's input, (..., 3, n), and scale it only where squares would overflow or vanish."""
+def admit(acceleration: ArrayLike, rate_hz: float) -> tuple[Samples, Samples]:
+    """Check a reducer's input, (..., 3, n), whose squares must not overflow or vanish; and its energy, (..., 1)."""
     check_rate(rate_hz)
     samples = coerce_acceleration(acceleration)
     energy = _energy(samples)
+    low, high = SAFE_PEAK
     # The root of the energy is at least the peak and at most so many times it; one pass tells that all is ordinary.
-    if np.all(is_safe(np.sqrt(energy))) and (np.all(energy) or not samples.any()):
-        return Admitted(samples, energy)
-    check_finite(samples, "acceleration")
-    peaks = np.abs(samples).max(axis=(-2, -1), initial=0.0)[..., None]
-    exponents = np.where(is_safe(peaks), 0, np.frexp(peaks)[1])
-    samples = np.ldexp(samples, -exponents[..., None])
-    return Admitted(samples, _energy(samples), exponents)
+    if energy.size == 1 and low**2 <= energy.item() <= high**2:
+        return samples, energy
+    if not np.all((energy == 0) | ((energy >= low**2) & (energy <= high**2))) or (
+        not np.all(energy) and np.abs(samples).max(initial=0.0, where=energy[..., None] == 0) > 0
+    ):
+        check_finite(samples, "acceleration")
+        raise ValueError(
+            f"acceleration must have peaks from {low:g} to {high:g}, or none, got {largest(samples):.3g}; "
+            "is it in m/s^2?"
+        )
+    return samples, energy
 
 
 def _energy(samples: Samples) -> Samples:
+    """Sum all squares of each signal: (..., 1)."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return np.asarray(np.einsum("...in,...in->...", samples, samples))[..., None]
+        if samples.ndim > 2:  # noqa: PLR2004 - axes x samples
+            return np.asarray(np.einsum("...in,...in->...", samples, samples))[..., None]
+        flat = samples.reshape(-1)
+        return np.array([np.dot(flat, flat)])
 
 
 def each_by_itself(work: Callable[[Samples], Samples], signals: Samples, ndim: int = 2) -> Samples:
@@ -424,21 +391,6 @@ def add_squares(signals: Samples, ndim: int = 1) -> Samples:
     )
 
 
-def is_safe(peaks: ArrayLike) -> NDArray[np.bool_]:
-    """Whether peaks need no scaling."""
-    peaks = np.asarray(peaks)
-    return np.asarray((peaks == 0.0) | ((peaks >= SAFE_PEAK[0]) & (peaks <= SAFE_PEAK[1])))
-
-
-def scale_down(*signals: Samples) -> tuple[Samples, ...]:
-    """Divide signals by one power of two where squares would overflow or vanish."""
-    peak = max(largest(signal) for signal in signals)
-    if is_safe(peak):
-        return signals
-    exponent = int(np.frexp(peak)[1])
-    return tuple(np.ldexp(signal, -exponent) for signal in signals)
-
-
 def largest(samples: Samples) -> float:
     """Return the largest magnitude, 0 for an empty array, without making a copy."""
     return max(float(samples.max()), -float(samples.min())) if samples.size else 0.0
@@ -457,4 +409,8 @@ def check_reduced(reduced: ArrayLike, shape: tuple[int, ...]) -> Samples:
             f"got {signal.shape}"
         )
     check_finite(signal, "reduced")
+    if largest(signal) > SAFE_PEAK[1]:
+        raise ValueError(
+            f"reduced must have a peak of at most {SAFE_PEAK[1]:g}, got {largest(signal):.3g}; is it in m/s^2?"
+        )
     return signal

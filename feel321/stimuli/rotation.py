@@ -37,15 +37,7 @@ from feel321.stimuli.match import (
     linear_grid,
     mean_over_axes,
 )
-from feel321.stimuli.recording import (
-    Signal,
-    admit,
-    as_pair,
-    as_signal,
-    check_acceleration,
-    check_reduced,
-    scale_down,
-)
+from feel321.stimuli.recording import Signal, admit, as_pair, as_signal, check_reduced
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import Metric, Reducer, Rng, Samples
 
@@ -70,28 +62,19 @@ def spectral_match_energy_weighted(
 
     Notes
     -----
-    With E the sum of the axes' smoothed energy spectral densities, S that of the reduced signal, both as in
-    `spectral_match`, and sums over the same frequencies,
+    With E the sum of the axes' smoothed energy spectral densities and S that of the reduced signal,
 
     .. math:: I_{sm} = \frac{\sum_f \min(E, S)}{\sum_f \max(E, S)}
         = \frac{\sum_f (E + S) - \sum_f |E - S|}{\sum_f (E + S) + \sum_f |E - S|}
 
-    (one minus the Jaccard distance of the two spectra). It depends on the recording through E alone, the trace of its
-    spectral matrix, which no rotation or reflection of the sensor changes. Relation to the paper's :math:`M_{sm}`,
-    with :math:`d = |E - S| / E` the relative deviation that it averages:
-
-    - It is the paper's score with weights. At each frequency min/max is 1 - d where S <= E and 1 / (1 + d) >= 1 - d
-      where S > E, and :math:`I_{sm}` is the mean of that with weights max(E, S). Hence d <= D everywhere gives both
-      metrics a value of at least 1 - D, and each is 1 exactly where the other is.
-    - It is never below the energy-weighted form of the paper's, :math:`1 - \sum |E - S| / \sum E`, and equal to it
-      where S <= E: subtract both from 1, they have the same numerator and max(E, S) >= E.
-    - A constant gain g of the energy scores min(g, 1/g): as in the paper for g <= 1, and 1/g instead of 2 - g above.
-    - It is at most the smaller of the two energies (each summed over f) over the larger: a sum of minima is at most
-      the smaller sum, a sum of maxima at least the larger.
+    (one minus the Jaccard distance of the two spectra). It depends on the recording through E alone, which no rotation
+    or reflection of the sensor changes. It is the paper's score with weights max(E, S): where no frequency deviates by
+    more than D both are at least 1 - D, and each is 1 exactly where the other is. It is never below the energy-weighted
+    form of the paper's, :math:`1 - \sum |E - S| / \sum E`. A gain g of the energy scores min(g, 1/g).
     """
     given, rate = as_pair(acceleration, reduced, rate_hz)
-    samples = check_acceleration(given)
-    samples, signal = scale_down(samples, check_reduced(reduced, samples.shape))
+    samples, _ = admit(given, rate)
+    signal = check_reduced(reduced, samples.shape)
     n = samples.shape[-1]
     frequencies = linear_grid(n, rate)
     smooth = WeberSmoothing(frequencies, rate / n, n // 2 + 1)
@@ -125,21 +108,15 @@ def temporal_match_invariant(
 
     A rotation or reflection R turns a s into R a s and keeps both norms. No mean is removed, as in the paper.
 
-    - Upper bound: :math:`\|a s\| \le \sigma_1 \|s\|`, so :math:`I_{tm} \le \sqrt{\lambda_1 / \sum_i \lambda_i}` with
-      :math:`\lambda = \sigma^2` the eigenvalues of :math:`a a^T`, reached by the projection on the leading axis and by
-      no signal of another shape if :math:`\lambda_1 > \lambda_2`.
-    - Relation to the paper's :math:`M_{tm}`, the mean of the correlations :math:`|r_i|`: with :math:`p_i` the axes'
-      shares of the energy, :math:`I_{tm}^2 = \sum_i p_i r_i^2`. So :math:`I_{tm}` lies between the smallest and the
-      largest :math:`|r_i|`, hence :math:`I_{tm} \le 3 M_{tm}`; and from :math:`\sum_i p_i r_i^2 \ge 3 p_{min}
-      \overline{r^2} \ge 3 p_{min} M_{tm}^2` follows :math:`M_{tm} \le I_{tm} / \sqrt{3 p_{min}}`.
-    - Turned so that all three axes are equally strong (there is always such a way) they obey :math:`I_{tm} / \sqrt 3
-      \le M_{tm} \le I_{tm}`: there :math:`M_{tm}` is the 1-norm of :math:`a s` over :math:`\sqrt 3 \|a\|_F \|s\|`.
+    - At most :math:`\sqrt{\lambda_1 / \sum_i \lambda_i}`, with the eigenvalues of :math:`a a^T`: reached by the
+      projection on the leading axis.
+    - With :math:`p_i` the axes' shares of the energy and :math:`|r_i|` the correlations whose mean is the paper's
+      :math:`M_{tm}`, :math:`I_{tm}^2 = \sum_i p_i r_i^2`. Hence :math:`I_{tm} \le 3 M_{tm}` and :math:`M_{tm} \le
+      I_{tm} / \sqrt{3 p_{min}}`.
     """
-    given, _ = as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
-    samples = check_acceleration(given)
-    # Each in its own unit.
-    (signal,) = scale_down(check_reduced(reduced, samples.shape))
-    (samples,) = scale_down(samples)
+    given, rate = as_pair(acceleration, reduced, rate_hz, otherwise=1.0)
+    samples, _ = admit(given, rate)
+    signal = check_reduced(reduced, samples.shape)
     together = np.linalg.norm(np.einsum("in,n->i", samples, signal))
     scale = np.linalg.norm(samples) * np.linalg.norm(signal)
     if not samples.any():
@@ -214,7 +191,7 @@ def match_rotations(
 
     turns: (rotations, 3, 3); returns (n_reducers, 3, rotations): spectral, temporal, bounded spectral match.
     """
-    samples = admit(acceleration, rate_hz).samples
+    samples, _ = admit(acceleration, rate_hz)
     if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
         raise ValueError(
             f"acceleration must have the shape (3, n), n >= 1, one recording at a time; got {samples.shape}"

@@ -6,17 +6,17 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, PydanticUserError, TypeAdapter, ValidationError
 
 from feel321.study.actuator.rig import Rig
-from feel321.study.settings.fields import list_tables
-from feel321.study.settings.paper import Condition
+from feel321.study.settings.fields import MOST, list_tables
 from feel321.study.settings.schema import Settings
 
 if TYPE_CHECKING:
@@ -36,8 +36,6 @@ KINDS = {
 LIMITS = {
     "minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below",
 }  # fmt: skip
-ANYTHING = 1e9
-"""Limits of this size only keep numbers finite, so that nobody has to read them."""
 
 
 class Setting(NamedTuple):
@@ -86,59 +84,46 @@ def write_list(file: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-FORMS = {tuple: "list", list: "list", dict: "named"}
-BRACKETS = {"list": ("[[", "]]")}
-
-
 def _walk(model: type[BaseModel], where: str, form: str) -> Iterator[tuple[str, str, FieldInfo]]:
-    """Give table, key and field of every key, tables within tables included."""
+    """Give table, key and field of every key, tables within tables included; form: "table", "list" or "named"."""
     for key, field in model.model_fields.items():
         if field.exclude:  # no key of the file
             continue
-        inner = list_tables(field.annotation)
-        if not inner:
-            opening, closing = BRACKETS.get(form, ("[", "]")) if form else ("", "")
-            yield f"{opening}{where}{closing}", key, field
-        elif issubclass(inner[0], Condition):  # a value and its source, alike for every condition
-            yield f"[{where}]", key, inner[0].model_fields["value"]
-        else:
-            inner_form = _find_form(field.annotation)
-            below = ".".join(filter(None, (where, key, "NAME" if inner_form == "named" else "")))
-            for each in inner:
-                yield from _walk(each, below, inner_form or "table")
+        if not (inner := list_tables(field.annotation)):
+            place = f"[[{where}]]" if form == "list" else f"[{where}]"
+            yield place if form else where, key, field
+        inner_form = _find_form(field.annotation)
+        below = ".".join(filter(None, (where, key, "NAME" if inner_form == "named" else "")))
+        for each in inner:
+            yield from _walk(each, below, inner_form)
 
 
 def _find_form(annotation: object) -> str:
-    """Find out whether a field holds a list of tables or named ones; empty if it is a single one."""
+    """Find out whether a field holds a list of tables, named ones, or a single one."""
     inside = get_args(annotation)
-    found = FORMS.get(get_origin(annotation), "")  # type: ignore[arg-type]  # None is no form
-    return found or (_find_form(inside[0]) if inside else "")
+    forms: dict[object, str] = {tuple: "list", list: "list", dict: "named"}
+    found = forms.get(get_origin(annotation), "")
+    return found or (_find_form(inside[0]) if inside else "table")
 
 
 def describe(field: FieldInfo) -> str:
     """Describe what a key may be: the names that a wrong one is refused with, else its kind and limits."""
-    whole: Any = field.annotation
-    if field.metadata:
-        whole = Annotated[(whole, *field.metadata)]
+    whole: Any = (
+        Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
+    )
     adapter: TypeAdapter[object] = TypeAdapter(whole)
     for wrong, kind in (("?", ""), (["?"], "a list of "), ({"?": "?"}, "a list of ")):
-        if names := re.search(r"must be one of ([^;]*)", _refuse(adapter, wrong)):
-            return kind + names[1]
+        try:
+            adapter.validate_python(wrong)
+        except ValidationError as error:
+            if names := re.search(r"must be one of ([^;'\]]*)", str(error)):
+                return kind + names[1].partition(" [")[0]
+        except (TypeError, ValueError, AttributeError):
+            continue
     try:
         return _name_kind(adapter.json_schema())
-    except Exception:  # noqa: BLE001 - pydantic has several for what no schema can say
+    except PydanticUserError:  # what no schema can say
         return "value"
-
-
-def _refuse(adapter: TypeAdapter[object], wrong: object) -> str:
-    """Give the words with which a value is refused, none if it is not."""
-    try:
-        adapter.validate_python(wrong)
-    except ValidationError as error:
-        return "\n".join(each["msg"] for each in error.errors())
-    except (TypeError, ValueError, AttributeError):
-        pass
-    return ""
 
 
 def _name_kind(schema: dict[str, Any]) -> str:
@@ -148,7 +133,7 @@ def _name_kind(schema: dict[str, Any]) -> str:
     limits = [
         f"{words} {schema[key]:.12g}"
         for key, words in LIMITS.items()
-        if key in schema and abs(schema[key]) < ANYTHING
+        if key in schema and abs(schema[key]) < MOST
     ]
     name = KINDS.get(schema.get("type", ""), "value")
     if name == "list" and "items" in schema:
@@ -158,10 +143,8 @@ def _name_kind(schema: dict[str, Any]) -> str:
 
 def show_default(value: object) -> str:
     """Show a default as TOML has it."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return f'"{value}"' if value else ""
     if isinstance(value, tuple | list):
-        return "[" + ", ".join(show_default(each) for each in value) + "]"
+        return f"[{', '.join(map(show_default, value))}]"
+    if isinstance(value, str | bool):
+        return json.dumps(value) if value != "" else ""
     return f"{value:g}" if isinstance(value, int | float) else ""

@@ -1,6 +1,6 @@
 """Steps of a study that need the analysis: the report, and the recordings for the trade-off."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import fields, replace
 from itertools import chain, count
@@ -9,6 +9,7 @@ from shlex import quote
 
 import pandas as pd
 
+from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.screening.rules import find_rules
@@ -26,14 +27,12 @@ from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.freeze import make_standing
-from feel321.study.matches import MATCHES_FILE, describe_matches, write_matches
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
-from feel321.study.paper import make_paper
 from feel321.study.people import list_progress, note_estimates, write_roster
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import closing_results
-from feel321.study.ratings import write_ratings
-from feel321.study.settings.read import list_origins, make_recipe, read_settings, try_recordings
+from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches, write_ratings
+from feel321.study.settings.read import list_origins, make_recipe, open_recordings, read_settings
 from feel321.study.settings.schema import AnalysisTable, Settings
 from feel321.types import MetricInfo
 
@@ -56,12 +55,20 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     """Derive the table of ratings, or take one from elsewhere, and write the report as the study declares it."""
     settings = _read_settings(study, ratings, manifest)
     chosen = settings.analysis if settings else AnalysisTable()
-    further, about = Further(pd.DataFrame(), ()), About()
+    further, about, asked = Further(pd.DataFrame(), ()), About(), metrics or ()
     if settings:
-        further, about = gather_study(study, settings, metrics, own=ratings is None)
-        own, asked = not (ratings or manifest), metrics or ()
+        day = ""
+        if ratings is None:
+            further, day = _derive_tables(study, settings, metrics or chosen.metrics)
+        if asked and set(asked) != set(chosen.metrics):
+            said = f"{study.settings.name} declares {', '.join(chosen.metrics)}."
+            note = f"Metrics {', '.join(asked)} were asked for with this analysis; {said}"
+            further = replace(further, notes=(*further.notes, note))
+        further = replace(further, labels=list_labels(settings))
+        own = not (ratings or manifest)
         standing = make_standing(study, settings, metrics=asked, draws=draws, own=own)
-        about = replace(about, standing=standing)
+        protocols = tuple(settings.session.protocols)
+        about = About(settings.study.name, day, protocols, standing=standing)
     listed, folder = manifest or study.manifest, out or study.report
     if rivals:
         further = add_rivals(study, None if manifest else settings, listed, further=further)
@@ -92,49 +99,20 @@ def _read_settings(study: StudyFolder, *inputs: Path | None) -> Settings | None:
     return read_settings(study.settings) if study.settings.is_file() else None
 
 
-def read_study_table(
-    study: StudyFolder,
-    *,
-    ratings: Path | None = None,
-    manifest: Path | None = None,
-    metrics: Sequence[str] | None = None,
-) -> tuple[Table, int]:
+def read_study_table(study: StudyFolder) -> tuple[Table, int]:
     """Read the ratings that a report would be about, and the seed of that report."""
-    settings = _read_settings(study, ratings, manifest)
-    chosen, further = settings.analysis if settings else AnalysisTable(), None
-    if settings and ratings is None:
-        if not write_ratings(study, read_stimuli(study.stimuli)):
-            raise ValueError(f"{study.path}: no ratings yet; run sessions first")
-        further = measure_declared(study, settings)
+    settings = read_settings(require_study(study.path).settings)
+    if not write_ratings(study, read_stimuli(study.stimuli)):
+        raise ValueError(f"{study.path}: no ratings yet; run sessions first")
     table = read_table(
-        ratings or study.ratings,
-        manifest or study.manifest,
-        metrics=metrics or chosen.metrics,
-        sources=list_origins(settings) if settings else {},
-        further=further,
-        info=list_info(settings) if settings else {},
+        study.ratings,
+        study.manifest,
+        metrics=settings.analysis.metrics,
+        sources=list_origins(settings),
+        further=measure_declared(study, settings),
+        info=list_info(settings),
     )
-    return table, settings.study.seed if settings else 0
-
-
-def gather_study(
-    study: StudyFolder,
-    settings: Settings,
-    metrics: Sequence[str] | None = None,
-    *,
-    own: bool = True,
-) -> tuple[Further, About]:
-    """Gather what the report needs beside the tables; of the study's own ratings, derive these and find their day."""
-    further, day, declared = Further(pd.DataFrame(), ()), "", settings.analysis.metrics
-    if own:
-        further, day = _derive_tables(study, settings, metrics or declared)
-    notes = further.notes
-    if metrics and set(metrics) != set(declared):
-        asked, names = ", ".join(metrics), ", ".join(declared)
-        said = f"{study.settings.name} declares {names}."
-        notes = (*notes, f"Metrics {asked} were asked for with this analysis; {said}")
-    about = About(settings.study.name, day, tuple(settings.session.protocols))
-    return replace(further, notes=notes, labels=list_labels(settings)), about
+    return table, settings.study.seed
 
 
 def _derive_tables(
@@ -188,6 +166,28 @@ def list_info(settings: Settings) -> dict[str, MetricInfo]:
     return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
 
 
+def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> Paper | None:
+    """Make the paper that the report answers; mountings: metrics over orientations of the sensor."""
+    if (paper := settings.paper) is None:
+        return None
+    claims = []
+    for table in paper.claims:
+        number = table.paper.model_dump() if table.paper else {}
+        ends = [number.get(key) for key in ("value", "low", "high")]
+        value, low, high = (float("nan") if one is None else float(one) for one in ends)
+        own = table.model_dump(exclude={"paper"}) | {
+            "options": table.options.model_dump(exclude_none=True)
+        }
+        claims.append(PaperClaim(paper=(value, low, high), **own))
+    published = [
+        {**one.model_dump(exclude={"numbers"}), "reducer": reducer, "paper": value}
+        for one in paper.published
+        for reducer, value in one.numbers.items()
+    ]
+    frame = pd.DataFrame(published) if published else None
+    return Paper(paper.citation, paper.doi, paper.seen, tuple(claims), frame, mountings)
+
+
 # What the trade-off works on: a study's recordings, the bundled scenes, recordings from elsewhere.
 
 SUFFIXES = frozenset({".wav", ".csv", ".tsv", ".txt", ".npz", ".npy", ".mat", ".xml", ".ide"})
@@ -195,38 +195,43 @@ SUFFIXES = frozenset({".wav", ".csv", ".tsv", ".txt", ".npz", ".npy", ".mat", ".
 
 
 def gather_recordings(
-    folder: Path, *, scenes: bool = False, extra: Sequence[Path] = (), conditioned: bool = True
+    folder: Path, *, scenes: bool = False, extra: Sequence[Path] = ()
 ) -> tuple[Recording, ...]:
     """Gather the recordings that methods are compared on.
 
     All are conditioned as the study's own, because that is what participants feel; its crop, which names times in the
-    study's recordings, is done to those alone. Unconditioned they are as the sensor gave them: conditioning hides
-    offsets, clipping and the sensor's steps.
+    study's recordings, is done to those alone. Of equal recordings the first is kept; a name that is taken gets a
+    number.
     """
     study = StudyFolder(folder) if scenes or extra else require_study(folder)
-    own: list[Recording] = []
+    found: list[Recording] = []
     mistakes: list[str] = []
     steps = Conditioning()
     if study.settings.is_file():
         settings = read_settings(study.settings)
-        own, mistakes = try_recordings(settings, folder)
+        found = open_recordings(settings, folder)
         steps = make_recipe(settings, folder).conditioning
+    n_own = len(found)
     others = [make_scene(name) for name in SCENES] if scenes else []
-    for path in _list_files(extra):
+    others += (read_recording(path) for path in _list_files(extra))
+    for one in others:
+        if one.sha256 not in {former.sha256 for former in found}:
+            found.append(replace(one, name=_name_apart(one.name, {each.name for each in found})))
+    ready = []
+    for place, recording in enumerate(found):
         try:
-            others.append(read_recording(path))
-        except (OSError, ValueError) as error:
-            mistakes.append(str(error))
-    recordings = _name_apart(own, others)
-    for place, recording in enumerate(recordings if conditioned else ()):
-        try:
-            crop = steps.crop_s if place < len(own) else None
-            recordings[place] = condition(recording, replace(steps, crop_s=crop))
+            crop_s = steps.crop_s if place < n_own else None
+            ready.append(condition(recording, replace(steps, crop_s=crop_s)))
         except ValueError as error:
             mistakes.append(f"recording {recording.name!r}: {error}")
     if mistakes:
         raise ValueError("\n".join(mistakes))
-    return tuple(recordings)
+    return tuple(ready)
+
+
+def _name_apart(name: str, taken: Collection[str]) -> str:
+    numbered = (f"{name} ({number})" for number in count(2))
+    return next(one for one in chain([name], numbered) if one not in taken)
 
 
 def find_ratings(study: StudyFolder) -> Table | None:
@@ -238,26 +243,15 @@ def find_ratings(study: StudyFolder) -> Table | None:
     return read_table(study.ratings, study.manifest) if rated else None
 
 
-def _name_apart(own: Sequence[Recording], others: Iterable[Recording]) -> list[Recording]:
-    """Leave out duplicates, and number those others whose names are taken."""
-    named = list(own)
-    for recording in others:
-        if any(recording.sha256 == former.sha256 for former in named):
-            continue
-        taken = {former.name for former in named}
-        names = chain([recording.name], (f"{recording.name} ({number})" for number in count(2)))
-        named.append(replace(recording, name=next(name for name in names if name not in taken)))
-    return named
-
-
-def _list_files(paths: Iterable[Path]) -> Iterator[Path]:
+def _list_files(paths: Sequence[Path]) -> Iterator[Path]:
     for path in paths:
-        found = [path]
+        entries = [path]
         if path.is_dir():
-            entries = (entry for entry in path.glob("[!.]*") if entry.is_file())
-            found = sorted(entry for entry in entries if entry.suffix.lower() in SUFFIXES)
-        if not found:
+            own = path.glob("[!.]*")
+            entries = sorted(one for one in own if one.is_file() and one.suffix.lower() in SUFFIXES)
+        if not entries:
+            suffixes = " ".join(sorted(SUFFIXES))
             raise FileNotFoundError(
-                f"{path}: no recordings in this folder; name another, or files ending in {' '.join(sorted(SUFFIXES))}"
+                f"{path}: no recordings in this folder; name another, or files ending in {suffixes}"
             )
-        yield from found
+        yield from entries

@@ -20,14 +20,13 @@ from cyclopts.exceptions import MissingArgumentError
 from feel321 import __version__, intake
 from feel321.doors import clean_text
 from feel321.study.commands import shared
-from feel321.study.commands.help import describe_program, describe_verb, find_example
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
 GROUPS = {
     "Design": {
         "new": "design", "check": "design", "build": "design", "power": "design", "freeze": "design",
-        "tradeoff": "tradeoff",
+        "tradeoff": "signals",
     },
     "Lab": {
         "calibrate": "rig", "doctor": "rig", "run": "lab", "simulate": "lab", "status": "lab", "note": "lab",
@@ -40,12 +39,6 @@ GROUPS = {
 """Group of the help -> its verbs, and the module of `feel321.study.commands` that holds each."""
 
 VERBS = {verb: module for verbs in GROUPS.values() for verb, module in verbs.items()}
-
-FORMER = {
-    "advise": "tradeoff", "chart": "tradeoff", "stress": "tradeoff", "texts": "new --texts",
-    "release": "withdraw --keep-data", "monitor": "status --watch",
-}  # fmt: skip
-"""Verbs whose work another one does now."""
 
 RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
@@ -140,17 +133,15 @@ def _run_verb(call: shared.Call) -> int:
 def _call(words: Sequence[str]) -> int:
     if not words:
         shared.refuse_use("Missing command")
-    if words[0] in FORMER:
-        shared.refuse_use(f"{words[0]} is now: feel321 {FORMER[words[0]]}")
     if words[0] == "--version":
         shared.echo(f"feel321, version {__version__}")
     elif words[0] == "--help":
         groups = {
             title: {name: find_verb(name) for name in names} for title, names in GROUPS.items()
         }
-        shared.echo(describe_program(ABOUT, groups))
+        shared.echo(shared.describe_program(ABOUT, groups))
     elif words[0] in VERBS and "--help" in words:
-        shared.echo(describe_verb(words[0], APP[words[0]], find_verb(words[0])))
+        shared.echo(shared.describe_verb(words[0], APP[words[0]], find_verb(words[0])))
     else:
         return int(APP(words) or DONE)
     return DONE
@@ -165,22 +156,22 @@ def _hint(error: CycloptsError, verb: str) -> str:
         return f"{said}; see: feel321 --help"
     hint = f"{said}; see: feel321 {verb} --help"
     if isinstance(error, MissingArgumentError):
-        hint += f", for example: {find_example(find_verb(verb)).partition(';')[0]}"
+        hint += f", for example: {shared.find_example(find_verb(verb)).partition(';')[0]}"
     return hint
 
 
 def _describe(error: Exception) -> str:
     if not isinstance(error, (OSError, TypeError, ValueError)):
         reason = " ".join(str(error).split())
-        return f"unexpected {type(error).__name__}: {reason}; run again with feel321 --traceback and report it"
+        again = "run again with feel321 --traceback and report it"
+        return f"unexpected {type(error).__name__}: {reason}; {again}"
     # The system's own errors say what happened to which file, but not in our words.
     if isinstance(error, OSError) and error.errno is not None:
         place = "" if error.filename is None else f"{error.filename}: "
-        remedy = "check the name, and whether you may write there"
-        if isinstance(error, FileNotFoundError):
-            remedy = "check the name"
-        if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}:
-            remedy = "make room there and run again"
+        is_full = error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+        remedy = "make room there and run again" if is_full else "check the name"
+        if not is_full and not isinstance(error, FileNotFoundError):
+            remedy += ", and whether you may write there"
         return f"{place}{error.strerror}; {remedy}"
     return str(error)
 

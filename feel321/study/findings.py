@@ -13,8 +13,22 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
+class Findings(Result):
+    """Texts of several kinds; a table has one row per text, with the columns `kind` and `text`."""
+
+    __slots__ = ()
+
+    def to_frame(self) -> DataFrame:
+        """Return one row per finding, with the columns `kind` and `text`."""
+        import pandas as pd
+
+        kinds = {name: value for name, value in self.to_dict().items() if isinstance(value, list)}
+        rows = [(kind.rstrip("s"), text) for kind, texts in kinds.items() for text in texts]
+        return pd.DataFrame(rows, columns=["kind", "text"])
+
+
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Problems(Result):
+class Problems(Findings):
     """What `Study.check` found, as a whole or in one part of a study.
 
     problems: what stands in the way of the study; warnings: what is allowed and may not be meant; notes: how strongly
@@ -37,17 +51,9 @@ class Problems(Result):
             {**self.figures, **other.figures},
         )
 
-    def to_frame(self) -> DataFrame:
-        """Return one row per finding, with the columns `kind` and `text`."""
-        return _list_findings(self, "problems", "warnings", "remarks", "notes")
-
-    def __repr__(self) -> str:
-        """Count the findings."""
-        return f"Problems({len(self.problems)} problems, {len(self.warnings)} warnings)"
-
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Audit(Result):
+class Audit(Findings):
     """What `Study.audit` found.
 
     findings: every gap, duplicate and edit; remarks: what is as it was written and worth knowing, such as participants
@@ -60,17 +66,9 @@ class Audit(Result):
     sentence: str = ""
     checkpoint: str = ""
 
-    def to_frame(self) -> DataFrame:
-        """Return one row per finding, with the columns `kind` and `text`."""
-        return _list_findings(self, "findings", "remarks")
-
-    def __repr__(self) -> str:
-        """Count the findings."""
-        return f"Audit({len(self.findings)} findings, checkpoint={self.checkpoint[:12]!r})"
-
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Seal(Result):
+class Seal(Findings):
     """What `Study.seal` recorded.
 
     utc, checkpoint: when, and its id, to write into the lab book; places: the remotes that have it; problems: why
@@ -81,18 +79,3 @@ class Seal(Result):
     checkpoint: str
     places: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
-
-    def to_frame(self) -> DataFrame:
-        """Return one row per place, with the columns `kind` and `text`."""
-        return _list_findings(self, "places", "problems")
-
-    def __repr__(self) -> str:
-        """Show the checkpoint's id."""
-        return f"Seal({self.utc}, checkpoint={self.checkpoint[:12]!r})"
-
-
-def _list_findings(found: Result, *kinds: str) -> DataFrame:
-    import pandas as pd
-
-    rows = [(kind.rstrip("s"), text) for kind in kinds for text in getattr(found, kind)]
-    return pd.DataFrame(rows, columns=["kind", "text"])

@@ -1,4 +1,4 @@
-"""The folder of a study: its places, how it is begun and found, and what its stimuli were made of."""
+"""The folder of a study: its places and tables, how it is begun and found."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from feel321 import intake
 from feel321.doors import check_name
-from feel321.files import create_text, is_of_group, make_folder, write_text
+from feel321.files import create_text, is_of_group, make_folder
 from feel321.study.session.journal import PARTICIPANT_ID, list_journals
 
 if TYPE_CHECKING:
@@ -22,10 +21,24 @@ if TYPE_CHECKING:
 Read = TypeVar("Read")
 
 SETTINGS_FILE = "study.toml"
-RIG_FILE = "rig.toml"
 
 DELIVERED = "delivered"
 """Folder, in each participant's, of the samples that were rendered or measured at each playback."""
+
+PARTICIPANT_COLUMNS = ("participant", "number", "simulated", "state", "sessions", "done", "total")
+"""The first columns of `participants.csv`; one per factor in which participants differ follows.
+
+Last of all come those of `thresholds.list_columns`, where thresholds were measured."""
+
+LAST_PARTICIPANT_COLUMNS = ("first_utc", "last_utc", "training_passed", "rig", "calibration")
+
+RATING_COLUMNS = (
+    "participant", "session", "protocol", "block", "trial", "repeat", "stimulus_id", "recording", "reducer",
+    "level", "reference_id", "scale", "rating", "response_time_s", "onset_s", "underruns", "rejected", "simulated",
+    "spectral_match_delivered", "temporal_match_delivered", "spectral_match_bounded_delivered", "level_error_db",
+    "delivered_by", "sensation_level_db", "other_id",
+)  # fmt: skip
+"""The columns of `ratings.csv`, in order."""
 
 TEMPLATES = files("feel321.study") / "settings"
 BUNDLED = TEMPLATES / "bundled"
@@ -64,7 +77,7 @@ class StudyFolder:
     @property
     def rig(self) -> Path:
         """What the lab's actuators are."""
-        return self.path / RIG_FILE
+        return self.path / "rig.toml"
 
     @property
     def stimuli(self) -> Path:
@@ -124,7 +137,9 @@ class StudyFolder:
         from feel321.study.session.plan import PLAN_FILE, read_dossier
 
         paths = [folder / PLAN_FILE, *list_journals(folder)]
-        stamp = [(path, path.exists() and _stamp(path)) for path in paths]
+        # Nobody can set the time of a file's last change of any kind.
+        found = [(path, path.stat()) for path in paths if path.exists()]
+        stamp = [(path, s.st_ino, s.st_size, s.st_mtime_ns, s.st_ctime_ns) for path, s in found]
         known = self._known.get(folder)
         if known is None or known[0] != stamp:
             known = stamp, read_dossier(folder)
@@ -163,12 +178,6 @@ def name_all(read: Callable[[Path], Read], folders: Iterable[Path]) -> list[Read
     return found
 
 
-def _stamp(path: Path) -> tuple[int, ...]:
-    """Say by what an unchanged file is known; nobody can set the time of its last change of any kind."""
-    found = path.stat()
-    return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
-
-
 def _is_ours(entry: Path) -> bool:
     return entry.is_dir() and PARTICIPANT_ID.fullmatch(entry.name) is not None
 
@@ -181,8 +190,8 @@ def list_bundled() -> tuple[str, ...]:
     >>> list_bundled()
     ('airotouch', 'generated', 'landin2010', 'lee2022', 'park2019')
     """
-    files = (entry.name for entry in BUNDLED.iterdir() if entry.name.endswith(".toml"))
-    return tuple(sorted(name.removesuffix(".toml") for name in files))
+    names = (entry.name for entry in BUNDLED.iterdir() if entry.name.endswith(".toml"))
+    return tuple(sorted(name.removesuffix(".toml") for name in names))
 
 
 def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
@@ -204,45 +213,18 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     return study
 
 
-def add_methods(study: StudyFolder) -> None:
-    """Add an example of every kind of method of a lab's own to a study that was just begun."""
-    home = study.path / "methods"
-    make_folder(home)
-    for entry in (TEMPLATES / "methods").iterdir():
-        if entry.name.endswith(".py.txt"):
-            create_text(home / entry.name.removesuffix(".txt"), entry.read_text(encoding="utf-8"))
-    taps = [100 * 0.9 ** (n % 250) * (-1) ** (n // 4) for n in range(2000)]
-    lines = ["2000", *(f"{0.4 * one:.4f} {-0.3 * one:.4f} {one:.4f}" for one in taps)]
-    create_text(study.path / "recordings" / "tap.xyz", "\n".join(lines) + "\n")
-    text = intake.read_small(study.settings)
-    begin, end = text.index("reducers = ["), text.index("levels = [")
-    own = 'reducers = ["say321", "pca321", "dft321", "my321", "wav321"]  # the last two are your own, see below\n'
-    text = (text[:begin] + own + text[end:]).replace("metrics = []", 'metrics = ["snr"]')
-    text = text.replace("screening = []", 'screening = ["methods/slow.py:slow"]')
-    text = text.replace(
-        'protocols = ["realism", "similarity"]',
-        'protocols = ["realism", "similarity", "methods/roughness.py:roughness"]',
-    )
-    tables = (TEMPLATES / "methods" / "tables.toml").read_text(encoding="utf-8")
-    write_text(study.settings, text + tables)
-
-
 def require_study(path: Path) -> StudyFolder:
     """Find a study that is there, or describe what the path is instead."""
+    new = f"with: feel321 new {quote(str(path))}"
     if not path.exists():
-        raise FileNotFoundError(
-            f"{path}: no such folder; begin a study with: feel321 new {quote(str(path))}"
-        )
+        raise FileNotFoundError(f"{path}: no such folder; begin a study {new}")
     if not path.is_dir():
-        raise NotADirectoryError(
-            f"{path}: a study must be a folder, got a file; try {quote(str(path.parent))}"
-        )
+        parent = quote(str(path.parent))
+        raise NotADirectoryError(f"{path}: a study must be a folder, got a file; try {parent}")
     study = StudyFolder(path)
     if not study.settings.is_file():
         where = "the current folder" if str(path) == "." else str(path)
-        raise FileNotFoundError(
-            f"no {SETTINGS_FILE} in {where}; name a study, or begin one with: feel321 new {quote(str(path))}"
-        )
+        raise FileNotFoundError(f"no {SETTINGS_FILE} in {where}; name a study, or begin one {new}")
     return study
 
 
@@ -255,17 +237,3 @@ def read_bundled(name: str) -> str:
     """Read the `study.toml` of a published study."""
     check_name(name, list_bundled(), "study")
     return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
-
-
-def read_recipe(folder: Path) -> dict[str, Any]:
-    """Read the recipe that a stimulus set was made by."""
-    from feel321.stimuli.sets.manifest import read_details
-
-    return read_details(folder).recipe
-
-
-def is_in_use(study: StudyFolder, stimuli_sha256: str) -> bool:
-    """Check whether any plan or journal names a stimulus set."""
-    # By the bare text, so that damaged files count too.
-    files = study.sessions.glob("*/*.json*")
-    return any(stimuli_sha256.encode() in path.read_bytes() for path in files if path.is_file())

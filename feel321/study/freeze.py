@@ -73,7 +73,7 @@ class Frozen:
 def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, str]]:
     """Write `frozen.json`, before the first rating of a person; return what it holds and what differs from before."""
     from feel321.stimuli.sets.manifest import read_stimuli
-    from feel321.study.provenance import require_current_set
+    from feel321.study.sessions import require_current_set
     from feel321.study.settings.read import read_settings
 
     former, settings = read_frozen(study), read_settings(study.settings)

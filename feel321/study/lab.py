@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
@@ -52,8 +52,13 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 from feel321.study.observer.model import Casting, cast_observers, find_person
-from feel321.study.provenance import require_current_set
-from feel321.study.sessions import lead_session, list_rig_problems, open_room, plan_sessions
+from feel321.study.sessions import (
+    lead_session,
+    list_rig_problems,
+    open_room,
+    plan_sessions,
+    require_current_set,
+)
 
 INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
 
@@ -163,7 +168,10 @@ def _make_check(lab: Lab) -> DeliveryCheck | None:
         return None
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 
-    recordings, _ = read.try_recordings(lab.settings, lab.study.path)
+    recordings = []
+    for source in read.list_unread(lab.settings, lab.study.path):
+        with suppress(OSError, TypeError, ValueError):  # its stimuli have no delivered metrics
+            recordings.append(source.read())
     reduced = reduce_stimuli(
         lab.stimuli, recordings, read.make_recipe(lab.settings, lab.study.path)
     )

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from inspect import signature
-from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from feel321.doors import refuse_name
-from feel321.extensions import FORMS, find_method
+from feel321.extensions import FORMS, find_method, list_entry_points
+from feel321.names import WRITTEN
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL
 from feel321.study.folder import SETTINGS_FILE
 from feel321.study.settings.read import find_metric, find_reducer, read_settings
+from feel321.study.settings.schema import SceneTable, Settings
 
 if TYPE_CHECKING:
-    from feel321.extensions import Method
-    from feel321.study.settings.schema import Settings
-    from feel321.types import Metric, Reducer
+    from pathlib import Path
 
+    from feel321.extensions import Method
+    from feel321.types import Metric, Reducer
 
 PAIR = ("acceleration", "reduced", "rate_hz")
 """Parameters of a metric; a reducer takes the first and the last."""
@@ -46,27 +47,22 @@ def open_method(name: str, folder: Path, kind: str | None = None) -> Method:
     settings = _read_if_there(folder)
     if name in {*REDUCERS, *METRICS, ORIGINAL, NO_REFERENCE}:
         raise ValueError(f"{name} is feel321's own; name a reducer or metric of yours")
-    if kind is None and name in settings.metrics and name not in settings.reducers:
-        kind = "metric"
-    find = {"reducer": find_reducer, "metric": find_metric}
     if kind is None and name not in settings.reducers:
-        kind = _guess_kind(name, folder)
-    found = find[kind or "reducer"](settings, name, folder)
-    return cast("Method", found)
+        declared = name in settings.metrics or name in list_entry_points("metric")
+        kind = "metric" if declared or _takes_pair(name, folder) else None
+    find = find_metric if kind == "metric" else find_reducer
+    return cast("Method", find(settings, name, folder))
 
 
-def _guess_kind(name: str, folder: Path) -> str:
-    """Guess the kind of a method by the number of its parameters."""
-    from feel321.extensions import list_entry_points
-
+def _takes_pair(name: str, folder: Path) -> bool:
+    """Whether a method that is given by its place takes a pair of signals."""
     if ":" not in name:
-        is_metric = name in list_entry_points("metric") and name not in list_entry_points("reducer")
-        return "metric" if is_metric else "reducer"
+        return False
     found = find_method("reducer", name, folder=folder)
     try:
-        return "metric" if len(signature(found.load()).parameters) == len(PAIR) else "reducer"
+        return len(signature(found.load()).parameters) == len(PAIR)
     except (ValueError, TypeError):  # whatever is wrong with it is found again
-        return "reducer"
+        return False
 
 
 def list_own_reducers(settings: Settings, folder: Path) -> dict[str, OwnReducer]:
@@ -78,21 +74,27 @@ def list_own_reducers(settings: Settings, folder: Path) -> dict[str, OwnReducer]
 
 def list_methods(settings: Settings, folder: Path) -> list[Method]:
     """List the lab's own reducers and metrics that a study uses or declares."""
-    reducers = list_own_reducers(settings, folder).values()
-    metrics = (*settings.stimuli.metrics, *_list_declared_metrics(settings))
-    found = [find_metric(settings, name, folder) for name in dict.fromkeys(metrics)]
-    own = [one.method for one in reducers]
-    return own + [one for one in found if not isinstance(one, str)]
+    # Tables without code say what a column means.
+    declared = [name for name, table in settings.metrics.items() if table.use or table.command]
+    named = dict.fromkeys((*settings.stimuli.metrics, *declared))
+    metrics = [find_metric(settings, name, folder) for name in named]
+    reducers = [one.method for one in list_own_reducers(settings, folder).values()]
+    return [*reducers, *(one for one in metrics if not isinstance(one, str))]
 
 
-def _list_declared_metrics(settings: Settings) -> list[str]:
-    """List the tables that say where code is; others say what a column means."""
-    return [name for name, table in settings.metrics.items() if table.use or table.command]
+def list_for_tradeoff(
+    settings: Settings, folder: Path
+) -> tuple[dict[str, Reducer], dict[str, Metric]]:
+    """List the lab's own reducers, but those made elsewhere, which reduce nothing else; and metrics beside ours."""
+    own = list_own_reducers(settings, folder).items()
+    reducers: dict[str, Reducer] = {name: one for name, one in own if one.method.origin != "made"}
+    asked = [name for name in settings.stimuli.metrics if name in METRICS and name not in WRITTEN]
+    metrics: dict[str, Metric] = {name: METRICS[name] for name in asked}
+    methods = [one for one in list_methods(settings, folder) if one.kind == "metric"]
+    return reducers, metrics | {one.name: OwnMetric(one) for one in methods}
 
 
 def _read_if_there(folder: Path) -> Settings:
-    from feel321.study.settings.schema import SceneTable, Settings
-
     path = folder / SETTINGS_FILE
     if path.is_file():
         return read_settings(path)

@@ -16,14 +16,13 @@ from feel321.analysis.table.reading import Further
 from feel321.names import MATCHES
 from feel321.stimuli.condition import condition
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+from feel321.stimuli.rivals import RIVALS, measure_batch
 from feel321.stimuli.rotation import match_rotations, random_rotations
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
-from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
+from feel321.stimuli.sets.recipe import Recipe, Unread, read_given
 from feel321.stimuli.sets.render import find_reducer
-from feel321.stimuli.sets.unread import Unread, read_given
 from feel321.study.folder import StudyFolder
-from feel321.study.provenance import find_changes
+from feel321.study.sessions import find_changes
 from feel321.study.settings.read import list_unread, make_recipe
 from feel321.study.settings.schema import Settings
 
@@ -39,36 +38,27 @@ def measure_rivals(
     its own rate, before level, resampling and fades. Index stimulus_id, a column per metric, NaN where there is nothing
     to compare.
     """
-    lacking = [name for name in RIVALS if name not in stimuli.to_frame().columns]
     tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
     made: dict[str, set[str]] = defaultdict(set)
     for one in tests:
         made[one.recording].add(one.reducer)
 
-    def measure(given: Recording | Unread) -> dict[str, dict[str, float]]:
+    def measure(given: Recording | Unread) -> dict[tuple[str, str], dict[str, float]]:
         ready = condition(read_given(given), recipe.conditioning)
         signal, rate_hz = ready.acceleration, ready.rate_hz
         found = {}
         for name in made[ready.name]:
             reduced = np.asarray(find_reducer(recipe, name, ready.name)(signal, rate_hz))
             values = measure_batch(signal, reduced, rate_hz)
-            found[name] = {metric: float(value) for metric, value in values.items()}
+            found[ready.name, name] = {metric: float(one) for metric, one in values.items()}
         return found
 
     # Threads: nearly all of the work is done by libraries that release the interpreter.
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = dict(
-            zip([one.name for one in recordings], pool.map(measure, recordings), strict=True)
-        )
-    return pd.DataFrame(
-        [found[stimulus.recording][stimulus.reducer] for stimulus in tests],
-        index=_index(tests),
-        columns=lacking,
-    )
-
-
-def _index(tests: Sequence[Stimulus]) -> "pd.Index[str]":
-    return pd.Index([one.stimulus_id for one in tests], name="stimulus_id")
+        found = {key: row for one in pool.map(measure, recordings) for key, row in one.items()}
+    rows = {one.stimulus_id: found[one.recording, one.reducer] for one in tests}
+    lacking = [name for name in RIVALS if name not in stimuli.to_frame().columns]
+    return pd.DataFrame.from_dict(rows, orient="index")[lacking].rename_axis("stimulus_id")
 
 
 def add_rivals(
@@ -93,21 +83,16 @@ def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread
     """List a study's recordings, if the stimuli are still those of them; else give the reason."""
     sources: list[Unread] = []
     digests: dict[str, str | None] = {}
-    problems: list[str] = []
-    for source in list_unread(settings, study.path):
-        try:
-            recording = source.read()
-        except (OSError, TypeError, ValueError) as error:
-            problems.append(f"recording {source.name!r}: {error}")
-            continue
-        digests[source.name] = recording.sha256
-        sources.append(replace(source, size=recording.acceleration.size))
     recipe = make_recipe(settings, study.path)
     lead = "The recordings cannot be read as they were when the set was built"
     try:
-        if not problems and (problems := find_changes(study.stimuli, recipe, digests)):
+        for source in list_unread(settings, study.path):
+            recording = source.read()
+            digests[source.name] = recording.sha256
+            sources.append(replace(source, size=recording.acceleration.size))
+        if problems := find_changes(study.stimuli, recipe, digests):
             lead = "The settings differ from those of the built set, which this analysis is about"
-    except (OSError, ValueError) as error:
+    except (OSError, TypeError, ValueError) as error:
         problems = [str(error)]
     reason = f"{lead} ({problems[0].splitlines()[0].rstrip('.')})" if problems else ""
     return sources, recipe, reason
@@ -149,7 +134,6 @@ def measure_rotations(
         warnings.warn(note, stacklevel=2)
         return Further(pd.DataFrame(), (note,))
     wanted = settings.analysis.metrics if metrics is None else metrics
-    effort = DECLARED if set(wanted) & set(ROTATIONS) else 1
     # The first entry that differs from each in nothing but how the sensor was mounted.
     first: dict[str, str] = {}
     own = {"name", "sample", "interaction", "picture", "rotation"}
@@ -157,9 +141,13 @@ def measure_rotations(
         entry.title: first.setdefault(repr(entry.model_dump(exclude=own)), entry.title)
         for entry in settings.recordings
     }
-    seed = settings.study.seed
     return compute_rotations(
-        recordings, stimuli, recipe=recipe, seed=seed, effort=effort, copies=copies
+        recordings,
+        stimuli,
+        recipe=recipe,
+        seed=settings.study.seed,
+        effort=DECLARED if set(wanted) & set(ROTATIONS) else 1,
+        copies=copies,
     )
 
 
@@ -196,8 +184,8 @@ def compute_rotations(
     sizes = [
         one.size if isinstance(one, Unread) else one.acceleration.size for one in first.values()
     ]
-    size = sum(sizes) * len(reducers)
-    n_turns = min(effort * MOST, max(effort * LEAST, effort * AFFORDABLE // size))
+    affordable = effort * AFFORDABLE // (sum(sizes) * len(reducers))
+    n_turns = min(effort * MOST, max(effort * LEAST, affordable))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
     def match(given: Recording | Unread) -> np.ndarray:
@@ -221,21 +209,16 @@ def compute_rotations(
     }
     table = pd.DataFrame(
         [moments[one.recording][reducers.index(one.reducer)].ravel() for one in tests],
-        index=_index(tests),
+        index=pd.Index([one.stimulus_id for one in tests], name="stimulus_id"),
         columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
     )
-    return Further(table, (note,), mountings=_tabulate_mountings(matches, reducers))
-
-
-def _tabulate_mountings(matches: Mapping[str, np.ndarray], reducers: Sequence[str]) -> pd.DataFrame:
-    """Tabulate mean and quantiles of every metric over orientations; matches: (reducers, metrics, turns) each."""
     shares = {"q05": 0.05, "q50": 0.5, "q95": 0.95}
-    rows = []
-    for recording, found in matches.items():
-        for reducer, of_reducer in zip(reducers, found, strict=True):
-            for metric, values in zip(MATCHES, of_reducer, strict=True):
-                found_ends = np.quantile(values, [*shares.values()])
-                ends = dict(zip(shares, found_ends.tolist(), strict=True))
-                names = {"recording": recording, "reducer": reducer, "metric": metric}
-                rows.append(names | {"mounting_mean": float(values.mean()), **ends})
-    return pd.DataFrame(rows)
+    mountings = [
+        {"recording": recording, "reducer": reducer, "metric": metric}
+        | {"mounting_mean": float(values.mean())}
+        | dict(zip(shares, np.quantile(values, [*shares.values()]).tolist(), strict=True))
+        for recording, found in matches.items()
+        for reducer, of_reducer in zip(reducers, found, strict=True)
+        for metric, values in zip(MATCHES, of_reducer, strict=True)
+    ]
+    return Further(table, (note,), mountings=pd.DataFrame(mountings))

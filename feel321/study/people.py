@@ -10,8 +10,12 @@ from shlex import quote
 from typing import Any
 
 from feel321.files import write_table, write_text
-from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS
-from feel321.study.folder import StudyFolder, name_all
+from feel321.study.folder import (
+    LAST_PARTICIPANT_COLUMNS,
+    PARTICIPANT_COLUMNS,
+    StudyFolder,
+    name_all,
+)
 from feel321.study.session import events
 from feel321.study.session import plan as plans
 from feel321.study.session.journal import Anchor, Chain, Records, digest

@@ -28,7 +28,7 @@ from feel321.files import make_folder
 from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import provenance, ratings
+from feel321.study import ratings, sessions
 from feel321.study.metrics import measure_declared
 from feel321.study.observer.model import make_model
 from feel321.study.session import codes
@@ -116,7 +116,7 @@ def set_up(
             "plans studies in which all rate the same ones; leave it out"
         )
     stimuli = read_stimuli(study.stimuli)
-    provenance.require_current_set(study, settings)
+    sessions.require_current_set(study, settings)
     further = measure_declared(study, settings)
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)

@@ -1,19 +1,28 @@
-"""`ratings.csv`: one row per completed judgement, derived from the journals and from nothing else.
+"""Tables derived from the journals and from nothing else: `ratings.csv` and `matches.csv`.
 
-It may be deleted at any time: it is written anew, byte for byte the same, from what the journals hold.
+`ratings.csv` has one row per completed judgement. Each may be deleted at any time: it is written anew, byte for byte
+the same, from what the journals hold.
+
+`matches.csv` has one row per stimulus that was matched in strength. `offset_db` says how much stronger than in the
+study it had to be played to be as strong as the recording itself; 0 where the study's levels are right. Of each reducer
+it is averaged over a participant's recordings, then over participants; the interval is Student's, over participants.
 """
 
-from collections.abc import Iterator, Mapping
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from operator import itemgetter
 from pathlib import Path
+from statistics import fmean, stdev
 from typing import Any
 
 from feel321.files import write_table
+from feel321.names import MATCHES
+from feel321.protocols.blocks import SECOND, Matching
 from feel321.protocols.tasks import find_other, score_trial
-from feel321.protocols.trial import Trial
+from feel321.protocols.trial import MATCHING, Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-from feel321.study.columns import RATING_COLUMNS
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.sensation import find_own_levels
 from feel321.study.session.codes import list_by_code
 from feel321.study.session.events import (
@@ -24,7 +33,12 @@ from feel321.study.session.events import (
     TrialShown,
 )
 from feel321.study.session.journal import Records, list_journals, name_journal
-from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written, read_dossier
+from feel321.study.session.plan import Dossier, Plan, read_as_written
+
+MATCHES_FILE = "matches.csv"
+MATCH_COLUMNS = (
+    "participant", "trial", "stimulus_id", "recording", "reducer", "level", "offset_db",
+)  # fmt: skip
 
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
@@ -39,13 +53,6 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
     study.share(study.ratings)
     return count
-
-
-def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
-    """Read the completed judgements of one participant; a withdrawn one has none, even if a copy has come back."""
-    if not list_journals(folder) or (folder / TOMBSTONE_FILE).exists():
-        return []
-    return list_judgements(read_dossier(folder), stimuli)
 
 
 def list_judgements(dossier: Dossier, stimuli: StimulusSet) -> list[dict[str, Any]]:
@@ -66,8 +73,9 @@ def list_judgements(dossier: Dossier, stimuli: StimulusSet) -> list[dict[str, An
                 remedy = "move a copy out of sessions/, or restore the plan from one"
                 raise ValueError(f"{path}{fault}; {remedy}")
             levels = find_own_levels(plan, chain.records, stimuli)
-            own = _decode_judgements(dossier, chain.records, by_code, levels=levels, path=path)
-            rows += sorted(own, key=itemgetter("trial"))
+            own = _decode_judgements(header, plan, chain.records, path=path)
+            named = [_name(row, by_code, levels) for row in own]
+            rows += sorted(named, key=itemgetter("trial"))
     return rows
 
 
@@ -80,20 +88,14 @@ def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str
 
 
 def _decode_judgements(
-    dossier: Dossier,
-    records: Records,
-    by_code: Mapping[str, Stimulus],
-    *,
-    levels: Mapping[str, float],
-    path: Path,
+    header: SessionBegun, plan: Plan, records: Records, *, path: Path
 ) -> Iterator[dict[str, Any]]:
-    """Decode the completed judgements of a journal that has a header, as they were made."""
-    header = records.find_header()
-    trials = {trial.number: trial for trial in dossier.plan.trials}
+    """Decode the completed judgements of a journal, as they were made."""
+    trials = {trial.number: trial for trial in plan.trials}
     superseded = records.has(SessionSuperseded)
     played: list[PartPlayed] = []
     for record in records:
-        if record.event not in _KINDS or header is None:
+        if record.event not in _KINDS:
             continue
         match record.content:
             case TrialShown():
@@ -111,20 +113,23 @@ def _decode_judgements(
                 facts = {
                     "participant": header.participant,
                     "session": header.session,
-                    "simulated": _write_flag(header.identity["presenter"]["simulated"]),
+                    "simulated": str(bool(header.identity["presenter"]["simulated"])).lower(),
                     "underruns": sum(part.underruns for part in played),
-                    "rejected": _write_flag(rated.rejected or superseded),
+                    "rejected": str(rated.rejected or superseded).lower(),
                     "response_time_s": rated.response_time_s,
                 }
-                for row in _judge(trial, rated, felt):
-                    yield facts | _name(row, by_code, levels)
+                yield from (facts | row for row in judge(trial, rated, felt))
 
 
-def _judge(
+def judge(
     trial: Trial, rated: TrialRated, felt: Mapping[str, PartPlayed]
 ) -> Iterator[dict[str, Any]]:
+    """Describe each judgement of a trial, what the hand got of its playback included; stimuli keep their codes."""
     points = score_trial(trial, rated.values)
     for judgement in trial.judgements:
+        played = felt[judgement.part]
+        got = played.delivered
+        source = "sensor" if "coherence" in got else "certificate"  # only a sensor gives one
         yield {
             "protocol": trial.protocol,
             "block": trial.block,
@@ -134,8 +139,10 @@ def _judge(
             "reference_id": judgement.reference_id,
             "scale": judgement.scale or trial.scale,
             "rating": points[judgement.key],
-            "onset_s": felt[judgement.part].onset_s,
-            **_describe_delivered(felt[judgement.part].delivered),
+            "onset_s": played.onset_s,
+            **{f"{name}_delivered": got.get(name, "") for name in MATCHES},
+            "level_error_db": got.get("level_error_db", ""),
+            "delivered_by": source if got else "",
             "other_id": find_other(trial, judgement),
         }
 
@@ -156,16 +163,72 @@ def _name(
     }
 
 
-def _describe_delivered(delivered: Mapping[str, float]) -> dict[str, Any]:
-    """Describe what the hand got of a playback; only a sensor gives a coherence."""
-    matches = ("spectral_match", "temporal_match", "spectral_match_bounded")
-    source = ("sensor" if "coherence" in delivered else "certificate") if delivered else ""
-    return {
-        **{f"{name}_delivered": delivered.get(name, "") for name in matches},
-        "level_error_db": delivered.get("level_error_db", ""),
-        "delivered_by": source,
-    }
+# Strength as participants matched it, and what it says of stimuli that should be equally strong.
 
 
-def _write_flag(flag: bool) -> str:  # noqa: FBT001 - the flag is the value, not an option
-    return "true" if flag else "false"
+def write_matches(study: StudyFolder, stimuli: StimulusSet) -> list[dict[str, Any]]:
+    """Write all matches of a study, if it has or had any, and return them."""
+    rows = [row for one in study.read_people() for row in list_matches(one, stimuli)]
+    path = study.path / MATCHES_FILE
+    if rows or path.exists():
+        write_table(path, MATCH_COLUMNS, rows, private=True)
+        study.share(path)
+    return rows
+
+
+def list_matches(dossier: Dossier, stimuli: StimulusSet) -> Iterator[dict[str, Any]]:
+    """List the matches of one participant that count, from the newest journal."""
+    plan = dossier.plan
+    if plan.matching is None:
+        return
+    matching, by_code = Matching(plan.matching, plan.trials), list_by_code(stimuli, seed=plan.seed)
+    trials = {trial.number: trial for trial in plan.trials if trial.phase == MATCHING}
+    for rated in dossier.records.find(TrialRated):
+        if rated.trial not in trials or rated.rejected:
+            continue
+        stimulus = by_code[trials[rated.trial].judgements[0].stimulus_id]
+        offset_db = matching.find_offset(rated.trial, float(rated.values[SECOND]))
+        yield {
+            "participant": plan.participant,
+            "trial": rated.trial,
+            "stimulus_id": stimulus.stimulus_id,
+            "recording": stimulus.recording,
+            "reducer": stimulus.reducer,
+            "level": stimulus.level,
+            "offset_db": round(offset_db, 3),
+        }
+
+
+def summarise_matches(
+    rows: Iterable[Mapping[str, Any]],
+) -> dict[str, tuple[float, float, float, int]]:
+    """Average matches by reducer: mean offset in dB, its 95 % interval (NaN for one participant), participants."""
+    from scipy.stats import t
+
+    own: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for row in rows:
+        own[row["reducer"]][row["participant"]].append(row["offset_db"])
+    summary = {}
+    for reducer in sorted(own):
+        means = [fmean(offsets) for offsets in own[reducer].values()]
+        n, mean, half = len(means), fmean(means), math.nan
+        if n > 1:
+            half = float(t.ppf(0.975, n - 1)) * stdev(means) / math.sqrt(n)
+        summary[reducer] = (mean, mean - half, mean + half, n)
+    return summary
+
+
+def describe_matches(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Describe in one note how well strength was matched; nothing where it was not asked."""
+    if not (summary := summarise_matches(rows)):
+        return []
+    offsets = ", ".join(
+        f"{reducer} {mean:+.1f} dB" + ("" if math.isnan(low) else f" ({low:+.1f} to {high:+.1f})")
+        for reducer, (mean, low, high, _) in summary.items()
+    )
+    n = max(n for *_, n in summary.values())
+    return [
+        f"Strength matched by {n} participant{'s' * (n != 1)}: to feel as strong as the recording itself, stimuli had "
+        f"to be played stronger by (95 % interval over participants) {offsets}. 0 dB means that the study's levels are "
+        "right; 'original' is the recording matched with itself."
+    ]

@@ -13,9 +13,8 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from feel321.stimuli.sets.anchors import loudest_levels, to_db
-from feel321.stimuli.thresholds import acceleration_threshold
-from feel321.study.folder import read_recipe
+from feel321.stimuli.sets.manifest import read_details
+from feel321.stimuli.thresholds import acceleration_threshold, loudest_levels, to_db
 from feel321.study.thresholds import PLACES, is_usable, read_thresholds
 
 if TYPE_CHECKING:
@@ -54,7 +53,7 @@ def find_own_levels(plan: Plan, records: Records, stimuli: StimulusSet) -> dict[
     thresholds = read_thresholds(plan, records)
     if not thresholds:
         return {}
-    recipe = read_recipe(stimuli.folder)
+    recipe = read_details(stimuli.folder).recipe
     curve, full_scale = str(recipe["threshold"]), float(recipe["full_scale_m_s2"])
     shift = find_shift(thresholds, curve=curve)
     if shift is None:

@@ -1,14 +1,19 @@
-"""What simulated and real sessions have in common: the surroundings, the plan, and the lead through it."""
+"""What simulated and real sessions have in common: the set as the settings ask for it, the plans, and the lead."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
+from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import make_scales
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_details
+from feel321.stimuli.sets.recipe import Recipe, describe_recipe
+from feel321.stimuli.sets.render import list_methods
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.numbers import find_station, plan_participants
 from feel321.study.persons.answers import make_keeper
@@ -17,7 +22,7 @@ from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.plan import Plan, Stale, make_plan, open_session
 from feel321.study.session.ports import Place, Presenter
-from feel321.study.settings.read import make_design, read_study_texts
+from feel321.study.settings.read import make_design, make_recipe, read_study_texts
 
 if TYPE_CHECKING:
     from feel321.protocols.trial import Scale
@@ -40,6 +45,26 @@ class Room:
     stale: Stale
     now: Clock
     pace: Pace = SIMULATED
+
+
+def open_room(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock) -> Room:
+    """Open the shared surroundings of a study's sessions."""
+    scales = make_scales(read_study_texts(settings, study.path))
+    stale = Stale(**settings.session.stale.model_dump())
+    return Room(study, stimuli, scales, stale, now)
+
+
+def plan_sessions(
+    room: Room, settings: Settings, participants: Sequence[str], *, simulated: bool
+) -> list[Plan]:
+    """Give participants their numbers in the design, and plan their sessions."""
+    design = make_design(settings, room.study.path)
+
+    def make(name: str, number: int) -> Plan:
+        return make_plan(design, room.stimuli, name, number=number, simulated=simulated)
+
+    station = find_station(settings)
+    return plan_participants(room.study, participants, make, simulated=simulated, station=station)
 
 
 def lead_session(
@@ -87,14 +112,14 @@ def list_rig_problems(
     sounds: dict[str, Frames] | None = None,
 ) -> list[str]:
     """List the problems that keep a rig from playing a study's stimuli as they are; sounds: takes them, rendered."""
-    from feel321.study.actuator.render import find_mix, find_rig_problems
+    from feel321.study.actuator import render
 
+    own, name = settings.rig, study.rig.name
     try:
-        find_mix(rig)
+        render.find_mix(rig)
     except ValueError as error:
-        return [f"{study.rig.name}: {error}"]
-    own = settings.rig
-    problems = find_rig_problems(
+        return [f"{name}: {error}"]
+    problems = render.find_rig_problems(
         rig,
         stimuli,
         rate_hz=own.rate_hz,
@@ -102,29 +127,54 @@ def list_rig_problems(
         certificate=certificate,
         sounds=sounds,
     )
-    if settings.session.threshold:
-        from feel321.study.actuator.render import find_tone_problems
-
-        block = settings.session.threshold.make_block()
-        problems += find_tone_problems(block, rig, rate_hz=own.rate_hz, certificate=certificate)
-    return [f"{study.rig.name}: {problem}" for problem in problems]
-
-
-def open_room(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock) -> Room:
-    """Open the shared surroundings of a study's sessions."""
-    scales = make_scales(read_study_texts(settings, study.path))
-    stale = Stale(**settings.session.stale.model_dump())
-    return Room(study, stimuli, scales, stale, now)
+    if threshold := settings.session.threshold:
+        block = threshold.make_block()
+        problems += render.find_tone_problems(
+            block, rig, rate_hz=own.rate_hz, certificate=certificate
+        )
+    return [f"{name}: {problem}" for problem in problems]
 
 
-def plan_sessions(
-    room: Room, settings: Settings, participants: Sequence[str], *, simulated: bool
-) -> list[Plan]:
-    """Give participants their numbers in the design, and plan their sessions."""
-    design = make_design(settings, room.study.path)
+# Whether a stimulus set is what the settings ask for; no recording is read for it.
 
-    def make(name: str, number: int) -> Plan:
-        return make_plan(design, room.stimuli, name, number=number, simulated=simulated)
 
-    station = find_station(settings)
-    return plan_participants(room.study, participants, make, simulated=simulated, station=station)
+def require_current_set(study: StudyFolder, settings: Settings) -> None:
+    """Refuse a stimulus set that is not the one of the settings."""
+    named = dict.fromkeys(entry.title for entry in settings.recordings)
+    if changes := find_changes(study.stimuli, make_recipe(settings, study.path), named):
+        remedy = f"run feel321 build {quote(str(study.path))}"
+        raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))
+
+
+def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | None]) -> list[str]:
+    """Compare a built set with what the settings ask for.
+
+    recordings: name of each recording in the settings -> digest of its source, None where it is not known.
+    """
+    built = read_details(folder)
+    origins = {row.get("recording", ""): row.get("recording_sha256", "") for row in built.stimuli}
+    wanted, own = json.loads(json.dumps([describe_recipe(recipe), list_methods(recipe)]))
+    changes = list(_compare_recipes(built.recipe, wanted))
+    # The lab's own methods, and further metrics, are there where there are any.
+    methods = {kind: getattr(built, kind) for kind in ("reducers", "metrics")}
+    changes += _compare_recipes({kind: one for kind, one in methods.items() if one}, own)
+    if set(origins) != set(recordings):
+        was, named = (", ".join(sorted(names)) for names in (origins, recordings))
+        changes.append(f"recordings: built from {was}; the settings name {named}")
+    changes += [
+        f"recording {name!r}: is not the one that the set was built from"
+        for name, sha256 in recordings.items()
+        if sha256 is not None and origins.get(name, sha256) != sha256
+    ]
+    return [f"{folder}: {change}" for change in changes]
+
+
+def _compare_recipes(
+    built: Mapping[str, Any], wanted: Mapping[str, Any], *, table: str = ""
+) -> Iterator[str]:
+    for key in sorted({*built, *wanted}):
+        old, new = built.get(key), wanted.get(key)
+        if isinstance(old, dict) and isinstance(new, dict):
+            yield from _compare_recipes(old, new, table=f"{table}{key}.")
+        elif old != new:
+            yield f"{table}{key}: built with {json.dumps(old)}; the settings say {json.dumps(new)}"

@@ -1,16 +1,17 @@
-"""Sessions of simulated participants: who takes part, how they feel, and many of them side by side."""
+"""Sessions of simulated participants: who takes part, what they plant, and many of them side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from functools import partial
 from itertools import count, islice
-from pathlib import Path
 from threading import Event, Lock
 from typing import TYPE_CHECKING, NamedTuple
 
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.checkpoints import note_checkpoint
 from feel321.study.observer.model import (
     Casting,
     Touch,
@@ -21,31 +22,24 @@ from feel321.study.observer.model import (
     make_model,
 )
 from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.people import write_roster
+from feel321.study.persons.answers import write_answers
+from feel321.study.ratings import write_matches, write_ratings
 from feel321.study.session.events import SessionReleased
-from feel321.study.session.journal import Journal, list_journals, read_journal
+from feel321.study.session.journal import Clock, Journal, list_journals, read_journal
 from feel321.study.session.plan import TOMBSTONE_FILE, Plan
-from feel321.study.settings.read import make_identity
+from feel321.study.sessions import Room, lead_session, open_room, plan_sessions, require_current_set
+from feel321.study.settings.read import make_identity, read_settings
+from feel321.study.strength import find_unfelt
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.ports import Presenter
     from feel321.study.settings.schema import Settings
 
-from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.checkpoints import note_checkpoint
-from feel321.study.matches import write_matches
-from feel321.study.people import write_roster
-from feel321.study.persons.answers import write_answers
-from feel321.study.provenance import require_current_set
-from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import Clock
-from feel321.study.sessions import Room, lead_session, open_room, plan_sessions
-from feel321.study.settings.read import read_settings
-from feel321.study.strength import find_unfelt
+SIDE_BY_SIDE = 16
+"""Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
 
 
 class Planted(NamedTuple):
@@ -53,11 +47,6 @@ class Planted(NamedTuple):
 
     slopes: dict[str, float]
     reducers: dict[str, float]
-
-
-def find_planted(settings: Settings, stimuli: StimulusSet) -> dict[str, float]:
-    """Compute the slopes that simulated participants plant in realism ratings: metric -> points per +0.1."""
-    return regress_planted(settings, stimuli).slopes
 
 
 def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
@@ -81,116 +70,14 @@ def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
         [point.spectral, point.temporal, *(stimulus.reducer == name for name in terms), rating]
         for stimulus, point, rating in zip(tests, points, ratings, strict=True)
     ])
-    found = _regress_within(values, [(one.recording, one.level) for one in tests])
+    groups = [(one.recording, one.level) for one in tests]
+    for group in set(groups):
+        own = np.array([one == group for one in groups])
+        values[own] -= values[own].mean(axis=0)
+    found = np.linalg.lstsq(values[:, :-1], values[:, -1], rcond=None)[0].tolist()
     metrics = (model.spectral_metric, "temporal_match")
     slopes = {name: slope / 10 for name, slope in zip(metrics, found[:2], strict=True)}
     return Planted(slopes, dict(zip(terms, found[2:], strict=True)))
-
-
-def _regress_within(values: NDArray[np.float64], groups: list[tuple[str, str]]) -> list[float]:
-    """Regress the last column on the others, within groups."""
-    import numpy as np
-
-    numbers = {group: number for number, group in enumerate(sorted(set(groups)))}
-    arms = np.array([numbers[group] for group in groups])
-    sums = np.zeros((len(numbers), values.shape[1]))
-    np.add.at(sums, arms, values)
-    values = values - (sums / np.bincount(arms)[:, None])[arms]
-    found: list[float] = np.linalg.lstsq(values[:, :-1], values[:, -1], rcond=None)[0].tolist()
-    return found
-
-
-SIDE_BY_SIDE = 16
-"""Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
-
-
-def run_simulation(
-    room: Room,
-    settings: Settings,
-    participants: int,
-    *,
-    seed: int,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[str]:
-    """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
-    names = list_participants(room.study, participants)
-    plans = plan_sessions(room, settings, names, simulated=True)
-    casting = cast_observers(settings, room.stimuli, seed=seed)
-    tally = _Tally(plans, progress)
-    pool = ThreadPoolExecutor(SIDE_BY_SIDE)
-    try:
-        sessions = [
-            pool.submit(
-                _run, plan, settings, room, casting=casting, count=partial(tally.take, place)
-            )
-            for place, plan in enumerate(plans)
-        ]
-        return sorted(filter(None, [session.result() for session in as_completed(sessions)]))
-    finally:
-        # After an error or Ctrl-C the other sessions end with the trial that they are in.
-        tally.stop.set()
-        pool.shutdown(cancel_futures=True)
-
-
-def list_participants(study: StudyFolder, number: int) -> list[str]:
-    """List the codes of simulated participants, without those who were released or withdrawn."""
-    names = (f"sim{place:03d}" for place in count(1))
-    return list(islice((name for name in names if not _is_gone(study.sessions / name)), number))
-
-
-class _Tally:
-    """Counts trials over all sessions, and ends those that run when one has failed."""
-
-    def __init__(self, plans: Sequence[Plan], progress: Callable[[int, int], None] | None) -> None:
-        self.stop = Event()
-        self._progress = progress
-        self._done = [0] * len(plans)
-        self._total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
-        self._counting = Lock()
-
-    def take(self, place: int, done: int) -> None:
-        if self.stop.is_set():
-            raise CancelledError
-        with self._counting:
-            is_news, self._done[place] = done != self._done[place], done
-            if is_news and self._progress is not None:
-                self._progress(sum(self._done), self._total)
-
-
-def _run(
-    plan: Plan, settings: Settings, room: Room, *, casting: Casting, count: Callable[[int], None]
-) -> str:
-    presenter = identify_observer(casting.model, seed=casting.seed)
-    _, notice = lead_session(
-        room,
-        plan,
-        identity=make_identity(settings, room.study.path, presenter),
-        make_presenter=partial(_make_observer, casting=casting),
-        on_step=lambda place: count(place.done),
-    )
-    return notice
-
-
-@contextmanager
-def _make_observer(
-    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting
-) -> Iterator[Presenter]:
-    observer = SimulatedObserver(
-        casting.model,
-        seed=casting.seed,
-        number=find_person(plan.participant),
-        percepts=casting.percepts,
-        elapsed_s=journal.records.find_elapsed(),
-    )
-    observer.recall(journal.records, plan.trials, stimuli=stimuli)
-    yield observer
-
-
-def _is_gone(folder: Path) -> bool:
-    if (folder / TOMBSTONE_FILE).exists():
-        return True
-    journals = list_journals(folder)
-    return bool(journals) and read_journal(journals[-1]).records.has(SessionReleased)
 
 
 def simulate_study(
@@ -218,3 +105,75 @@ def simulate_study(
         for notice in filter(None, (find_unfelt(settings, stimuli), *notices)):
             warn(notice)
     return rows
+
+
+def run_simulation(
+    room: Room,
+    settings: Settings,
+    participants: int,
+    *,
+    seed: int,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[str]:
+    """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
+    names = list_participants(room.study, participants)
+    plans = plan_sessions(room, settings, names, simulated=True)
+    casting = cast_observers(settings, room.stimuli, seed=seed)
+    total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
+    done, counting, stop = dict.fromkeys(names, 0), Lock(), Event()
+
+    def run(plan: Plan) -> str:
+        def take(number: int) -> None:
+            if stop.is_set():
+                raise CancelledError
+            with counting:
+                is_news, done[plan.participant] = done[plan.participant] != number, number
+                if is_news and progress is not None:
+                    progress(sum(done.values()), total)
+
+        presenter = identify_observer(casting.model, seed=casting.seed)
+        _, notice = lead_session(
+            room,
+            plan,
+            identity=make_identity(settings, room.study.path, presenter),
+            make_presenter=partial(_make_observer, casting=casting),
+            on_step=lambda place: take(place.done),
+        )
+        return notice
+
+    pool = ThreadPoolExecutor(SIDE_BY_SIDE)
+    try:
+        sessions = [pool.submit(run, plan) for plan in plans]
+        return sorted(filter(None, [session.result() for session in as_completed(sessions)]))
+    finally:
+        # After an error or Ctrl-C the other sessions end with the trial that they are in.
+        stop.set()
+        pool.shutdown(cancel_futures=True)
+
+
+def list_participants(study: StudyFolder, number: int) -> list[str]:
+    """List the codes of simulated participants, without those who were released or withdrawn."""
+
+    def is_here(name: str) -> bool:
+        folder = study.sessions / name
+        journals = list_journals(folder)
+        if (folder / TOMBSTONE_FILE).exists():
+            return False
+        return not (journals and read_journal(journals[-1]).records.has(SessionReleased))
+
+    return list(islice(filter(is_here, (f"sim{place:03d}" for place in count(1))), number))
+
+
+@contextmanager
+def _make_observer(
+    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting
+) -> Iterator[Presenter]:
+    observer = SimulatedObserver(
+        casting.model,
+        seed=casting.seed,
+        number=find_person(plan.participant),
+        percepts=casting.percepts,
+        elapsed_s=journal.records.find_elapsed(),
+    )
+    observer.recall(journal.records, plan.trials, stimuli=stimuli)
+    yield observer

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from feel321.names import ANCHOR
 from feel321.protocols.trial import SURFACE
-from feel321.stimuli.sets.anchors import to_db
 from feel321.stimuli.sets.build import Foreseen
 from feel321.stimuli.sets.manifest import StimulusSet, find_raised
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, Recipe
 from feel321.stimuli.sets.render import find_headroom_cost
-from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold
+from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold, to_db
 from feel321.study.actuator import render
 from feel321.study.actuator.mixer import ROUNDING
 from feel321.study.actuator.rig import AXES, REDUCED, Rig

@@ -59,7 +59,7 @@ class Study:
     warn: Callable[[str], None] | None = None
 
     @classmethod
-    def create(cls, path: PathLike, *, like: str | None = None, progress: Progress = False) -> Self:
+    def create(cls, path: PathLike, *, like: str | None = None, methods: bool = False) -> Self:
         """Begin a study in a new folder: a commented `study.toml` that works as it is, and a `rig.toml`.
 
         Parameters
@@ -68,15 +68,15 @@ class Study:
             The folder; refused if it holds a study.
         like : str, optional
             A ready study, such as `landin2010`, one that was published, or `generated`, a design.
-        progress : bool or callable
-            Whether long steps show a progress bar.
-
-        Returns
-        -------
-        Study
-            The study.
+        methods : bool
+            Whether it gets an example of every kind of method of your own.
         """
-        return cls(create_study(as_path(path), bundled=like), progress)
+        made = create_study(as_path(path), bundled=like)
+        if methods:
+            from feel321.study.settings.read import add_methods
+
+            add_methods(made)
+        return cls(made)
 
     @classmethod
     def open(cls, path: PathLike = ".", *, progress: Progress = False) -> Self:
@@ -88,29 +88,19 @@ class Study:
             The folder that holds `study.toml`.
         progress : bool or callable
             Whether long steps show a progress bar.
-
-        Returns
-        -------
-        Study
-            The study.
         """
         return cls(require_study(as_path(path)), progress)
 
     def check(self) -> Problems:
-        """Check settings, recordings, texts, strength of the stimuli, rig and, once built, the stimulus set.
-
-        Returns
-        -------
-        Problems
-            All that was found, at once.
-        """
+        """Check settings, recordings, texts, strength of the stimuli, rig and, once built, the stimulus set."""
         from feel321.study.freeze import describe_frozen, find_faults
         from feel321.study.workflow import check_study
 
         with follow(self.progress, "check") as step:
             found = check_study(self.folder, progress=step)
-        warnings, line = (*found.warnings, *find_faults(self.folder)), describe_frozen(self.folder)
-        return replace(found, warnings=warnings, notes=(*found.notes, *filter(None, [line])))
+        frozen = filter(None, [describe_frozen(self.folder)])
+        faults = find_faults(self.folder)
+        return replace(found, warnings=(*found.warnings, *faults), notes=(*found.notes, *frozen))
 
     def build(self, workers: int | Workers = 1, *, page: bool = True) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
@@ -121,19 +111,15 @@ class Study:
             Number of processes, or who else does the work.
         page : bool
             Whether the set gets a page on which stimuli are seen, measured and heard, `stimuli/index.html`.
-
-        Returns
-        -------
-        StimulusSet
-            The set.
         """
+        from feel321.stimuli.sets.build import find_copies
         from feel321.study.workflow import build_study
 
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(self.folder, workers=workers, page=page, progress=step)
-        for one in facts:
-            for text in one.warnings:
-                self._warn(f"{one.name}: {text}")
+        noticed = [f"{one.name}: {text}" for one in facts for text in one.warnings]
+        for text in (*noticed, *find_copies(facts)):
+            self._warn(text)
         return stimuli
 
     def simulate(self, participants: int = 16, rng: Rng | None = None) -> DataFrame:
@@ -145,41 +131,51 @@ class Study:
             How many take part.
         rng : int or Generator, optional
             Random seed of the participants; the study's by default.
-
-        Returns
-        -------
-        DataFrame
-            The ratings, as `ratings.csv` holds them.
         """
         import pandas as pd
 
+        self.simulate_sessions(participants, None if rng is None else as_seed(rng))
+        return pd.read_csv(self.folder.ratings)
+
+    def simulate_sessions(self, participants: int, seed: int | None = None) -> int:
+        """Do as `simulate`, without pandas, which takes a second to import.
+
+        Parameters
+        ----------
+        participants : int
+            How many take part.
+        seed : int, optional
+            Random seed of the participants; the study's by default.
+        """
         from feel321.study.simulation import simulate_study
 
         with follow(self.progress, "simulate") as step:
-            simulate_study(
+            return simulate_study(
                 self.folder,
                 participants=participants,
-                seed=None if rng is None else as_seed(rng),
+                seed=seed,
                 now=self.now,
                 progress=step,
                 warn=self._warn,
             )
-        return pd.read_csv(self.folder.ratings)
 
     def status(self) -> Status:
-        """Read how far every participant has come, and how balanced the design is so far. Blind.
-
-        Returns
-        -------
-        Status
-            Participants and balance.
-        """
+        """Read how far every participant has come, and how balanced the design is so far. Blind."""
         from feel321.study.status import read_status
 
         with follow(self.progress, "status") as step:
             return read_status(self.folder, progress=step)
 
-    def analyze(self, draws: int | None = None, *, rivals: bool = False) -> Results:
+    def analyze(
+        self,
+        draws: int | None = None,
+        *,
+        rivals: bool = False,
+        metrics: Sequence[str] = (),
+        ratings: PathLike | None = None,
+        manifest: PathLike | None = None,
+        out: PathLike | None = None,
+    ) -> Results:
         """Relate the ratings to the match metrics and write the report into `report/`.
 
         Parameters
@@ -188,18 +184,30 @@ class Study:
             Bootstrap draws per interval; as `study.toml` declares by default.
         rivals : bool
             Also say which of all metrics predicts best, corrected for how many were tried.
-
-        Returns
-        -------
-        Results
-            Every number of the report, and its answer.
+        metrics : sequence of str
+            Numeric columns of the manifest to analyze; those that `study.toml` declares if left out.
+        ratings, manifest : str or path, optional
+            Ratings from elsewhere, and the stimuli that were rated; the study's by default.
+        out : str or path, optional
+            Where to, instead of `report/`.
         """
         from feel321.study.analyze import analyze_study
         from feel321.study.export.narrative import write_methods
 
+        target = None if out is None else as_path(out)
         with follow(self.progress, "analyze") as step:
-            results = analyze_study(self.folder, draws=draws, rivals=rivals, progress=step)
-        write_methods(self.folder, self.folder.report)
+            results = analyze_study(
+                self.folder,
+                ratings=None if ratings is None else as_path(ratings),
+                manifest=None if manifest is None else as_path(manifest),
+                metrics=metrics or None,
+                draws=draws,
+                rivals=rivals,
+                out=target,
+                progress=step,
+            )
+        if ratings is None:
+            write_methods(self.folder, target or self.folder.report)
         return results
 
     def audit(self, *, expect: str = "", remotes: Sequence[str] = ()) -> Audit:
@@ -211,11 +219,6 @@ class Study:
             The id of a checkpoint that must be there, or how it begins.
         remotes : sequence of str
             Git remotes with checkpoints, folders or URLs, besides those that the study is pushed to.
-
-        Returns
-        -------
-        Audit
-            Every change, and what the study was compared with.
         """
         from feel321.study.auditing.study import examine
         from feel321.study.findings import Audit
@@ -236,11 +239,6 @@ class Study:
             Why settings, texts or methods were changed since the last checkpoint.
         to : str
             A further git remote, a folder or a URL; it is kept if it takes this checkpoint.
-
-        Returns
-        -------
-        Seal
-            The id of the checkpoint, and the remotes that have it.
         """
         from feel321.study.checkpoints import take_checkpoint
 
@@ -290,11 +288,6 @@ class Study:
             Random seed; the study's by default.
         folder : str or path, optional
             Where to, instead of `power/`.
-
-        Returns
-        -------
-        StudyPower
-            The answer, and every number behind it.
         """
         from feel321.analysis.report.folder import check_target
         from feel321.jobs import as_workers
@@ -330,37 +323,20 @@ class Study:
         ----------
         changes : Mapping of str to object
             Dotted name -> value, such as `{"session.repeats": 2}`; None brings the default back.
-
-        Returns
-        -------
-        Study
-            The same study.
         """
-        from feel321.study.settings.edit import edit_settings
+        from feel321.study.settings.read import edit_settings
 
         edit_settings(self.folder.settings, changes)
         return self
 
     def recordings(self) -> list[Recording]:
-        """Read the recordings that `study.toml` names.
-
-        Returns
-        -------
-        list of Recording
-            As the sensor gave them: not conditioned.
-        """
+        """Read the recordings that `study.toml` names."""
         from feel321.study.settings.read import open_recordings
 
         return open_recordings(self.settings, self.folder.path)
 
     def stimuli(self) -> StimulusSet:
-        """Read the stimulus set.
-
-        Returns
-        -------
-        StimulusSet
-            As it was built.
-        """
+        """Read the stimulus set."""
         from feel321.stimuli.sets.manifest import read_stimuli
 
         return read_stimuli(self.folder.stimuli)
@@ -374,11 +350,6 @@ class Study:
             The participant's code.
         blind : bool
             Whether stimuli keep their codes; if False, they are named.
-
-        Returns
-        -------
-        DataFrame
-            One row per judgement, in the order of the trials.
         """
         import pandas as pd
 
@@ -392,9 +363,8 @@ class Study:
         ]
         frame = pd.DataFrame(rows).drop(columns=["parts", "judgements"])
         if not blind:
-            codes = {
-                code: name for name, code in list_codes(self.stimuli(), seed=plan.seed).items()
-            }
+            named = list_codes(self.stimuli(), seed=plan.seed)
+            codes = {code: name for name, code in named.items()}
             columns = ["stimulus_id", "reference_id"]
             frame[columns] = frame[columns].replace(codes)
         return frame
@@ -406,11 +376,6 @@ class Study:
         ----------
         participant : str
             The participant's code.
-
-        Returns
-        -------
-        DataFrame
-            One row per record: `session`, `sequence`, `utc`, `event`, `data`. Blind: stimuli have their codes.
         """
         import pandas as pd
 
@@ -422,13 +387,7 @@ class Study:
         return pd.DataFrame(rows, columns=["session", "sequence", "utc", "event", "data"])
 
     def ratings(self) -> DataFrame:
-        """Derive the ratings from the journals.
-
-        Returns
-        -------
-        DataFrame
-            One row per completed judgement, as `ratings.csv` holds them, which is written anew.
-        """
+        """Derive the ratings from the journals."""
         import pandas as pd
 
         from feel321.study.ratings import write_ratings
@@ -437,13 +396,7 @@ class Study:
         return pd.read_csv(self.folder.ratings)
 
     def answers(self) -> DataFrame:
-        """Derive the answers to question pages from the journals; personal ones are marked so.
-
-        Returns
-        -------
-        DataFrame
-            One row per answer, as in `answers.csv`, which is written anew; empty where nothing was asked.
-        """
+        """Derive the answers to question pages from the journals; personal ones are marked so."""
         import pandas as pd
 
         from feel321.study.persons.answers import COLUMNS, write_answers
@@ -451,13 +404,7 @@ class Study:
         return pd.DataFrame(write_answers(self.folder), columns=list(COLUMNS))
 
     def table(self) -> Table:
-        """Join ratings and metrics for the analysis.
-
-        Returns
-        -------
-        Table
-            What every function of `feel321.analysis` takes.
-        """
+        """Join ratings and metrics for the analysis."""
         from feel321.study.analyze import read_study_table
 
         return read_study_table(self.folder)[0]
@@ -475,7 +422,6 @@ class Study:
     def _find(self, participant: str) -> Dossier:
         known = {folder.name: folder for folder in self.folder.participants}
         if participant not in known:
-            raise ValueError(
-                f"participant must be one of {', '.join(known) or 'nobody yet'}; got {participant!r}"
-            )
+            listed = ", ".join(known) or "nobody yet"
+            raise ValueError(f"participant must be one of {listed}; got {participant!r}")
         return self.folder.read_person(known[participant])

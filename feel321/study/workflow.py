@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from feel321 import intake
 from feel321.doors import announce, follow
-from feel321.jobs import Workers
+from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
@@ -21,29 +21,24 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import build as sets
-from feel321.stimuli.sets.anchors import weigh_bands
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
-from feel321.stimuli.sets.recipe import Recipe
-from feel321.stimuli.sets.unread import Unread
+from feel321.stimuli.sets.recipe import Recipe, Unread, weigh_bands
 from feel321.study import strength
 from feel321.study.actuator.certificate import judge_certificates, list_certificates
-from feel321.study.actuator.render import find_mix
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.checkpoints import declaring
 from feel321.study.findings import Problems
-from feel321.study.folder import SETTINGS_FILE, StudyFolder, is_in_use
+from feel321.study.folder import SETTINGS_FILE, StudyFolder
 from feel321.study.methods import list_methods
 from feel321.study.minutes import measure_design
-from feel321.study.paper import compare_with_paper
-from feel321.study.provenance import find_changes
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
+from feel321.study.sessions import find_changes
 from feel321.study.settings import read
 from feel321.study.settings.schema import Settings, count_groups
 
 Progress = Callable[[int, int], None]
-Matrix = NDArray[np.float64]
-Seen = tuple[sets.Survey, Matrix | None]
+Seen = tuple[sets.Survey, NDArray[np.float64] | None]
 """What one look at a recording gave, and the covariance of its axes."""
 
 
@@ -55,6 +50,8 @@ def build_study(
     progress: Progress | None = None,
 ) -> tuple[list[sets.Facts], StimulusSet]:
     """Build the stimulus set of a study, and its page; also gives what was found of its recordings."""
+    if as_workers(workers).scheduler:
+        study = StudyFolder(study.path.absolute())  # as all machines see it
     settings = read.read_settings(study.settings)
     sources = read.list_unread(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
@@ -64,15 +61,11 @@ def build_study(
             facts, stimuli = sets.build_set(
                 sources, study.stimuli, recipe, workers=workers, move=move
             )
-        if page:
-            from feel321.analysis.browser import write_stimulus_page
+        if page or (study.stimuli / "index.html").exists():
+            from feel321.analysis.browser import remove_stimulus_page, write_stimulus_page
 
             announce("page of the set")
-            write_stimulus_page(study.stimuli)
-        elif (study.stimuli / "index.html").exists():
-            from feel321.analysis.browser import remove_stimulus_page
-
-            remove_stimulus_page(study.stimuli)
+            (write_stimulus_page if page else remove_stimulus_page)(study.stimuli)
     return facts, stimuli
 
 
@@ -80,26 +73,25 @@ def _protect_used_set(study: StudyFolder, recipe: Recipe, sources: Sequence[Unre
     """Refuse to replace a set that sessions were run with, or may have been."""
     if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
         return
-    digests = dict(map(_digest_unread, sources))
+    digests: dict[str, str | None] = {}
+    for source in sources:
+        try:
+            digests[source.name] = source.read().sha256
+        except (OSError, TypeError, ValueError):  # which the build reports
+            digests[source.name] = None
     try:
-        sha256 = read_stimuli(study.stimuli).sha256
+        sha256 = read_stimuli(study.stimuli).sha256.encode()
         changes = find_changes(study.stimuli, recipe, digests)
     except (OSError, ValueError) as error:
         raise ValueError(
             f"{study.stimuli}: sessions may have been run with this set, which cannot be read ({error}); "
             f"restore it from a copy, or move {study.sessions} away"
         ) from None
-    if changes and is_in_use(study, sha256):
+    # By the bare text, so that damaged plans and journals count too.
+    files = [path for path in study.sessions.glob("*/*.json*") if path.is_file()]
+    if changes and any(sha256 in path.read_bytes() for path in files):
         remedy = f"sessions were run with this set; make a new study, or move {study.sessions} away"
         raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))
-
-
-def _digest_unread(source: Unread) -> tuple[str, str | None]:
-    """Digest a recording; None if it cannot be read, which is reported by itself."""
-    try:
-        return source.name, source.read().sha256
-    except (OSError, TypeError, ValueError):
-        return source.name, None
 
 
 # Everything that stands in the way of a study, found in one go.
@@ -117,14 +109,13 @@ def check_study(
     try:
         recipe = read.make_recipe(settings, study.path)
         unusable = _check_methods(study, settings)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         unusable = [f"{study.settings.name}: {error}"]
-    own = recipe if not unusable else None
+    own = None if unusable else recipe
     seen, problems = _examine(study, settings, own, progress=progress)
     facts = [one.facts for one, _ in seen if one.facts]
     unread = [one.fault for one, _ in seen if one.fault]
     rig, rigged = _check_rig(study, settings, now=now)
-    rigged += compare_with_paper(settings, facts, rig)
     found = Problems()
     if own is not None and not (unread or problems):
         try:
@@ -133,7 +124,6 @@ def check_study(
             found = Problems((str(error),))
     problems = [
         *unread,
-        *_check_pictures(study, settings),
         *_check_texts(study, settings),
         *rigged.problems,
         *problems,
@@ -143,9 +133,8 @@ def check_study(
     if study.stimuli.exists():
         problems += _check_set(study, settings, facts, recipe=recipe)
     elif study.participants:
-        problems.append(
-            f"{study.stimuli}: missing, but sessions were run with it; put it back or build it again"
-        )
+        lost = "missing, but sessions were run with it; put it back or build it again"
+        problems.append(f"{study.stimuli}: {lost}")
     further = () if problems else tuple(find_warnings(study, settings, facts))
     return Problems(
         problems=tuple(problems),
@@ -154,6 +143,22 @@ def check_study(
         remarks=tuple(f"{one.name}: {text}" for one in facts for text in one.warnings),
         figures=found.figures,
     )
+
+
+def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
+    """Check the form of the lab's own reducers, metrics and screening rules, as far as that is quick."""
+    from feel321.analysis.screening.rules import find_rules, make_rule
+    from feel321.stimuli.conform import check_method
+
+    methods = list_methods(settings, study.path)
+    for rule in find_rules(settings.analysis.screening, study.path):
+        make_rule(rule)
+    return [
+        f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
+        for one in methods
+        for found in check_method(one, quick=True)
+        if not found.passed
+    ]
 
 
 def _examine(
@@ -188,7 +193,7 @@ def _examine(
     return seen, faults
 
 
-def _try_recording(recording: Recording, recipe: Recipe) -> Matrix:
+def _try_recording(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
     """Try out what a build does to a recording, but for what takes long; returns the covariance of its axes."""
     try:
         ready = condition(recording, recipe.conditioning)
@@ -200,25 +205,6 @@ def _try_recording(recording: Recording, recipe: Recipe) -> Matrix:
     return np.asarray(np.einsum("in,jn->ij", ready.acceleration, ready.acceleration))
 
 
-def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check the form of the lab's own reducers, metrics and screening rules, as far as that is quick."""
-    from feel321.analysis.screening.rules import find_rules, make_rule
-    from feel321.stimuli.conform import check_method
-
-    try:
-        methods = list_methods(settings, study.path)
-        for rule in find_rules(settings.analysis.screening, study.path):
-            make_rule(rule)
-    except (TypeError, ValueError) as error:
-        return [f"{study.settings.name}: {error}"]
-    return [
-        f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
-        for one in methods
-        for found in check_method(one, quick=True)
-        if not found.passed
-    ]
-
-
 def _foresee(
     study: StudyFolder, settings: Settings, seen: Sequence[Seen], *, recipe: Recipe, rig: Rig | None
 ) -> Problems:
@@ -227,7 +213,20 @@ def _foresee(
     is_built = study.manifest.exists()  # then its files are examined themselves
     found = strength.find_strength(settings, foreseen, recipe)
     found += Problems(tuple([] if is_built else strength.find_clipping(foreseen, recipe)))
-    found += _measure_session(settings, [one.facts for one, _ in seen if one.facts], foreseen)
+    design, groups = _keep_choosing(read.make_design(settings))
+    items = [
+        Item(one.stimulus_id, one.recording, one.reducer, one.level, one.role) for one in foreseen
+    ]
+    crop_s = settings.stimuli.conditioning.crop_s
+    facts = [one.facts for one, _ in seen if one.facts]
+    durations = {one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in facts}
+    try:
+        length = measure_design(design, items, durations=durations, groups=groups)
+    except ValueError:
+        pass  # what keeps trials from being made is found by itself
+    else:
+        note = f"{SETTINGS_FILE}: {length.describe()}"
+        found += Problems(notes=(note,), figures={"session": asdict(length)})
     if rig is None:
         return found
     limits = [] if is_built else strength.find_rig_limits(rig, foreseen, recipe.reference)
@@ -238,26 +237,6 @@ def _foresee(
         for lines in (limits, reach.warnings, reach.notes)
     )
     return Problems(notes=notes) + found + Problems(problems, warnings, figures=reach.figures)
-
-
-def _measure_session(
-    settings: Settings, recordings: Sequence[sets.Facts], foreseen: Sequence[sets.Foreseen]
-) -> Problems:
-    """Measure how long a session takes."""
-    design, groups = _keep_choosing(read.make_design(settings))
-    items = [
-        Item(one.stimulus_id, one.recording, one.reducer, one.level, one.role) for one in foreseen
-    ]
-    crop_s = settings.stimuli.conditioning.crop_s
-    durations = {
-        one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in recordings
-    }
-    try:
-        length = measure_design(design, items, durations=durations, groups=groups)
-    except ValueError:
-        return Problems()  # what keeps trials from being made is found by itself
-    notes = (f"{SETTINGS_FILE}: {length.describe()}",)
-    return Problems(notes=notes, figures={"session": asdict(length)})
 
 
 def _keep_choosing(design: Design) -> tuple[Design, int]:
@@ -305,14 +284,13 @@ def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
     from feel321.analysis.table.metrics import ROTATIONS  # build needs nothing of the analysis
 
     with intake.open_text(study.manifest) as file:
-        rows = csv.DictReader(file)
-        seen = {name for row in rows for name, cell in row.items() if _is_number(cell)}
-    known = [name for name in rows.fieldnames or () if name in seen]
+        rows = list(csv.DictReader(file))
+    seen = {name: None for row in rows for name, cell in row.items() if _is_number(cell)}
     for name in settings.analysis.metrics:
-        if name not in known and name not in ROTATIONS:
+        if name not in seen and name not in ROTATIONS:
             yield (
                 f"{study.settings.name}: analysis.metrics must be numeric columns of {study.manifest}, or rotation "
-                f"statistics, got {name!r}; there are: {', '.join([*known, *ROTATIONS])}"
+                f"statistics, got {name!r}; there are: {', '.join([*seen, *ROTATIONS])}"
             )
 
 
@@ -324,43 +302,38 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _check_pictures(study: StudyFolder, settings: Settings) -> list[str]:
-    return [
-        f"recording {entry.title!r}: {study.path / entry.picture}: no such picture; put it there"
-        for entry in settings.recordings
-        if entry.picture and not (study.path / entry.picture).is_file()
-    ]
-
-
-def _check_texts(study: StudyFolder, settings: Settings) -> list[str]:
+def _check_texts(study: StudyFolder, settings: Settings) -> Iterator[str]:
+    """Check that pictures are there, and that all texts fit on the screen."""
     from feel321.study.screen.layout import find_overflows
     from feel321.study.screen.view import make_screen_texts
 
+    for entry in settings.recordings:
+        if entry.picture and not (study.path / entry.picture).is_file():
+            place = study.path / entry.picture
+            yield f"recording {entry.title!r}: {place}: no such picture; put it there"
     language = read.find_language(settings, study.path)
     try:
         texts = read.read_study_texts(settings, study.path)
         questions = read.make_design(settings, study.path).questions
     except OSError as error:
-        return [
-            f"{error.filename}: {error.strerror}; put your texts there, or name a language of the catalogue"
-        ]
+        remedy = "put your texts there, or name a language of the catalogue"
+        yield f"{error.filename}: {error.strerror}; {remedy}"
+        return
     except ValueError as error:
-        return str(error).splitlines()
-    return [
-        f"texts in {language}: {problem}"
-        for problem in find_overflows(
-            make_screen_texts(texts),
-            make_scales(texts).values(),
-            questions,
-            together={name for table in settings.tasks.values() for name in table.scales},
-        )
-    ]
+        yield from str(error).splitlines()
+        return
+    together = {name for table in settings.tasks.values() for name in table.scales}
+    for problem in find_overflows(
+        make_screen_texts(texts), make_scales(texts).values(), questions, together=together
+    ):
+        yield f"texts in {language}: {problem}"
 
 
 def _check_rig(
     study: StudyFolder, settings: Settings, *, now: Clock
 ) -> tuple[Rig | None, Problems]:
     """Check the rig, where there is one, and the certificate that a session would use. An unusable rig is None."""
+    from feel321.study.actuator.render import find_mix
     from feel321.study.sessions import list_rig_problems
 
     if not study.rig.is_file():
@@ -395,47 +368,37 @@ def _check_rig(
     return rig, found + Problems(tuple(problems))
 
 
+LEAST_WINDOW = 16
+"""Samples: the main lobe is 3 bins wide, so offset and Nyquist frequency reach 4 of 9 bins; of fewer, half or more."""
+
+
 def find_warnings(
     study: StudyFolder, settings: Settings, recordings: Sequence[sets.Facts] = ()
 ) -> list[str]:
     """Find what is allowed in a study and still worth knowing."""
     remarks = [f"{study.settings.name}: {remark}" for remark in read.list_remarks(settings)]
     remarks += sets.find_copies(recordings)
-    remarks += _find_slow(settings, recordings)
-    language = read.find_language(settings, study.path)
-    if isinstance(language, Path) and (borrowed := list_borrowed(language)):
-        remarks.append(
-            f"{settings.session.language}: has no {', '.join(borrowed)}; the catalogue's is shown there"
-        )
-    if settings.session.order != "random" or not study.stimuli.exists():
-        return remarks
-    plan = make_plan(
-        read.make_design(settings), read_stimuli(study.stimuli), "check", number=1, simulated=False
-    )
-    return remarks + [f"order 'random': {line}" for line in find_crowding(plan.trials)]
-
-
-LEAST_WINDOW = 16
-"""Samples: the main lobe is 3 bins wide, so offset and Nyquist frequency reach 4 of 9 bins; of fewer, half or more."""
-
-
-def _find_slow(settings: Settings, recordings: Sequence[sets.Facts]) -> Iterator[str]:
-    """Name recordings whose rate narrows the band of the matches, or leaves windows few samples."""
-    windowed = [
-        name
-        for name in settings.stimuli.reducers
-        if name in REDUCERS and "window_s" in signature(REDUCERS[name]).parameters
-    ]
+    named = [name for name in settings.stimuli.reducers if name in REDUCERS]
+    windowed = [name for name in named if "window_s" in signature(REDUCERS[name]).parameters]
     for one in recordings:
         where = f"recording {one.name!r}, at {one.rate_hz:g} Hz"
         if (high_hz := one.rate_hz / 2) < HIGHEST_HZ:
-            yield (
+            remarks.append(
                 f"{where}: holds nothing above {high_hz:g} Hz, so its matches compare less than 20 to "
                 f"{HIGHEST_HZ:g} Hz; use a recording of {2 * HIGHEST_HZ:g} Hz or more, or report the band"
             )
         samples = window_samples(DEFAULT_WINDOW_S, one.rate_hz)
         if windowed and samples < LEAST_WINDOW:
-            yield (
+            remarks.append(
                 f"{where}: a window of {1e3 * DEFAULT_WINDOW_S:g} ms has {samples} samples, {LEAST_WINDOW} are the "
                 f"least that resolve a spectrum; leave out {', '.join(windowed)}, or record faster"
             )
+    language = read.find_language(settings, study.path)
+    if isinstance(language, Path) and (borrowed := list_borrowed(language)):
+        lacking = f"has no {', '.join(borrowed)}; the catalogue's is shown there"
+        remarks.append(f"{settings.session.language}: {lacking}")
+    if settings.session.order == "random" and study.stimuli.exists():
+        design, stimuli = read.make_design(settings), read_stimuli(study.stimuli)
+        plan = make_plan(design, stimuli, "check", number=1, simulated=False)
+        remarks += [f"order 'random': {line}" for line in find_crowding(plan.trials)]
+    return remarks

@@ -77,7 +77,7 @@ def test_nothing_delivered_is_no_section(small: object) -> None:
 def test_a_constant_loss_changes_no_slope_but_a_lost_metric_does(small: object) -> None:
     def vary(table: Table) -> pd.DataFrame:
         (part,) = split_parts(table)
-        found = vary_primary(part.rows, table.metrics, leave_out=False)
+        found = vary_primary(part.rows, table.metrics)
         return found.set_index(["variant", "metric"])["estimate"]
 
     slopes = vary(deliver(small))
@@ -137,10 +137,9 @@ def test_a_rig_as_a_factor_takes_out_what_the_rig_adds(small: object) -> None:
     there = (rows["rig"] == ODD) & (rows["recording"] == "rec0")
     shifted = rows.assign(rating=rows["rating"] + 25 * there)
     slopes = [
-        vary_primary(one, before.metrics, top=200, leave_out=False).set_index([
-            "variant",
-            "metric",
-        ])["estimate"]["rig as a factor"]
+        vary_primary(one, before.metrics, top=200).set_index(["variant", "metric"])["estimate"][
+            "rig as a factor"
+        ]
         for one in (rows, shifted)
     ]
     np.testing.assert_allclose(*slopes, rtol=1e-3)

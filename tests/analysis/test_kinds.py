@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from feel321.analysis.contrasts.compare import equivalence, participant_means, profile_reducers
-from feel321.analysis.contrasts.discrimination import discriminate
+from feel321.analysis.contrasts.told_apart import discriminate
 from feel321.analysis.figures import kinds, style
 from feel321.analysis.figures.kinds import ForestRow, Mark
 from feel321.analysis.primary.model import fit_primary

@@ -13,11 +13,12 @@ import pytest
 from feel321.analysis import maps
 from feel321.analysis.report import pairs as report
 from feel321.analysis.resampling import Choices
-from feel321.analysis.space import Ellipses, Space, align_spaces, bootstrap_space
+from feel321.analysis.space import align_spaces, bootstrap_space, make_space
 from feel321.analysis.table.reading import Further, read_table
 
 if TYPE_CHECKING:
     from feel321.analysis.table.items import Table
+    from feel321.records import Statistic
 
 NAMES = ("saz321", "soc321", "mag321", "dft321", "pca321", "original")
 PLACES = {
@@ -85,7 +86,7 @@ def test_planted_places_lie_within_the_ellipses_of_their_interaction(
 ) -> None:
     (found,) = (one for one in groups if one.name == interaction)
     truth = PLACES[interaction][order(found.names)]
-    turned, _ = maps.turn_map(Space(truth - truth.mean(axis=0), 0.0, False), found.space)
+    turned, _ = maps.turn_map(make_space(truth - truth.mean(axis=0), 0.0), found.space)
     assert found.ellipses is not None
     off = turned.positions - found.space.positions
     angle = np.radians(found.ellipses.angle)
@@ -101,9 +102,7 @@ def test_planted_places_lie_within_the_ellipses_of_their_interaction(
 def test_turning_a_map_turns_its_angles(groups: list[maps.GroupMap]) -> None:
     place = groups[0].space.positions
     for turn in (np.array([[0.6, 0.8], [-0.8, 0.6]]), np.array([[0.6, 0.8], [0.8, -0.6]])):
-        other, (start, sign) = maps.turn_map(
-            Space(place, 0.0, False), Space(place @ turn, 0.0, False)
-        )
+        other, (start, sign) = maps.turn_map(make_space(place, 0.0), make_space(place @ turn, 0.0))
         assert other.positions == pytest.approx(place @ turn)
         for degrees in (0.0, 30.0, 110.0):
             line = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
@@ -112,7 +111,7 @@ def test_turning_a_map_turns_its_angles(groups: list[maps.GroupMap]) -> None:
             assert math.cos(math.radians(start + sign * degrees - expected)) == pytest.approx(1)
 
 
-def spread(ellipses: Ellipses) -> np.ndarray:
+def spread(ellipses: Statistic) -> np.ndarray:
     """The matrix of each ellipse: its axes turned by its angle."""
     angle = np.radians(ellipses.angle)
     axes = np.stack([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
@@ -121,7 +120,7 @@ def spread(ellipses: Ellipses) -> np.ndarray:
 
 def test_ellipses_turn_with_their_map(groups: list[maps.GroupMap]) -> None:
     whole, drag = groups[0], groups[1]
-    mirror = Space(whole.space.positions * [-1, 1], 0.0, False)
+    mirror = make_space(whole.space.positions * [-1, 1], 0.0)
     for onto in (whole.space, mirror):
         space, turned = maps._place(drag.matrices, onto, draws=8, rng=np.random.default_rng(4))
         assert turned is not None

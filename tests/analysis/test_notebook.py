@@ -10,7 +10,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from feel321 import analysis, results, stimuli
-from feel321.analysis.association.correlate import correlate
+from feel321.analysis.association.correlate import correlate, tabulate_correlations
+from feel321.analysis.contrasts import compare
 from feel321.analysis.report.answer import find_row
 from feel321.analysis.report.reducers import compute_contrasts
 from feel321.analysis.resampling import Choices
@@ -91,18 +92,16 @@ def test_ratings_in_memory_need_a_manifest(table: results.Table) -> None:
 
 
 def test_correlations_of_everything_are_those_of_each_part(table: results.Table) -> None:
-    found = analysis.tabulate_correlations(table, draws=20, rng=3)
+    found = tabulate_correlations(table, draws=20, rng=3)
     assert list(found["scale"].unique()) == ["realism", "similarity"]
     assert list(found["metric"].unique()) == list(table.metrics)
     seed = int(np.random.default_rng(3).integers(2**63))
     for row in found.to_dict("records"):
         alone = correlate(table.select(scale=row["scale"]), row["metric"], draws=20, rng=seed)
         assert (row["value"], row["low"], row["high"]) == (alone.value, alone.low, alone.high)
-    assert (
-        len(analysis.tabulate_correlations(table, ["temporal_match"], method="all", draws=5)) == 12
-    )
+    assert len(tabulate_correlations(table, ["temporal_match"], method="all", draws=5)) == 12
     with pytest.raises(ValueError, match="metrics must be a list of one name or more"):
-        analysis.tabulate_correlations(table.rows)
+        tabulate_correlations(table.rows)
 
 
 def test_two_reducers_are_compared_as_the_report_compares_them(realism: results.Table) -> None:
@@ -219,7 +218,7 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
     analysis.plot_profile(table, ax=axes[1])
     assert len(axes[1].get_yticklabels()) == 12
     bars = [line.get_xdata() for line in axes[1].get_lines() if len(line.get_xdata()) == 2]
-    ends = analysis.profile_reducers(table)[["low", "high"]].to_numpy()
+    ends = compare.profile_reducers(table)[["low", "high"]].to_numpy()
     np.testing.assert_allclose(np.sort(bars, axis=0), np.sort(ends, axis=0))
     models = analysis.fit_attributes(table.rows, table.metrics)
     analysis.plot_slopes(models, ax=axes[2])
@@ -273,7 +272,7 @@ def test_a_report_of_tables_in_memory_is_that_of_their_files(
 def test_one_line_plots_what_has_one_obvious_plot(
     table: results.Table, realism: results.Table
 ) -> None:
-    found = analysis.tabulate_correlations(realism, draws=20)
+    found = tabulate_correlations(realism, draws=20)
     axes = analysis.plot(found, ax=Figure().subplots())
     dots, bars = read_forest(axes)
     assert dots == list(found["value"])

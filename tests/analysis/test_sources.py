@@ -10,7 +10,8 @@ import pytest
 from scipy.stats import binom
 
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.primary.sensitivity import vary_primary
+from feel321.analysis.primary.plan import make_cells
+from feel321.analysis.primary.sensitivity import leave_out_units
 from feel321.analysis.report import reducers as contrasts
 from feel321.analysis.report import reducers as levels
 from feel321.analysis.resampling import Choices
@@ -105,9 +106,9 @@ def test_reducers_of_their_own_in_every_recording_need_no_term(rows: pd.DataFram
 
 def test_sources_are_left_out_whole(rows: pd.DataFrame) -> None:
     small = rows[(rows["source"] < 3) & (rows["reducer"] < 3) & (rows["participant"] < 5)]
-    table = vary_primary(small.assign(rating=small["rating"].clip(0, 100)), METRICS)
-    names = [name for name in table["variant"].unique() if "recording" in name or "source" in name]
-    assert names == ["without source 0", "without source 1", "without source 2"]
+    names = [one.name for one in leave_out_units(make_cells(small, METRICS))]
+    reducers = [f"without reducer {number}" for number in range(3)]
+    assert names == [*(f"without source {number}" for number in range(3)), *reducers]
 
 
 @pytest.mark.parametrize(
@@ -118,7 +119,10 @@ def test_sources_are_left_out_whole(rows: pd.DataFrame) -> None:
             "15 recordings of 5 sources and no column 'reducer'",
         ),
         (lambda rows: rows.assign(source=rows["reducer"]), "got two sources of recording 0"),
-        (lambda rows: rows.assign(reducer=rows["participant"]), "got item 0 with two reducers"),
+        (
+            lambda rows: rows.assign(reducer=rows["participant"]),
+            "got item 0 with two recordings, two reducers",
+        ),
     ],
 )
 def test_sources_that_contradict_the_table_are_refused(

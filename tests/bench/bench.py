@@ -1,132 +1,146 @@
-"""Speed and memory in one table: `make bench`, with ARGS="--accept" to store it, or --only PART.
+"""Speed and memory in one table: `make bench`. The exit code is 1 if a promise was broken.
 
-Every figure is a ratio measured in one run. The exit code is 1 if a promise was broken, or if a ratio is more than 20 %
-worse than in the newest stored run on the same kind of processor. What is broken is measured once more, and the better
-figure counts. On a kind of processor without a stored run nothing is compared, and the run is stored.
+Reducers and metrics are held against what no 321 transform in the frequency domain can do without, the *floor*: three
+forward and one inverse real FFT of the same length. Times are medians of repeated pairs, the thing and its baseline in
+turn, in CPU time: a machine that changes its speed or has other work changes both.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
+import subprocess
 import sys
-from datetime import UTC, datetime
+import tempfile
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import chain
-import delivered
-import engine
-import figures
-import signals
-import thresholds
+import numpy as np
+from scipy import fft
+
+from feel321 import stimuli
+from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
+from feel321.study import Study
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from typing import Any
+    from collections.abc import Callable, Iterator
 
-PARTS: dict[str, Callable[[], Iterator[figures.Figure]]] = {
-    "single": signals.measure_single,
-    "many": signals.measure_many,
-    "naive": signals.measure_naive,
-    "octave": signals.measure_octave,
-    "streams": signals.measure_streams,
-    "memory": signals.measure_memory,
-    "build": chain.measure_build,
-    "analyze": chain.measure_analyze,
-    "engine": engine.measure,
-    "thresholds": thresholds.measure,
-    "delivered": delivered.measure,
-}
-ROOT = Path(__file__).resolve().parents[2]
+RATE_HZ = 10_000.0
+LENGTHS = (100_000, 99_991)
+PAIRS = 21
+FFTS = "times four FFTs"
+
+Row = tuple[str, float, str, float | None]
+"""What was measured, its value, the unit, and the most that is promised."""
 
 
-def measure(
-    parts: Mapping[str, Callable[[], Iterator[figures.Figure]]], stored: Mapping[str, Any]
-) -> list[figures.Figure]:
-    """Measure the parts, and once more those in which something is broken."""
-    found = []
-    for name, work in parts.items():
-        own = show(name, work(), stored)
-        if any(not one.kept for one in own) or any(figures.find_regressions(own, stored)):
-            again = {one.what: one for one in show(f"{name}, again", work(), stored)}
-            own = [figures.better(one, again[one.what]) for one in own]
-        found += own
-    return found
+def ratio(work: Callable[[], object], baseline: Callable[[], object], pairs: int = PAIRS) -> float:
+    """Median of the time of `work` over that of `baseline`, timed in turn; other processes' time does not count."""
+    ratios = []
+    for _ in range(pairs + 1):
+        begun = time.process_time()
+        baseline()
+        between = time.process_time()
+        work()
+        ratios.append((time.process_time() - between) / (between - begun))
+    return float(np.median(ratios[1:]))  # the first pair warms caches and plans
 
 
-def show(
-    name: str, some: Iterator[figures.Figure], stored: Mapping[str, Any]
-) -> list[figures.Figure]:
-    """Print figures as they come."""
-    print(f"-- {name}")
-    own = []
-    for one in some:
-        own.append(one)
-        slower = any(figures.find_regressions([one], stored))
-        mark = "MISS" if not one.kept else "SLOW" if slower else "ok"
-        print(f"{mark:4} {one.what:<48} {one.value:9.3g} {one.unit}  {one.promise}", flush=True)
-    return own
+def spend(work: Callable[[], object]) -> float:
+    """CPU time of some work in s."""
+    begun = time.process_time()
+    work()
+    return time.process_time() - begun
 
 
-def conclude(
-    found: Sequence[figures.Figure], stored: Mapping[str, Any]
-) -> tuple[list[str], list[str]]:
-    """Word broken promises, and ratios that are worse than stored, a line each."""
-    missed = [
-        f"{one.what}: {one.value:.3g} {one.unit}, promised {one.promise}"
-        for one in found
-        if not one.kept
-    ]
-    slower = figures.find_regressions(found, stored)
-    return missed, [figures.word_regression(one, stored) for one in slower]
+def make_floor(n: int) -> Callable[[], None]:
+    """Make the four FFTs of length n."""
+    axis = np.random.default_rng(0).standard_normal(n)
+    spectrum = fft.rfft(axis)
+
+    def floor() -> None:
+        for _ in range(3):
+            fft.rfft(axis)
+        fft.irfft(spectrum, n)
+
+    return floor
 
 
-def read_arguments(given: Sequence[str] | None) -> argparse.Namespace:
-    """Read the command line."""
-    parser = argparse.ArgumentParser(
-        prog="make bench", description=(__doc__ or "").partition("\n")[0]
-    )
-    parser.add_argument("--accept", action="store_true", help="store this run, whatever it is")
-    parser.add_argument(
-        "--only", action="append", choices=PARTS, help="measure only this part; nothing is stored"
-    )
-    parser.add_argument(
-        "--out", type=Path, default=ROOT / "build" / "bench", help="folder of the table"
-    )
-    parser.add_argument("--history", type=Path, default=ROOT / "tests" / "bench" / "history.jsonl",
-                        help="the stored runs")  # fmt: skip
-    chosen = parser.parse_args(given)
-    if chosen.accept and chosen.only:
-        parser.error("--accept stores a whole run; leave out --only")
-    return chosen
+def measure_signals() -> Iterator[Row]:
+    """One long recording at a time: the transforms and matches of the papers, with promises; all others without."""
+    limits = {"dft321": 1.5, "dft321_windowed": 2.5}
+    for n in LENGTHS:
+        a = np.random.default_rng(1).standard_normal((3, n))
+        s, floor = REDUCERS["dft321"](a, RATE_HZ), make_floor(n)
+        for name, reducer in REDUCERS.items():
+            got = ratio(lambda a=a, f=reducer: f(a, RATE_HZ), floor)
+            yield f"{name}, n = {n}", got, FFTS, limits.get(name)
+        got = ratio(lambda a=a, s=s: stimuli.spectral_match(a, s, RATE_HZ), floor)
+        yield f"spectral_match, n = {n}", got, FFTS, 2.0
+        got = ratio(lambda a=a, s=s: stimuli.temporal_match(a, s), floor)
+        yield f"temporal_match, n = {n}", got, FFTS, 2.0
 
 
-def main(given: Sequence[str] | None = None) -> int:
-    """Measure, write the table, compare, and store."""
-    chosen = read_arguments(given)
-    machine, when = figures.describe_machine(), datetime.now(UTC).isoformat(timespec="seconds")
-    try:
-        history = figures.read_history(chosen.history)
-    except ValueError as error:
-        print(error, file=sys.stderr)
-        return 1
-    stored = figures.find_stored(history, machine["processor"])
-    found = measure({name: PARTS[name] for name in chosen.only or PARTS}, stored)
-    run = json.dumps(figures.to_run(found, machine, when))
-    chosen.out.mkdir(parents=True, exist_ok=True)
-    table = figures.tabulate(found, machine, stored, when=when)
-    (chosen.out / "bench.md").write_text(table, encoding="utf-8")
-    (chosen.out / "bench.jsonl").write_text(run + "\n", encoding="utf-8")
-    missed, slower = conclude(found, stored)
-    if chosen.accept or not (stored or missed or chosen.only):
-        with chosen.history.open("a", encoding="utf-8") as file:
-            file.write(run + "\n")
-        print(f"stored in {chosen.history}")
-        slower = []
-    broken = missed + slower
-    print(f"{chosen.out / 'bench.md'}: {len(found)} figures, {len(broken)} broken")
-    print(*broken, sep="\n", file=sys.stderr, end="\n" if broken else "")
+def measure_streams() -> Iterator[Row]:
+    """How much of the time that passes a stream takes, in blocks of 64 samples at 48 kHz."""
+    rate_hz, block = 48_000.0, 64
+    blocks = np.random.default_rng(4).standard_normal((750, 3, block))
+    for name in [name for name in REDUCERS if name not in WHY_NOT_STREAMING]:
+        stream = stimuli.StreamingReducer(name, rate_hz)
+        spent = spend(lambda stream=stream: [stream.process(one) for one in blocks])
+        share = spent * rate_hz / (len(blocks) * block)
+        yield f"{name}, stream", share, "of the time that passes", 1.0
+
+
+# Linux keeps the high-water mark of this process alone; getrusage would inherit that of its parent.
+MEMORY = """
+import re, sys
+from pathlib import Path
+import numpy as np
+from feel321 import stimuli
+
+def high_water_kib():
+    return int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
+
+stimuli.reduce(np.ones((3, 100)), sys.argv[1], rate_hz=10_000)
+acceleration = np.random.default_rng(0).standard_normal((3, 6_000_000))
+before = high_water_kib()
+stimuli.reduce(acceleration, sys.argv[1], rate_hz=10_000)
+print(1 + (high_water_kib() - before) * 1024 / acceleration.nbytes)
+"""
+
+
+def measure_memory() -> Iterator[Row]:
+    """The most memory, input included, for ten minutes at 10 kHz."""
+    for name in REDUCERS:
+        command = [sys.executable, "-c", MEMORY, name]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        yield f"{name}, ten minutes", float(done.stdout), "times the input in memory", 6.0
+
+
+def measure_chain() -> Iterator[Row]:
+    """Build, simulate and analyze the bundled scenes."""
+    with tempfile.TemporaryDirectory() as folder:
+        study = Study.create(Path(folder) / "study")
+        floor = spend(lambda: [make_floor(100_000)() for _ in range(100)]) / 100
+        built = spend(study.build) / len(study.stimuli()) / floor
+        yield "building, a stimulus", built, "times four FFTs of 100 000 samples", None
+        rated = len(study.simulate(2))
+        simulated = spend(lambda: study.simulate(8))
+        yield "simulating, a rating", 1e3 * simulated / (3 * rated), "ms", None
+        study.analyze(draws=200)  # loads what it needs
+        spent = spend(lambda: study.analyze(draws=200))
+        yield "analyze, 8 people", spent / floor / 1000, "times 1000 times four FFTs", None
+
+
+def main() -> int:
+    """Measure, and print each figure as it comes."""
+    broken = 0
+    for part in (measure_signals, measure_streams, measure_memory, measure_chain):
+        for what, value, unit, limit in part():
+            is_kept = limit is None or value <= limit
+            broken += not is_kept
+            promise = "" if limit is None else f"promised {limit:g}"
+            print(f"{'ok' if is_kept else 'MISS':4} {what:<48} {value:9.3g} {unit}  {promise}")
     return 1 if broken else 0
 
 

@@ -1,25 +1,42 @@
-"""The documentation site: its reference is complete, by the faces and registries that it is generated from."""
+"""README and documentation: complete, linked, and every command, option, import and setting in them exists."""
 
 from __future__ import annotations
 
 import re
 import shlex
-from dataclasses import dataclass
+import tomllib
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from cyclopts import CycloptsError
 
 from feel321.analysis.table.dictionary import read_dictionary
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import spectral_match, temporal_match
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.study.actuator.rig import read_rig
 from feel321.study.all_settings import FILES, list_settings
 from feel321.study.cli import APP, VERBS, main
+from feel321.study.folder import create_study
+from feel321.study.settings.read import add_methods, read_settings
+
+README_LENGTH = 4500
+"""Characters that README may have; the rest is in docs/."""
+
+PAGES, WORDS = 12, 12_000
+"""Pages that people write in docs/, and their words; all else of the site is made from the code."""
+
+POOR = 0.75
+"""A match that is poor: where a page says that a reducer fails, one of the two is not above."""
+
+RIG = 'device = { name = "file" }\nlimits = { peak_m_s2 = 100.0, rms_m_s2 = 50.0, duration_s = 30.0 }\n'
+RECORDING = '[[recordings]]\nscene = "bumps"\n'
+RUN = {"match", "new", "reduce", "status"}
+"""Verbs that take less than a second; the others' arguments are parsed only, and the tutorial runs most of them."""
 
 
 @pytest.fixture
@@ -34,13 +51,31 @@ def site(root: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return find
 
 
+@pytest.fixture(scope="module")
+def blocks(pages: dict[str, str]) -> list[tuple[str, str, str]]:
+    """Page, language and text of every fenced block."""
+    return [
+        (page, language, text)
+        for page, whole in pages.items()
+        for language, text in re.findall(r"^```(\w*)\n(.*?)^```", whole, re.MULTILINE | re.DOTALL)
+    ]
+
+
+@pytest.fixture
+def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with the files that the pages' examples name."""
+    monkeypatch.chdir(tmp_path)
+    drag = make_scene("texture_drag")
+    columns = np.vstack([np.arange(drag.n_samples) / drag.rate_hz, drag.acceleration / 9.80665])
+    for name in ("oak.csv", "vinyl.csv"):
+        np.savetxt(name, columns.T, delimiter=",", header="time_s,x,y,z", comments="")
+    return tmp_path
+
+
 def test_every_public_name_is_described_once(site: Any, tmp_path: Path) -> None:
     reference = site("reference")
     reference.write_faces(tmp_path)
     modules = [name for names in reference.FACES.values() for name in names]
-    assert set(modules) > {
-        f"feel321.{room}" for room in ("analysis", "protocols", "stimuli", "study")
-    }
     text = "\n".join(page.read_text() for page in tmp_path.glob("*.rst"))
     described = re.findall(r"^\.\. (?:autoclass|autofunction|py:data):: (\w+)$", text, re.MULTILINE)
     things = {
@@ -53,69 +88,38 @@ def test_every_public_name_is_described_once(site: Any, tmp_path: Path) -> None:
     assert sorted(name for name, purpose in listed if purpose.strip()) == sorted(described)
 
 
-def test_every_verb_and_option_is_in_the_reference(site: Any, tmp_path: Path) -> None:
-    site("reference").write_verbs(tmp_path / "verbs.rst")
-    text = (tmp_path / "verbs.rst").read_text()
-    for verb in VERBS:
-        _, _, section = text.partition(f"\n{verb}\n{'-' * len(verb)}\n")
-        section, _, _ = section.partition("\n---")
-        options = [one.name for one in APP[verb].assemble_argument_collection() if not one.children]
-        shown = [name for name in options if name.startswith("-")]
-        assert [name for name in shown if name not in section] == [], verb
-        assert f"feel321 {verb}" in section
-
-
-def test_every_page_is_in_the_index(site: Any, root: Path) -> None:
+def test_every_verb_column_and_setting_is_in_the_reference(site: Any, tmp_path: Path) -> None:
     reference = site("reference")
-    assert {f"{name}.md" for name in reference.PAGES} == {
-        path.name for path in (root / "docs").glob("*.md")
-    }
+    reference.write_verbs(tmp_path / "verbs.rst")
+    reference.write_tables(tmp_path / "tables.rst")
+    site("settings").write_settings(tmp_path / "settings.rst")
+    names = ("verbs", "tables", "settings")
+    verbs, tables, settings = ((tmp_path / f"{name}.rst").read_text() for name in names)
+    for verb in VERBS:
+        section = verbs.partition(f"\n{verb}\n{'-' * len(verb)}\n")[2].partition("\n---")[0]
+        options = [one.name for one in APP[verb].assemble_argument_collection() if not one.children]
+        assert [one for one in options if one.startswith("-") and one not in section] == [], verb
+    assert [row for row in read_dictionary() if f"* - ``{row.column}``" not in tables] == []
+    listed = [one.key for file in FILES for one in list_settings(file)]
+    assert [key for key in listed if f"* - ``{key}``" not in settings] == []
+
+
+def test_every_page_is_in_the_index_and_linked_from_the_readme(
+    site: Any, root: Path, pages: dict[str, str]
+) -> None:
+    reference = site("reference")
+    assert {"README.md", *(f"docs/{name}.md" for name in reference.PAGES)} == set(pages)
     reference.write_index(root / "docs" / "index.rst")
     text = (root / "docs" / "index.rst").read_text(encoding="utf-8")
     assert all(f":doc:`{name}`" in text for name in (*reference.PAGES, *reference.REFERENCE))
+    linked = set(re.findall(r"\]\((docs/[\w-]+\.md)\)", pages["README.md"]))
+    assert linked == set(pages) - {"README.md"}
 
 
-def test_every_column_of_every_table_is_in_the_reference(site: Any, tmp_path: Path) -> None:
-    site("reference").write_tables(tmp_path / "tables.rst")
-    text = (tmp_path / "tables.rst").read_text(encoding="utf-8")
-    assert [row for row in read_dictionary() if f"* - ``{row.column}``" not in text] == []
-
-
-def test_a_page_is_written_only_where_it_changes(site: Any, tmp_path: Path) -> None:
-    page = tmp_path / "page.rst"
-    site("text").write(page, "Words.")
-    before = page.stat().st_mtime_ns
-    site("text").write(page, "Words.")
-    assert page.stat().st_mtime_ns == before
-    site("text").write(page, "Other words.")
-    assert page.read_text() == "Other words.\n"
-
-
-def test_every_setting_is_in_the_reference(site: Any, tmp_path: Path) -> None:
-    site("settings").write_settings(tmp_path / "settings.rst")
-    text = (tmp_path / "settings.rst").read_text(encoding="utf-8")
-    for file in FILES:
-        assert [one for one in list_settings(file) if f"* - ``{one.key}``" not in text] == []
-
-
-def test_every_reducer_and_metric_has_formula_and_failure(site: Any, tmp_path: Path) -> None:
+def test_scores_and_failures_are_those_of_the_scenes(site: Any) -> None:
     methods = site("methods")
-    methods.write_reducers(tmp_path / "reducers.rst")
-    methods.write_metrics(tmp_path / "metrics.rst")
-    for kind, names in (("reducers", methods.REDUCERS), ("metrics", methods.METRICS)):
-        assert set(methods.WORDS[kind]) == set(names)
-        text = (tmp_path / f"{kind}.rst").read_text(encoding="utf-8")
-        assert "]_" not in text
-        for name in names:
-            _, _, section = text.partition(f"\n{name}\n{'-' * len(name)}\n")
-            formula, _, failure = section.partition("**When it ")
-            assert len(formula.split()) > 14, name
-            assert methods.WORDS[kind][name]["fails"] in failure
-    assert set(methods.DRAWN) < set(methods.REDUCERS)
-
-
-def test_the_scores_that_are_shown_are_those_of_the_scenes(site: Any) -> None:
-    methods = site("methods")
+    assert set(methods.WORDS["reducers"]) == set(methods.REDUCERS)
+    assert set(methods.WORDS["metrics"]) == set(methods.METRICS)
     shown = {row[0].strip("`"): row[1:] for row in methods._list_scenes()}
     assert list(shown) == list(SCENES)
     for name, cells in shown.items():
@@ -125,14 +129,6 @@ def test_the_scores_that_are_shown_are_those_of_the_scenes(site: Any) -> None:
             reduced = REDUCERS[reducer](samples, rate)
             pair = spectral_match(samples, reduced, rate), temporal_match(samples, reduced)
             assert [float(one) for one in cell.split("/")] == pytest.approx(pair, abs=0.006)
-
-
-POOR = 0.75
-"""A match that is poor: where a page says that a reducer fails, one of the two is not above."""
-
-
-def test_each_reducer_fails_where_its_page_says(site: Any) -> None:
-    methods = site("methods")
     found = {
         name: methods.measure(name, methods.BATTERY[words["scene"]].make(1))[1:]
         for name, words in methods.WORDS["reducers"].items()
@@ -140,61 +136,79 @@ def test_each_reducer_fails_where_its_page_says(site: Any) -> None:
     assert {name: pair for name, pair in found.items() if min(pair) > POOR} == {}
 
 
-RUN = {"match", "new", "reduce", "status"}
-"""Verbs that take less than a second; the others' arguments are parsed only, and the tutorial runs most of them."""
-
-
-@dataclass(frozen=True, slots=True)
-class Call:
-    """A call of the command line on a page."""
-
-    page: str
-    words: list[str]
-
-
-@pytest.fixture(scope="module")
-def calls(root: Path) -> list[Call]:
-    return [
-        Call(page.name, shlex.split(line.removeprefix("$ "), comments=True)[1:])
-        for page in [root / "README.md", *sorted((root / "docs").glob("*.md"))]
-        for block in re.findall(
-            r"^```(?:sh|console)\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S
-        )
-        for line in block.splitlines()
-        if re.match(r"(\$ )?feel321 ", line)
-    ]
-
-
-def parse(words: list[str]) -> None:
-    """Read a verb's arguments as the program would, without running it."""
-    APP.parse_args(words)
-
-
-def test_every_command_of_every_page_is_valid_and_the_quick_ones_run(
-    calls: list[Call], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.usefixtures("lab")
+def test_every_command_is_valid_and_the_quick_ones_run(
+    blocks: list[tuple[str, str, str]], pages: dict[str, str]
 ) -> None:
-    assert len(calls) > 50
-    monkeypatch.chdir(tmp_path)
-    drag = make_scene("texture_drag", duration_s=0.5)
-    columns = np.vstack([np.arange(drag.n_samples) / drag.rate_hz, drag.acceleration / 9.80665])
-    for name in ("oak.csv", "vinyl.csv"):
-        np.savetxt(name, columns.T, delimiter=",", header="time_s,x,y,z", comments="")
     for name in ("oak-study", "my-study"):
         assert main(["new", name]) == 0
-    for call in calls:
-        verb = call.words[0]
-        if "--watch" in call.words:  # ends by Ctrl-C only
+    for line in (line for _, _, text in blocks for line in text.splitlines()):
+        if not re.match(r"(\$ )?feel321 ", line):
             continue
-        if verb == "new" and Path(call.words[1]).exists():
-            continue
-        if verb in RUN:
-            assert main(call.words) == 0, call
+        words = shlex.split(line.removeprefix("$ "), comments=True)[1:]
+        if words[0] not in RUN:
+            APP.parse_args(words)
+        elif "--watch" not in words and not (words[0] == "new" and Path(words[1]).exists()):
+            assert main(words) == 0, words
+    named = set(re.findall(r"(?<!from )\bfeel321 ([a-z]+)\b", "\n".join(pages.values())))
+    assert set(VERBS) <= named
+
+
+def test_the_pages_are_few_and_short(pages: dict[str, str]) -> None:
+    assert len(pages["README.md"]) <= README_LENGTH
+    assert len(pages) - 1 <= PAGES
+    assert sum(len(text.split()) for page, text in pages.items() if page != "README.md") <= WORDS
+
+
+def test_every_link_leads_somewhere_and_every_picture_is_shown(
+    root: Path, pages: dict[str, str]
+) -> None:
+    names = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
+    others = {name: (root / name).read_text(encoding="utf-8") for name in names}
+    dead, seen = [], set()
+    for page, text in (pages | others).items():
+        for target in re.findall(r"\]\((?!https:)([^)\s]+)\)", text):
+            name, _, heading = target.partition("#")
+            file = (root / page).parent / name if name else root / page
+            seen.add(file)
+            told = re.findall(r"^#+ (.*)$", file.read_text("utf-8"), re.M) if heading else []
+            anchors = [re.sub(r"[^\w -]", "", one.lower()).replace(" ", "-") for one in told]
+            if not file.is_file() or (heading and heading not in anchors):
+                dead.append((page, target))
+    assert dead == []
+    assert {path for kind in ("png", "svg") for path in (root / "docs").rglob(f"*.{kind}")} <= seen
+
+
+def test_every_python_block_runs(lab: Path, blocks: list[tuple[str, str, str]]) -> None:
+    (lab / "stimuli").mkdir()
+    rng = np.random.default_rng(0)
+    stimuli = [(f"{scene}-{name}", scene, name) for scene in "abcd" for name in list(REDUCERS)[:4]]
+    manifest = [f"{','.join(names)},{rng.random()},{rng.random()}" for names in stimuli]
+    header = "stimulus_id,recording,reducer,spectral_match_bounded,temporal_match"
+    (lab / "stimuli" / "manifest.csv").write_text("\n".join([header, *manifest]))
+    ratings = [
+        f"p{who},{names[0]},realism,{rng.uniform(20, 80)}" for who in range(4) for names in stimuli
+    ]
+    head = "participant,stimulus_id,scale,rating"
+    (lab / "ratings.csv").write_text("\n".join([head, *ratings]))
+    for page, language, text in blocks:
+        if language == "python":
+            exec(compile(text, page, "exec"), {})  # noqa: S102 - that a reader may paste it is the point
+    plt.close("all")
+
+
+def test_every_setting_is_accepted(blocks: list[tuple[str, str, str]], tmp_path: Path) -> None:
+    """What a page shows of study.toml or rig.toml is read once what it leaves out is added."""
+    add_methods(create_study(tmp_path))  # whose files pages name
+    (tmp_path / "corpus").mkdir()
+    for number in range(20):
+        (tmp_path / "corpus" / f"tap{number}.wav").touch()
+    study, rig = tmp_path / "study.toml", tmp_path / "rig.toml"
+    for text in (text for _, language, text in blocks if language == "toml"):
+        given = tomllib.loads(text)
+        if {"actuators", "keys"} & given.keys():
+            rig.write_text(RIG + text, encoding="utf-8")
+            read_rig(rig)
         else:
-            parse(call.words)
-
-
-def test_a_wrong_argument_is_found() -> None:
-    with pytest.raises(CycloptsError, match="into float"):
-        parse(["doctor", "--seconds", "long"])
-    with pytest.raises(CycloptsError, match="requires an argument"):
-        parse(["match", "oak.csv"])
+            study.write_text(("" if "recordings" in given else RECORDING) + text, encoding="utf-8")
+            read_settings(study)

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
@@ -27,13 +25,6 @@ def amplitude(wave: np.ndarray, frequency: float, rate: float = RATE) -> float:
     return 2 * abs(np.mean((wave * turning)[middle]))
 
 
-def test_the_offset_goes_and_the_rest_stays() -> None:
-    conditioned = condition(
-        recording(tones(100) + 3), Conditioning(high_pass_hz=None, low_pass_hz=None)
-    )
-    np.testing.assert_allclose(conditioned.acceleration[0], tones(100), atol=1e-12)
-
-
 def test_default_corners_halve_the_amplitude_and_do_not_shift() -> None:
     conditioned = condition(recording(tones(2, 20, 150, 1000, 3000)), Conditioning())
     got = [amplitude(conditioned.acceleration[0], f) for f in (2, 20, 150, 1000, 3000)]
@@ -50,45 +41,17 @@ def test_a_filter_is_padded_by_a_period_of_its_corner() -> None:
     np.testing.assert_array_equal(filtered, sosfiltfilt(sections, wave, padlen=400))
 
 
-def test_a_sensor_slower_than_the_low_pass_keeps_what_it_has() -> None:
-    slow = recording(tones(150, rate=1600.0), 1600.0)
-    passed = condition(slow, Conditioning(remove_offset=False, high_pass_hz=None))
-    np.testing.assert_array_equal(passed.acceleration, slow.acceleration)
-
-
-def test_crop_keeps_the_named_part() -> None:
-    original = recording(np.arange(16000.0))
-    part = condition(original, replace(NOTHING, crop_s=(0.5, 1.25)))
-    np.testing.assert_array_equal(part.acceleration[0], np.arange(4000.0, 10000.0))
-    assert part.sha256 != original.sha256
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"high_pass_hz": 0.0}, "high_pass_hz must be .*got 0.0"),
-        ({"low_pass_hz": -5.0}, "low_pass_hz must be .*got -5.0"),
         ({"high_pass_hz": 900.0, "low_pass_hz": 500.0}, "must be below low_pass_hz"),
         ({"crop_s": (1.0, 0.5)}, "0 <= start < end"),
-        ({"crop_s": (-1.0, 0.5)}, "0 <= start < end"),
-        ({"crop_s": (1.0,)}, "0 <= start < end"),
-        ({"crop_s": 1.0}, "0 <= start < end"),
     ],
 )
 def test_steps_that_make_no_sense_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Conditioning(**changes)
-
-
-def test_recordings_that_cannot_take_a_step_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"<= 2.0000 s, the duration of"):
-        condition(recording(tones(100)), Conditioning(crop_s=(0.0, 2.1)))
-    with pytest.raises(ValueError, match="holds no sample"):
-        condition(recording(tones(100)), Conditioning(crop_s=(0.0, 1e-5)))
-    with pytest.raises(ValueError, match="below the Nyquist frequency of 15 Hz"):
-        condition(recording(tones(5, rate=30.0), 30.0), Conditioning())
-    with pytest.raises(ValueError, match=r"2 samples or more, .*switch the filter off"):
-        condition(recording(np.ones(1)), Conditioning())
 
 
 def test_fades_are_raised_cosines_at_both_ends() -> None:
@@ -99,12 +62,6 @@ def test_fades_are_raised_cosines_at_both_ends() -> None:
     )
     np.testing.assert_allclose(faded, faded[:, ::-1])
     np.testing.assert_array_equal(fade(np.ones(10), 1000.0, fade_s=0.0), 1.0)
-
-
-@pytest.mark.parametrize("fade_s", [-0.1, 0.6, float("nan")])
-def test_fades_fit_into_the_signal(fade_s: float) -> None:
-    with pytest.raises(ValueError, match=r"must be 0 to 0.5 s, half the signal"):
-        fade(np.ones(1000), 1000.0, fade_s=fade_s)
 
 
 @pytest.mark.parametrize("rate", [1601.57, 6898.24, 26927.2, 48000.0])

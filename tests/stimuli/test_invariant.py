@@ -5,12 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.names import MATCHES
 from feel321.stimuli.match import (
     WeberSmoothing,
     energy_spectrum,
     linear_grid,
-    spectral_match,
     temporal_match,
     temporal_match_details,
 )
@@ -43,13 +41,6 @@ def smoothed(acceleration: np.ndarray, reduced: np.ndarray) -> tuple[np.ndarray,
     return smooth(energy_spectrum(acceleration, smooth.bins).sum(axis=0)), smooth(
         energy_spectrum(reduced, smooth.bins)
     )
-
-
-def test_every_metric_has_a_counterpart_of_its_name() -> None:
-    # Invariant itself.
-    assert list(INVARIANTS) == [name for name in MATCHES if name != "spectral_match_bounded"]
-    for counterpart in INVARIANTS.values():
-        assert isinstance(counterpart(noise(3, 400), noise(400), RATE), float)
 
 
 @pytest.mark.parametrize("counterpart", INVARIANTS.values(), ids=list(INVARIANTS))
@@ -99,13 +90,6 @@ def test_bounds_between_the_papers_temporal_match_and_its_counterpart(seed: int,
     assert paper * np.sqrt(3 * shares.min()) <= own + 1e-9
 
 
-def test_a_whisper_on_one_axis_does_not_count_as_much_as_the_motion() -> None:
-    wave, whisper = noise(2, 5000)
-    acceleration = np.array([wave, 1e-3 * whisper, 1e-3 * whisper])
-    assert temporal_match(acceleration, whisper) > 0.6
-    assert temporal_match_invariant(acceleration, whisper) < 0.05
-
-
 # --- spectral --------------------------------------------------------------------------------------------------------
 
 
@@ -124,41 +108,3 @@ def test_it_is_the_ratio_of_minima_to_maxima_and_obeys_its_bounds(
     assert own >= 1 - np.abs(there - kept).sum() / there.sum() - 1e-9
     assert own >= 1 - (np.abs(there - kept) / there).max() - 1e-9
     assert own <= min(there.sum(), kept.sum()) / max(there.sum(), kept.sum()) + 1e-9
-
-
-def test_it_is_one_where_the_papers_is_and_equals_it_for_a_loss_alike_everywhere() -> None:
-    acceleration = noise(3, 3000) + 1e6  # a large offset must not cost accuracy
-    reduced = REDUCERS["dft321"](acceleration, RATE)
-    assert spectral_match_energy_weighted(acceleration, reduced, RATE) == pytest.approx(
-        1.0, abs=1e-9
-    )
-    weaker = spectral_match(acceleration, 0.6 * reduced, RATE)
-    assert spectral_match_energy_weighted(acceleration, 0.6 * reduced, RATE) == pytest.approx(
-        weaker, abs=1e-9
-    )
-
-
-def test_an_offset_alone_is_silence() -> None:
-    offset = np.outer((0.1, 9.81, 0.3), np.ones(4001))
-    assert np.isnan(spectral_match_energy_weighted(offset, REDUCERS["dft321"](offset, RATE), RATE))
-    assert spectral_match_energy_weighted(offset, offset[1] + 0.01 * noise(4001), RATE) < 1e-6
-
-
-@pytest.mark.parametrize("counterpart", INVARIANTS.values(), ids=list(INVARIANTS))
-@pytest.mark.parametrize(
-    ("acceleration", "reduced", "message"),
-    [
-        (np.ones((3, 5)), np.ones(4), r"shape \(5,\), .*got \(4,\)"),
-        (np.ones((2, 3, 5)), np.ones(5), "one recording at a time"),
-        (np.ones((3, 5)), np.array([1, 2, np.nan, 4, 5]), "reduced must be finite, got 1 values"),
-        (np.full((3, 5), np.inf), np.ones(5), "acceleration must be finite, got 15 values"),
-        (np.ones((2, 5)), np.ones(5), "three axes"),
-    ],
-)
-def test_bad_pairs_are_refused(
-    counterpart: object, acceleration: np.ndarray, reduced: np.ndarray, message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        counterpart(acceleration, reduced, RATE)
-    with pytest.raises(ValueError, match="rate_hz"):
-        counterpart(np.ones((3, 5)), np.ones(5), 0.0)

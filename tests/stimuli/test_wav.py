@@ -62,28 +62,6 @@ def _header(data_bytes: int, *, coding: int = 1, channels: int = 1, frame_bytes:
     return b"RIFF" + struct.pack("<I8sI", size, b"WAVEfmt ", 16) + layout + data
 
 
-def test_24_bit_integers_are_fractions_too(tmp_path: Path) -> None:
-    data = b"".join(v.to_bytes(3, "little", signed=True) for v in [-(2**23), 2**22, 0, 1])
-    (tmp_path / "a.wav").write_bytes(_header(12, frame_bytes=3) + data)
-    np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], [-1, 0.5, 0, 2.0**-23])
-
-
-def test_unknown_chunks_are_passed_over(tmp_path: Path) -> None:
-    write_wav(tmp_path / "a.wav", [0.5, 0.25], 8000)
-    plain = (tmp_path / "a.wav").read_bytes()
-    extra = struct.pack("<4sI", b"cue!", 3) + b"abc\0"
-    (tmp_path / "a.wav").write_bytes(plain[:12] + extra + plain[12:])
-    np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], [0.5, 0.25])
-
-
-def test_big_endian_container_is_read(tmp_path: Path) -> None:
-    head = struct.pack(
-        ">4sI4s4sIHHIIHH", b"RIFX", 40, b"WAVE", b"fmt ", 16, 1, 1, 8000, 16000, 2, 16
-    )
-    (tmp_path / "a.wav").write_bytes(head + struct.pack(">4sIhh", b"data", 4, 1, -2))
-    np.testing.assert_array_equal(read_wav(tmp_path / "a.wav")[0], np.array([1, -2]) / 32768)
-
-
 def test_a_truncated_file_is_refused_with_both_numbers(tmp_path: Path) -> None:
     write_wav(tmp_path / "a.wav", np.zeros((3, 10)), 8000)
     (tmp_path / "a.wav").write_bytes((tmp_path / "a.wav").read_bytes()[:-30])
@@ -105,9 +83,6 @@ def test_a_header_of_two_to_the_31_samples_is_refused_without_allocating(tmp_pat
     ("content", "message"),
     [
         (b"", "ends inside its header"),
-        (b"RIFF\x00\x00\x00\x00WAVE", "ends inside its header"),
-        (b"RF64\x00\x00\x00\x00WAVE", "begin with RIFF and WAVE"),
-        (b"\x00garbage in the file", "begin with RIFF and WAVE"),
         (b"RIFF\x00\x00\x00\x00WAVEdata\x00\x00\x00\x00", "before any format chunk"),
         (_header(8, channels=0, frame_bytes=0), "above 0, got 0, 8000 Hz, 0 bytes"),
         (
@@ -115,12 +90,6 @@ def test_a_header_of_two_to_the_31_samples_is_refused_without_allocating(tmp_pat
             "WAV coding 0x0007 of 8 bits is not read; save as PCM or float",
         ),
         (_header(4, channels=3) + b"abcd", "frames of 1 bytes for 3 channels of 8 bits"),
-        (_header(9, coding=3, channels=1, frame_bytes=5) + bytes(9), "coding 0x0003 of 40 bits"),
-        (
-            _header(16, coding=3, channels=3, frame_bytes=8) + bytes(16),
-            "frames of 8 bytes for 3 channels of 64 bits",
-        ),
-        (_header(4)[:34] + bytes(2) + _header(4)[36:] + b"abcd", "coding 0x0001 of 0 bits"),
         (b"RIFF" + bytes(4) + _header(4)[8:] + b"abcd", "chunks that cannot be read"),
         (_header(0), "holds no samples"),
     ],
@@ -135,12 +104,9 @@ def test_what_is_not_a_wav_file_is_refused(tmp_path: Path, content: bytes, messa
     ("samples", "rate", "message"),
     [
         ([], 8000, "shape"),
-        (np.zeros((2, 2, 2)), 8000, "shape"),
         ([np.nan], 8000, "must be finite"),
         ([1e39], 8000, "float32"),
         ([1.0], 8000.5, "whole number"),
-        ([1.0], 2**32, "whole number"),
-        ([1.0], 0, "above 0"),
     ],
 )
 def test_what_a_wav_cannot_hold_is_refused(

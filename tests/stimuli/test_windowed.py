@@ -37,39 +37,12 @@ def brute_force(acceleration: np.ndarray, reduced: np.ndarray, count: int) -> fl
     return float(np.average([temporal_match(a, r) for a, r in parts], weights=weights))
 
 
-@pytest.mark.parametrize("n", [1, 2, 30, 100, 149])
-def test_one_window_is_equation_2(n: int) -> None:
-    acceleration, reduced = noise(3, n), noise(n, seed=1)
-    assert windowed(acceleration, reduced) == pytest.approx(temporal_match(acceleration, reduced))
-
-
 def test_it_is_the_mean_over_windows_by_energy() -> None:
     acceleration = noise(3, N) * np.exp(-np.arange(N) / 700) * [[1.0], [0.3], [0.0]]
     reduced = noise(N, seed=1) + acceleration[0]
     reduced[:700] = acceleration[:, 1500:2000] = 0.0
     expected = brute_force(acceleration, reduced, 40)
     assert windowed(acceleration, reduced) == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_motion_along_a_line_and_its_waveform_match_whatever_their_gains_and_signs() -> None:
-    wave = noise(N)
-    line = np.outer((0.5, -2.0, 1e-3), wave)
-    assert windowed(line, wave) == pytest.approx(1.0, abs=1e-12)
-    other = line + noise(3, N, seed=2)
-    expected = windowed(other, wave)
-    for gain in (-1.0, 1e-100, -1e80):
-        assert windowed(other, gain * wave) == pytest.approx(expected, rel=1e-9)
-    assert windowed(1e-100 * other, wave) == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_sign_that_changes_between_windows_costs_nothing_and_one_within_does() -> None:
-    wave = noise(N)
-    line = np.outer((1.0, 1.0, -1.0), wave)
-    between = wave * np.repeat((-1.0) ** np.arange(40), 100)
-    within = wave * np.repeat((-1.0) ** np.arange(80), 50)
-    assert temporal_match(line, between) < 0.1
-    assert windowed(line, between) == pytest.approx(1.0, abs=1e-12)
-    assert windowed(line, within) < 0.3
 
 
 def test_a_turning_axis_matches_in_windows_and_not_as_a_whole() -> None:
@@ -79,15 +52,3 @@ def test_a_turning_axis_matches_in_windows_and_not_as_a_whole() -> None:
     assert windowed(followed, wave) > 0.95
     unrelated = noise(N, seed=9)
     assert windowed(followed, unrelated) < 0.15
-
-
-def test_silence_in_windows_has_no_say() -> None:
-    acceleration, reduced = noise(3, N), noise(N, seed=1) + noise(3, N)[0]
-    pause = np.zeros((3, 1000))
-    padded = np.concatenate([acceleration[:, :2000], pause, acceleration[:, 2000:]], axis=1)
-    output = np.concatenate([reduced[:2000], noise(1000, seed=3), reduced[2000:]])
-    expected = windowed(acceleration, reduced)
-    assert windowed(padded, output) == pytest.approx(expected, rel=1e-12)
-    assert windowed(padded + 1e-6 * noise(*padded.shape), output) == pytest.approx(
-        expected, abs=1e-3
-    )

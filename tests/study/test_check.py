@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.texts import CATALOG, read_texts, write_copy
-from feel321.protocols.trial import ASIDE
+from feel321.protocols.texts import CATALOG, read_texts
 from feel321.stimuli.sets.build import Facts
-from feel321.stimuli.wav import write_wav
 from feel321.study.cli import main
-from feel321.study.session.journal import digest
-from feel321.study.settings.read import LATER, make_identity, read_settings
+from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study, find_warnings
 
 if TYPE_CHECKING:
@@ -56,36 +52,6 @@ def test_texts_that_no_screen_has_room_for_are_named(
     text = study.settings.read_text(encoding="utf-8")
     study.settings.write_text(f'{text}[session]\nconsent = "{consent}"\n', encoding="utf-8")
     assert list(check_study(study).problems) == [f"texts in en: {words}"]
-
-
-def test_questions_and_labels_that_are_too_long_are_named(study: StudyFolder) -> None:
-    english = (CATALOG / "en.toml").read_text(encoding="utf-8")
-    long = english.replace('question = "', f'question = "{"How long. " * 30}', 1)
-    long = long.replace('_label = "', f'_label = "{"Not at all. " * 12}', 1)
-    (study.path / "own.toml").write_text(long, encoding="utf-8")
-    text = study.settings.read_text(encoding="utf-8")
-    study.settings.write_text(f'{text}[session]\nlanguage = "own.toml"\n', encoding="utf-8")
-    problems = check_study(study).problems
-    assert len(problems) == 2
-    assert "its question must take at most" in problems[0]
-    assert "its longer label must" in problems[1]
-
-
-def test_gaps_in_texts_are_all_named(study: StudyFolder, ask: list[str]) -> None:
-    assert len(ask) == 2
-    english = (CATALOG / "en.toml").read_text(encoding="utf-8")
-    (study.path / "fr.toml").write_text(english.replace("again =", "agian ="), encoding="utf-8")
-    assert [line.split(": ", 1)[1] for line in check_study(study).problems[1:]] == [
-        "keys.agian is not a known text, did you mean keys.again?; compare protocols/catalog/en.toml"
-    ]
-
-
-def test_once_they_are_there_nothing_is_left_to_mend(study: StudyFolder, ask: list[str]) -> None:
-    assert ask
-    (study.path / "pictures").mkdir()
-    (study.path / "pictures" / "oak.png").touch()
-    (study.path / "fr.toml").write_bytes((CATALOG / "en.toml").read_bytes())
-    assert list(check_study(study).problems) == []
 
 
 def test_every_group_that_feels_something_else_is_planned(
@@ -132,47 +98,6 @@ def test_what_a_build_would_refuse_is_found_for_every_recording(
     with pytest.raises(ValueError, match=r"^recording 'bumps': ") as caught:
         build_study(study)
     assert str(caught.value) == f"{first}\n{second}"
-
-
-def test_a_silent_recording_is_found_before_the_build(study: StudyFolder) -> None:
-    write_wav(study.path / "still.wav", [[0.0] * 8000] * 3, 8000)
-    text = '[[recordings]]\nfile = "still.wav"\nunit = "g"\n[stimuli]\nreducers = ["sax321"]\n'
-    study.settings.write_text(text, encoding="utf-8")
-    (problem,) = check_study(study).problems
-    assert problem.startswith(
-        "recording 'still': 'still' is silent between 20 and 1000 Hz and can have no anchors"
-    )
-    study.settings.write_text(f"{text}anchors = false", encoding="utf-8")
-    (problem,) = check_study(study).problems
-    assert problem.startswith("recording 'still': the recording has no energy from 20 to 1000 Hz")
-    with pytest.raises(ValueError, match="has no energy from 20 to 1000 Hz"):
-        build_study(study)
-
-
-def test_remarks_on_settings_need_no_stimuli(study: StudyFolder) -> None:
-    assert find_warnings(study, read_settings(study.settings)) == []
-    text = study.settings.read_text(encoding="utf-8") + "[session.breaks]\nrest_s = 0\n"
-    study.settings.write_text(text, encoding="utf-8")
-    assert [
-        line.split(": ")[:2] for line in find_warnings(study, read_settings(study.settings))
-    ] == [["study.toml", "session.breaks.rest_s"]]
-
-
-def test_the_digest_of_bundled_texts_is_that_of_what_a_session_asks(study: StudyFolder) -> None:
-    """Pages aside from the plan came later: they may not keep a session that was begun before from going on."""
-    settings = read_settings(study.settings)
-    texts = read_texts("en")
-    for key in ASIDE:
-        del texts["pages"][key]
-    del texts["questions"]  # what is asked stands in the plan
-    for name in LATER:
-        del texts["scales"][name], texts["pages"][f"instructions.{name}"]
-    wanted = digest(json.dumps(texts, sort_keys=True))
-    assert make_identity(settings, study.path, {})["texts_sha256"] == wanted
-    (study.path / "texts.toml").write_text(write_copy("en"), encoding="utf-8")
-    own = settings.session.model_copy(update={"language": "texts.toml"})
-    same = settings.model_copy(update={"session": own})
-    assert make_identity(same, study.path, {})["texts_sha256"] == wanted
 
 
 def test_a_translation_says_what_it_lacks(study: StudyFolder) -> None:

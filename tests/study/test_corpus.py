@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import signal
 import subprocess
 import sys
@@ -12,12 +11,10 @@ import pytest
 
 from feel321.analysis import browser
 from feel321.doors import announcing
-from feel321.stimuli.sets.build import BUILT
-from feel321.stimuli.sets.manifest import read_details
 from feel321.stimuli.wav import write_wav
 from feel321.study import cli
 from feel321.study.folder import StudyFolder
-from feel321.study.session.plan import compare_plans, create_plan, make_plan, require_plan
+from feel321.study.session.plan import make_plan
 from feel321.study.settings.read import make_design, open_recordings, read_settings
 from feel321.study.workflow import build_study, check_study
 
@@ -110,22 +107,6 @@ def test_each_participant_feels_a_share_and_every_recording_comes_equally_often(
     assert check_study(corpus).problems == ()
 
 
-def test_the_share_stands_in_the_plan(corpus: StudyFolder, tmp_path: Path) -> None:
-    _, stimuli = build_study(corpus, page=False)
-    design = make_design(read_settings(corpus.settings))
-    plan = make_plan(design, stimuli, "p1", number=1, simulated=True)
-    create_plan(tmp_path / "plan.json", plan)
-    stored = require_plan(tmp_path / "plan.json")
-    assert (stored.recordings_per_participant, stored) == (3, plan)
-    text = CORPUS.replace("recordings_per_participant = 3", "")
-    corpus.settings.write_text(text, encoding="utf-8")
-    whole = make_plan(
-        make_design(read_settings(corpus.settings)), stimuli, "p1", number=1, simulated=True
-    )
-    assert compare_plans(stored, whole) == ["recordings_per_participant 3 -> None"]
-    assert {trial.recording for trial in whole.trials} == {f"tap{n:03d}" for n in range(8)}
-
-
 KILLED = """
 import os, signal, sys
 from pathlib import Path
@@ -169,54 +150,6 @@ def test_a_killed_build_goes_on_where_it_was(
     assert not list(corpus.stimuli.glob(".parts*"))
 
 
-COUNTING = """
-import weakref
-import numpy as np
-from feel321.stimuli import Recording
-
-OPEN = set()
-
-def read_raw(path):
-    samples = np.fromfile(path).reshape(3, -1)
-    OPEN.add(id(samples))
-    weakref.finalize(samples, OPEN.discard, id(samples))
-    with (path.parent / "open.txt").open("a") as file:
-        file.write(f"{len(OPEN)}\\n")
-    return Recording(samples, 2000.0)
-"""
-
-
-def test_recordings_are_open_only_while_they_are_used(tmp_path: Path) -> None:
-    (tmp_path / "methods").mkdir()
-    (tmp_path / "corpus").mkdir()
-    (tmp_path / "methods" / "raw.py").write_text(COUNTING.replace("\\\\", "\\"), encoding="utf-8")
-    for number in range(8):
-        np.random.default_rng(number).standard_normal((3, 400)).tofile(
-            tmp_path / "corpus" / f"tap{number}.raw"
-        )
-    text = CORPUS.replace("*.wav", "*.raw").replace('unit = "m/s^2"\n', "")
-    study = StudyFolder(tmp_path)
-    study.settings.write_text(
-        f'{text}[formats]\nraw = "methods/raw.py:read_raw"\n', encoding="utf-8"
-    )
-    assert check_study(study).problems == ()
-    build_study(study, page=False)
-    opened = [int(line) for line in (tmp_path / "corpus" / "open.txt").read_text().split()]
-    assert len(opened) == 8 + 8  # by check, and by the first round of build
-    assert max(opened) <= 2  # threads of one process
-
-
-@pytest.mark.parametrize("keep", [0, 1, 40, 400, -2])
-def test_a_damaged_manifest_json_is_one_line_with_its_name(corpus: StudyFolder, keep: int) -> None:
-    build_study(corpus, page=False)
-    path = corpus.stimuli / "manifest.json"
-    whole = json.loads(path.read_text(encoding="utf-8"))
-    assert read_details(corpus.stimuli).recipe == whole["recipe"]
-    path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(ValueError, match=r"^[^\n]*manifest\.json: is missing or damaged [^\n]*$"):
-        read_details(corpus.stimuli)
-
-
 def test_long_lists_of_faults_are_cut(
     corpus: StudyFolder, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -238,30 +171,3 @@ def test_the_page_of_a_large_set_shows_a_part_and_says_so(
     assert [f"tap{n:03d}__dft321__as_is.wav" in page for n in range(8)] == [
         n in {0, 3, 6} for n in range(8)
     ]
-
-
-@pytest.mark.soak
-def test_a_build_of_a_thousand_that_is_killed_twice_gives_the_same_bytes(
-    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    """What was done is not done again, but for the few recordings that were under way."""
-    write_corpus(tmp_path, 1000)
-    other = StudyFolder(tmp_path_factory.mktemp("whole"))
-    write_corpus(other.path, 1000)
-    build_study(other, page=False)
-    for steps in (500, 1500):
-        command = [sys.executable, "-c", KILLED, str(tmp_path), str(steps)]
-        assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
-        (parts,) = (tmp_path / "stimuli").glob(".parts*")
-        lines = (parts / BUILT).read_text(encoding="utf-8").splitlines()
-        assert len([line for line in lines if line]) >= min(steps, 1000) * 3
-    written = {path.name: path.stat().st_mtime_ns for path in (parts / "finished").glob("*.wav")}
-    assert len(written) >= 500 * 3
-    rendered: list[str] = []
-    with announcing(rendered.append):
-        build_study(StudyFolder(tmp_path), page=False)
-    assert not rendered
-    for name, time_ns in written.items():
-        assert (tmp_path / "stimuli" / name).stat().st_mtime_ns == time_ns
-    assert read_files(tmp_path / "stimuli") == read_files(other.stimuli)
-    assert check_study(StudyFolder(tmp_path)).problems == ()

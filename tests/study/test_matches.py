@@ -10,32 +10,20 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.stats import ttest_1samp
 
-from feel321.analysis.table.reading import Further
 from feel321.protocols.blocks import ATTENUATION_DB, DB_PER_POINT, MOST_START_DB, MatchingBlock
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import MATCHING, Flow
-from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import analyze, metrics
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import create_study
-from feel321.study.matches import MATCHES_FILE, describe_matches, summarise_matches, write_matches
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import Participant
-from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.ratings import MATCHES_FILE, describe_matches, summarise_matches
 from feel321.study.session.engine import run_session
-from feel321.study.session.plan import (
-    Design,
-    Stale,
-    create_plan,
-    make_plan,
-    open_session,
-    require_plan,
-)
+from feel321.study.session.plan import Design, Stale, create_plan, make_plan, open_session
 from feel321.study.session.ports import Confirm, Feel, Move, Playback, Scaled
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study
@@ -141,36 +129,15 @@ def test_averages_are_those_of_students_t() -> None:
         for person, own in enumerate(drawn)
         for value in own
     ]
-    (found,) = summarise_matches(rows)
+    ((reducer, (mean, low, high, n)),) = summarise_matches(rows).items()
     wanted = ttest_1samp(drawn.mean(axis=1), 0.0).confidence_interval(0.95)
-    assert (found.reducer, found.participants) == ("dft321", 6)
-    assert found.mean_db == pytest.approx(drawn.mean())
-    assert (found.low_db, found.high_db) == pytest.approx((wanted.low, wanted.high))
+    assert (reducer, n) == ("dft321", 6)
+    assert mean == pytest.approx(drawn.mean())
+    assert (low, high) == pytest.approx((wanted.low, wanted.high))
     assert describe_matches([]) == []
     (note,) = describe_matches(rows[:3])
     assert "1 participant:" in note
     assert "(" not in note.partition(") ")[2]
-
-
-def test_the_report_has_the_mean_of_every_reducer(
-    studies: dict[str, StudyFolder], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Among its notes; nothing else of it is made here."""
-    written: dict[str, Any] = {}
-    monkeypatch.setattr(analyze, "write_report", lambda *_, **options: written.update(options))
-    monkeypatch.setattr(metrics, "compute_rotations", lambda *_, **__: Further(pd.DataFrame(), ()))
-    study = studies["equal_intensity"]
-    analyze.analyze_study(study)
-    (note,) = written["further"].notes
-    for one in summarise_matches(write_matches(study, read_stimuli(study.stimuli))):
-        assert f"{one.reducer} {one.mean_db:+.1f} dB" in note
-
-
-def test_a_withdrawal_takes_the_matches_too(tmp_path: Path) -> None:
-    study = simulate(tmp_path / "study", "as_is")
-    withdraw_participant(study, "sim002", reason="", now=lambda: datetime.now(UTC))
-    people = {row["participant"] for row in read_rows(study.path / MATCHES_FILE)}
-    assert people == {"sim001", "sim003", "sim004"}
 
 
 # The engine, with one who moves the marker.
@@ -254,15 +221,3 @@ def test_audit_finds_an_answer_that_was_not_felt(
     felt = [n for n, r in enumerate(records) if r.event == "played" and r.data["trial"] == number]
     (found,) = audit_steps([r for n, r in enumerate(records) if n != felt[-1]], plan)
     assert "holds 'rated' where part 'second' is due" in found
-
-
-def test_plans_are_stored_with_their_levels(tmp_path: Path, stimuli: StimulusSet) -> None:
-    plan = make_plan(DESIGN, stimuli, "p01", number=1, simulated=True)
-    create_plan(tmp_path / "plan.json", plan)
-    assert require_plan(tmp_path / "plan.json") == plan
-    other = make_plan(DESIGN, stimuli, "p02", number=2, simulated=True)
-    assert plan.matching is not None
-    assert other.matching is not None
-    assert plan.matching.starts_db != other.matching.starts_db
-    pairs = [trial.judgements[0] for trial in plan.trials if trial.phase == MATCHING]
-    assert sum(one.stimulus_id == one.reference_id for one in pairs) == 2

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from feel321.stimuli.sets.manifest import find_methods
 from feel321.study.analyze import read_study_table
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
@@ -42,7 +43,7 @@ def test_every_step_takes_the_labs_own_methods_and_a_change_of_them_is_named(
     built = study.build()
     assert {one.reducer for one in built if one.role == "test"} == {"dft321", "my321", "wav321"}
     assert {one.recording for one in built} == {"bumps", "hard_taps", "tap"}
-    digests = built.find_methods()
+    digests = find_methods(built.folder)
     assert digests.keys() == {"my321", "wav321", "snr"}
     assert study.stimuli()["tap__reference__as_is"].metrics["snr"] == pytest.approx(100.0)
     study.simulate(2, rng=1)
@@ -111,15 +112,3 @@ def test_check_method_reports_each_check_and_fails_where_one_does(
     assert "FAILED  scaling: a signal 2 times as strong must give an output 2 times" in printed
     assert main(["check", str(folder), "--method", "dft321"]) == 1
     assert "dft321 is feel321's own" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", ["original", "none"])
-def test_what_is_a_reference_and_no_reducer_is_refused_as_one(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    recording = tmp_path / "a.csv"
-    recording.write_text("t,x,y,z\n" + "".join(f"{n / 1000},1,{n % 7},0\n" for n in range(100)))
-    out = tmp_path / "o.wav"
-    assert main(["reduce", str(recording), "--reducer", name, "-o", str(out)]) == 2
-    assert f"got '{name}'" in capsys.readouterr().err
-    assert not out.exists()

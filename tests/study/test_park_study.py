@@ -14,9 +14,8 @@ from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report import primary
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import read_table
-from feel321.study.analyze import measure_declared
+from feel321.study.analyze import make_paper, measure_declared
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.paper import make_paper
 from feel321.study.settings.read import list_origins, read_settings
 from feel321.study.workflow import build_study
 

@@ -75,14 +75,6 @@ def test_nothing_heavy_is_imported_at_start_up(module: str) -> None:
     assert HEAVY & set(done.stdout.split()) == set()
 
 
-def test_python_runs_the_package_as_the_command_line() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "feel321", "biuld"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith('feel321: Unknown command "biuld".')
-
-
 @pytest.mark.parametrize(
     "arguments", [["--help"], ["--version"], ["reduce", "--help"], ["analyze", "--help"]]
 )
@@ -99,13 +91,6 @@ def test_help_costs_little_more_than_starting_numpy(
     numpy_alone, whole = (min(times) for times in zip(*pairs, strict=True))
     # scipy's filters, pandas or matplotlib would each cost several times what numpy does.
     assert whole / numpy_alone < 5
-
-
-def test_wrong_use_and_errors_set_the_exit_code_of_the_process(tmp_path: Path) -> None:
-    wrong, failed = run("biuld"), run("status", tmp_path)
-    assert (wrong.returncode, failed.returncode) == (2, 1)
-    assert [len(done.stderr.splitlines()) for done in (wrong, failed)] == [1, 1]
-    assert "Traceback" not in wrong.stderr + failed.stderr
 
 
 def test_a_reader_who_goes_away_is_no_error(tmp_path: Path) -> None:

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.tasks import make_task
-from feel321.study.columns import RATING_COLUMNS
-from feel321.study.folder import StudyFolder
-from feel321.study.ratings import read_judgements, write_ratings
+from feel321.study.folder import RATING_COLUMNS, StudyFolder
+from feel321.study.ratings import list_judgements, write_ratings
 from feel321.study.session.codes import list_codes
-from feel321.study.session.journal import START, create_journal, digest, write_line
-from feel321.study.session.plan import Stale, create_plan, make_plan
+from feel321.study.session.journal import START, digest, write_line
+from feel321.study.session.plan import Stale, create_plan, make_plan, read_dossier
 from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:
@@ -32,13 +31,8 @@ def read(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_columns_are_those_that_were_promised() -> None:
-    assert ", ".join(RATING_COLUMNS) == (
-        "participant, session, protocol, block, trial, repeat, stimulus_id, recording, reducer, level, reference_id, "
-        "scale, rating, response_time_s, onset_s, underruns, rejected, simulated, spectral_match_delivered, "
-        "temporal_match_delivered, spectral_match_bounded_delivered, level_error_db, delivered_by, sensation_level_db, "
-        "other_id"
-    )
+def read_judgements(folder: Path, stimuli: StimulusSet) -> list[dict[str, Any]]:
+    return list_judgements(read_dossier(folder), stimuli)
 
 
 def test_one_row_per_judgement_with_what_the_plan_and_the_set_say(
@@ -208,31 +202,6 @@ def test_every_judgement_of_a_trial_is_a_row(
         assert [row["rating"] == 100.0 for row in rows] == [right[row["trial"]] for row in rows]
 
 
-def test_the_real_surface_is_a_reference_of_its_own_name(
-    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    task = make_task("similarity", reference="surface")
-    present(
-        scripted(),
-        plan=make_plan(replace(design, tasks=(task,)), stimuli, "p01", number=1, simulated=True),
-    )
-    assert {
-        row["reference_id"] for row in read_judgements(tmp_path / "sessions" / "p01", stimuli)
-    } == {"surface"}
-
-
-def test_training_and_practice_stay_in_the_journal(
-    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    tasks = tuple(replace(task, training=3, practice=1) for task in design.tasks)
-    plan = make_plan(replace(design, tasks=tasks), stimuli, "p01", number=1, simulated=True)
-    records = present(scripted(), plan=plan)
-    rated = [record for record in records if record.event == "rated"]
-    rows = read_judgements(tmp_path / "sessions" / "p01", stimuli)
-    assert [row["trial"] for row in rows] == list(range(1, 21))
-    assert len(rated) > 20
-
-
 def test_unfinished_sessions_count_and_the_table_is_the_same_every_time(
     present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
@@ -245,24 +214,6 @@ def test_unfinished_sessions_count_and_the_table_is_the_same_every_time(
     write_ratings(study, stimuli)
     assert study.ratings.read_bytes() == first
     assert not list(tmp_path.glob(".*.part"))
-
-
-def test_a_participant_who_never_began_gives_no_rows(
-    plan: Plan, tmp_path: Path, stimuli: StimulusSet, now: Callable[[], datetime]
-) -> None:
-    (folder := tmp_path / "p01").mkdir()
-    create_plan(folder / "plan.json", plan)
-    assert read_judgements(folder, stimuli) == []
-    create_journal(folder / "session-01.jsonl", now=now)
-    assert read_judgements(folder, stimuli) == []
-
-
-def test_who_withdrew_gives_no_rows_whatever_lies_beside_the_tombstone(
-    present: Present, scripted: type, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    present(scripted())
-    (tmp_path / "sessions" / "p01" / "withdrawn.json").write_text("{}", encoding="utf-8")
-    assert write_ratings(StudyFolder(tmp_path), stimuli) == 0
 
 
 @pytest.fixture

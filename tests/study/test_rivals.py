@@ -9,7 +9,7 @@ import pytest
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.rivals.catalog import RIVALS
+from feel321.stimuli.rivals import RIVALS
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene

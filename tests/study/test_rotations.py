@@ -81,16 +81,6 @@ def test_every_test_stimulus_has_the_statistics_of_its_recording_and_reducer(
     ]
 
 
-def test_what_no_orientation_changes_has_no_spread_at_all(lab: StudyFolder) -> None:
-    found = measure(lab)
-    whole = found.metrics.filter(like="pca321__", axis=0)
-    assert (whole["spectral_match_rotation_sd"] == 0).all()
-    assert (found.metrics["temporal_match_rotation_sd"] > 0).all()
-    told = "was turned into 64 random orientations of the sensor (seed 6, the same ones for all)"
-    assert told in found.notes[0]
-    assert measure(lab).metrics.equals(found.metrics)
-
-
 def test_turned_copies_share_what_belongs_to_their_recording(tmp_path: Path) -> None:
     entry = '[[recordings]]\nscene = "bumps"\nduration_s = 0.3\n'
     text = f'{entry}{entry}rotation = 2\n{entry}rotation = 3\nseed = 1\n[stimuli]\nreducers = ["saz321"]\n'
@@ -132,12 +122,6 @@ def test_declared_statistics_get_more_orientations_and_pass_the_check(
     assert name in line
 
 
-def test_nothing_is_written_and_the_manifest_stays(lab: StudyFolder) -> None:
-    before = {path: path.read_bytes() for path in lab.stimuli.iterdir()}
-    measure(lab)
-    assert {path: path.read_bytes() for path in lab.stimuli.iterdir()} == before
-
-
 def test_long_recordings_get_fewer_orientations(
     lab: StudyFolder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -174,13 +158,3 @@ def test_other_recordings_or_settings_leave_them_out(
     assert note.endswith("Rotation statistics of the metrics are left out.")
     assert reason in note
     assert "\n" not in note
-
-
-def test_a_set_without_its_recipe_leaves_them_out(lab: StudyFolder, tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
-    (tmp_path / "stimuli").mkdir()
-    (tmp_path / "stimuli" / "manifest.csv").write_bytes(lab.manifest.read_bytes())
-    with pytest.warns(UserWarning, match="Rotation statistics"):
-        found = measure(StudyFolder(tmp_path))
-    assert found.metrics.empty
-    assert "manifest.json" in found.notes[0]

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.analyze import analyze_study
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ratings import write_ratings
@@ -21,7 +20,7 @@ from feel321.study.session.journal import create_journal
 from feel321.study.settings.read import read_settings
 from feel321.study.simulation import SIDE_BY_SIDE, list_participants, simulate_study
 from feel321.study.status import read_status
-from feel321.study.workflow import build_study, check_study, find_warnings
+from feel321.study.workflow import build_study, find_warnings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -76,18 +75,6 @@ def copy(whole: StudyFolder, tmp_path: Path) -> StudyFolder:
         (tmp_path / "copy" / name).unlink()
     shutil.rmtree(tmp_path / "copy" / ".evidence")
     return StudyFolder(tmp_path / "copy")
-
-
-def test_three_participants_judge_everything_twice(whole: StudyFolder) -> None:
-    n_stimuli = len(read_stimuli(whole.stimuli).stimuli)
-    assert n_stimuli == 2 * (2 + 1 + 2)
-    status = read_status(whole).participants
-    assert [(s.participant, s.done, s.left) for s in status] == [
-        (f"sim00{n}", 2 * n_stimuli, 0) for n in (1, 2, 3)
-    ]
-    assert all(s.state == "finished" and s.simulated and s.last_activity > "2026" for s in status)
-    assert audit_study(whole) == []
-    assert list(check_study(whole).problems) == []
 
 
 def test_progress_counts_what_earlier_runs_did(copy: StudyFolder) -> None:
@@ -145,12 +132,6 @@ def test_an_error_in_one_session_ends_the_others_with_the_trial_that_they_are_in
     assert simulate(copy, participants=12) == 240
 
 
-def test_more_participants_can_join_and_the_first_are_kept(copy: StudyFolder) -> None:
-    before = {path: path.read_bytes() for path in copy.journals}
-    assert simulate(copy, participants=4) == 80
-    assert {path: path.read_bytes() for path in copy.journals if path in before} == before
-
-
 def test_resuming_from_any_record_gives_the_same_table(
     whole: StudyFolder, copy: StudyFolder
 ) -> None:
@@ -204,38 +185,6 @@ def test_a_set_built_anew_from_other_reducers_is_refused(copy: StudyFolder) -> N
         write_ratings(copy, read_stimuli(copy.stimuli))
 
 
-def test_a_session_that_never_got_its_journal_is_shown_as_not_begun(copy: StudyFolder) -> None:
-    copy.journals[0].unlink()
-    first = read_status(copy).participants[0]
-    assert (first.done, first.left, first.state, first.simulated, first.last_activity) == (
-        0,
-        20,
-        "claimed",
-        True,
-        "",
-    )
-
-
-def test_check_finds_every_problem_at_once(copy: StudyFolder) -> None:
-    text = (
-        '[[recordings]]\nfile = "a.csv"\n[[recordings]]\nfile = "b.csv"\n[rig]\nrate_hz = 44100.5\n'
-    )
-    copy.settings.write_text(text, encoding="utf-8")
-    next(copy.stimuli.glob("*.wav")).unlink()
-    problems = check_study(copy).problems
-    for words in ("recording 'a'", "recording 'b'", "study.toml: rate_hz must be", ".wav"):
-        assert any(words in problem for problem in problems)
-
-
-def test_check_finds_that_a_protocol_lacks_its_reference(copy: StudyFolder) -> None:
-    shutil.rmtree(copy.sessions)
-    text = copy.settings.read_text(encoding="utf-8") + 'reference = "none"\n'
-    copy.settings.write_text(text, encoding="utf-8")
-    assert any(
-        "for the reference 'original', got 0" in problem for problem in check_study(copy).problems
-    )
-
-
 def test_check_warns_of_an_order_that_cannot_be_kept(copy: StudyFolder) -> None:
     assert find_warnings(copy, read_settings(copy.settings)) == []  # Squares have no such rule.
     taps = '[[recordings]]\nscene = "hard_taps"\nduration_s = 0.5\n'
@@ -249,9 +198,3 @@ def test_check_warns_of_an_order_that_cannot_be_kept(copy: StudyFolder) -> None:
     ]
     shutil.rmtree(copy.stimuli)
     assert find_warnings(copy, read_settings(copy.settings)) == []
-
-
-def test_nothing_can_be_analysed_before_anybody_rated(copy: StudyFolder) -> None:
-    shutil.rmtree(copy.sessions)
-    with pytest.raises(ValueError, match="no ratings yet; run sessions first"):
-        analyze_study(copy)

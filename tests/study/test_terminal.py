@@ -59,12 +59,6 @@ def test_a_terminal_sees_what_is_done_and_no_colour(unbuilt: StudyFolder) -> Non
     assert re.search(r"\r +\r[^\r]*stimuli: 2 stimuli, set \w{12}\r\n", shown)  # the bar is wiped
 
 
-def test_quiet_leaves_only_the_result(unbuilt: StudyFolder) -> None:
-    shown = watch("build", unbuilt.path, "-q")
-    assert shown.startswith(f"{unbuilt.stimuli}: 2 stimuli")
-    assert "\r " not in shown
-
-
 @pytest.mark.parametrize("place", [0, 2])
 def test_verbose_prints_steps_where_nobody_watches(
     place: int, unbuilt: StudyFolder, capsys: pytest.CaptureFixture[str]
@@ -79,11 +73,6 @@ def test_verbose_prints_steps_where_nobody_watches(
     assert [line[1] for line in shown] == ["bumps, sax321", "bumps, mag321", "page of the set"]
     assert main(["build", str(unbuilt.path)]) == 0
     assert capsys.readouterr().err == ""  # the next call is as quiet as ever
-
-
-def test_quiet_hides_no_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["status", str(tmp_path), "-q"]) == 1
-    assert "no study.toml" in capsys.readouterr().err
 
 
 def test_the_clock_runs_while_one_step_takes_long(

@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 
 from feel321.protocols.threshold import PROCEDURES, USUAL, estimate_threshold, resume
-from feel321.stimuli.sets.anchors import sensation_level_db
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.stimuli.thresholds import acceleration_threshold
+from feel321.stimuli.thresholds import acceleration_threshold, sensation_level_db
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import create_study
 from feel321.study.people import ROSTER_FILE
@@ -185,7 +184,7 @@ def test_between_frequencies_the_shift_is_a_line_over_their_logarithm() -> None:
 @pytest.mark.parametrize("frequency_hz", [40.0, 100.0, 250.0])
 def test_a_tone_at_the_own_threshold_has_level_zero(frequency_hz: float) -> None:
     """By the definition of the sensation level, through the code that computes it for stimuli."""
-    from feel321.stimuli.sets.anchors import loudest_levels, to_db
+    from feel321.stimuli.thresholds import loudest_levels, to_db
 
     shift = find_shift(make_estimates(), curve="contactor")
     assert shift is not None

@@ -29,12 +29,9 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.association.correlate import Panel
-    from feel321.analysis.choices.predict import VotePrediction
-    from feel321.analysis.contrasts.compare import Equivalence
-    from feel321.analysis.contrasts.discrimination import Discrimination
     from feel321.analysis.primary.model import Primary
     from feel321.analysis.screening.consistency import RaterModel
-    from feel321.analysis.space import Ellipses
+    from feel321.records import Statistic
 
     Values = NDArray[np.float64]
 
@@ -215,7 +212,7 @@ def draw_variants(table: DataFrame) -> Figure:
     return figure
 
 
-def draw_equivalence(tests: Mapping[str, Equivalence]) -> Figure:
+def draw_equivalence(tests: Mapping[str, Statistic]) -> Figure:
     """Draw 90 % intervals of differences, such as ``dft321 − mag321``, against the margin of equivalence."""
     margins = {(test.low, test.high) for test in tests.values()}
     if len(margins) != 1:
@@ -249,7 +246,7 @@ def draw_ranking(table: DataFrame, *, ceiling: float, level: float, size: str) -
     return figure
 
 
-def draw_shares(found: VotePrediction) -> Figure:
+def draw_shares(found: Statistic) -> Figure:
     """Draw the percentage of choices that each metric predicts, the highest first, against chance."""
     table = found.shares.sort_values("share", ascending=False, kind="stable")
     rows = [
@@ -266,7 +263,7 @@ def draw_shares(found: VotePrediction) -> Figure:
     return figure
 
 
-def draw_discrimination(results: Mapping[str, Discrimination]) -> Figure:
+def draw_discrimination(results: Mapping[str, Statistic]) -> Figure:
     """Draw the d' of each pair of stimuli that was compared in ABX trials, by the pair's name."""
     if not results:
         raise ValueError("results must hold one pair or more, got none")
@@ -552,7 +549,7 @@ ORIGINAL, STAR = "original", Look(style.BLACK, "*")
 """The hidden reference, and how it is drawn."""
 
 
-def draw_space(ellipses: Ellipses, names: Sequence[str]) -> Figure:
+def draw_space(ellipses: Statistic, names: Sequence[str]) -> Figure:
     """Draw the group's map with an ellipse per stimulus; a star is the original."""
     from matplotlib.patches import Ellipse
 

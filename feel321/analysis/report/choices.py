@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.choices.model import fit_votes
-from feel321.analysis.choices.predict import CHANCE, VotePrediction, predict
-from feel321.analysis.choices.votes import gather_votes
-from feel321.analysis.contrasts.bradley_terry import BradleyTerry, bradley_terry
+from feel321.analysis.choices import CHANCE, fit_votes, gather_votes, predict
+from feel321.analysis.contrasts.bradley_terry import bradley_terry
 from feel321.analysis.figures.kinds import draw_shares
 from feel321.analysis.primary.model import FEW
 from feel321.analysis.report.parts import SIGNIFICANCE, split_arms
@@ -34,6 +32,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
+    from feel321.records import Statistic
 
 KEY = "choices"
 CLUSTERED = "95 % t interval, clustered by participants and recordings"
@@ -118,7 +117,7 @@ def _count_catches(arm: _Arm, rows: list[Row]) -> Iterator[str]:
 # Which metric predicts the choices.
 
 
-def _list_predicted(arm: _Arm, found: VotePrediction, rows: dict[str, list[Row]]) -> None:
+def _list_predicted(arm: _Arm, found: Statistic, rows: dict[str, list[Row]]) -> None:
     keys: Row = {**arm.keys, "n": found.n_votes, "interval": CLUSTERED}
     for row in found.to_frame().to_dict("records"):
         ends = {"low": row["low"], "high": row["high"], "p": row["p_holm"]}
@@ -151,7 +150,7 @@ def _list_predicted(arm: _Arm, found: VotePrediction, rows: dict[str, list[Row]]
     rows["choices_sizes"] += count_rows(sizes, n=found.n_votes, **arm.keys)
 
 
-def describe_prediction(arm: _Arm, found: VotePrediction) -> Row:
+def describe_prediction(arm: _Arm, found: Statistic) -> Row:
     """Decide which metrics may be said to predict the choices, and whether any predicts more than another."""
     shares = found.shares
     sizes = {"participant": found.n_participants, "recording": found.n_recordings}
@@ -222,7 +221,7 @@ def _find_turns(arm: _Arm, metric: str) -> Iterator[str]:
             yield name
 
 
-def _draw(arm: _Arm, found: VotePrediction) -> Picture:
+def _draw(arm: _Arm, found: Statistic) -> Picture:
     subject = name_subject(arm.scale, arm.level * arm.several)
     caption = (
         f"{subject}: share of {found.n_votes} choices that each metric predicts, with 95 % intervals for other people "
@@ -273,7 +272,7 @@ def _scale(arm: _Arm, choices: Choices, rows: dict[str, list[Row]]) -> list[str]
     return list(fitted.notes)
 
 
-def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> BradleyTerry:
+def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> Statistic:
     """Fit abilities with intervals over participants; shrunken ones without, where a reducer always won or lost."""
     try:
         alone = len(pairs["participant"].unique()) == 1
@@ -282,7 +281,7 @@ def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> Br
         if "separation" not in str(error):
             raise
     shrunken = bradley_terry(pairs, prior=0.5, order_effect=True)
-    return replace(shrunken, fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
+    return shrunken.replace(fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
 
 
 SECTION = Section(KEY, "Choices between two stimuli", "differ", compute)

@@ -7,7 +7,7 @@ and is made in `feel321.analysis.report.primary`; correlations are beside it, fo
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
@@ -16,12 +16,12 @@ import numpy as np
 
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
-from feel321.analysis.association.correlate import Association, Panel, correlate_items, make_panel
+from feel321.analysis.association.correlate import Panel, correlate_items, make_panel
 from feel321.analysis.figures.kinds import count_clipped, draw_scatters
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.report.parts import RatingsPart, split_parts
 from feel321.analysis.report.section import Found, Picture, Row, Section, make_row, name_subject
-from feel321.analysis.standard import P1401, compare_p1401, p1401
+from feel321.analysis.standard import compare_p1401, p1401
 from feel321.analysis.table.items import Items, make_items
 from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart
@@ -35,6 +35,7 @@ from feel321.analysis.words import (
     format_span,
     join_words,
 )
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from feel321.analysis.resampling import Choices
@@ -96,7 +97,7 @@ def _keys(panel: Panel) -> dict[str, str]:
     return {"scale": panel.scale, "level": panel.level}
 
 
-def list_association(one: Association, keys: dict[str, str]) -> Iterator[Row]:
+def list_association(one: Statistic, keys: dict[str, str]) -> Iterator[Row]:
     """List the rows of one correlation."""
     own = {**keys, "metric": one.metric, "method": format_method(one.method), "n": one.n_items}
     yield make_row("r", one.value, low=one.low, high=one.high, interval=TWO_WAY, **own)
@@ -295,7 +296,7 @@ def compute_standard(table: Table, choices: Choices) -> Found:  # noqa: ARG001 -
     return Found(rows, {"any": True} if any(rows.values()) else {}, notes=notes)
 
 
-Judged = dict[tuple[str, int, str], P1401]
+Judged = dict[tuple[str, int, str], Statistic]
 """By metric, order and mapping."""
 
 
@@ -314,7 +315,7 @@ def _judge(part: RatingsPart, table: Table, items: Items, *, notes: list[str]) -
     return judged
 
 
-def _list_judged(part: RatingsPart, key: tuple[str, int, str], one: P1401) -> Iterator[Row]:
+def _list_judged(part: RatingsPart, key: tuple[str, int, str], one: Statistic) -> Iterator[Row]:
     keys: Row = {
         **part.keys,
         **dict(zip(("metric", "order", "mapping"), key, strict=True)),
@@ -360,7 +361,7 @@ def _compare_classically(
             {**part.keys, "metric": one, "second_metric": other, "n": len(means)},
         )
         try:
-            found = asdict(compare_dependent(r[0, 1], r[0, 2], r[1, 2], len(means)))
+            found = compare_dependent(r[0, 1], r[0, 2], r[1, 2], len(means))
         except ValueError as error:
             notes.append(
                 f"{part.lead}, dependent correlations of {one} and {other}: left out. {error}"

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from feel321.analysis import maps
-from feel321.analysis.contrasts.discrimination import Discrimination, discriminate_pairs
-from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
+from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original, discriminate_pairs
 from feel321.analysis.figures.kinds import draw_discrimination, draw_space
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.report.parts import SIGNIFICANCE
@@ -25,7 +24,6 @@ from feel321.analysis.report.section import (
     make_slug,
 )
 from feel321.analysis.space import (
-    Ellipses,
     align_spaces,
     bootstrap_space,
     regress_attributes,
@@ -41,6 +39,7 @@ if TYPE_CHECKING:
 
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
+    from feel321.records import Statistic
 
 
 # ABX trials: how well what a reducer made is distinguished from its reference.
@@ -57,7 +56,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: AR
         return Found(notes=(f"Scale '{ANSWERED}' is not evaluated: {why}.",))
     trials = rows.assign(first=rows["reducer"], second="reference", correct=rows["rating"] == RIGHT)
     compared = trials[trials["role"] != "reference"].groupby(["level", "reducer"], observed=True)
-    found: dict[Any, Discrimination] = {
+    found: dict[Any, Statistic] = {
         names: discriminate_pairs(part)[None] for names, part in compared
     }
     if not found:
@@ -212,7 +211,7 @@ def compute_space(table: Table, choices: Choices) -> Found:
     )
 
 
-def list_places(ellipses: Ellipses) -> Iterator[dict[str, float]]:
+def list_places(ellipses: Statistic) -> Iterator[dict[str, float]]:
     """List the places on a map with their ellipses."""
     for (x, y), (one, two), angle in zip(
         ellipses.space.positions, ellipses.half_axes, ellipses.angle, strict=True
@@ -255,7 +254,7 @@ def _measure(table: Table, names: list[str], level: str) -> DataFrame:
     return metrics.join(ratings.add_prefix("rated ")).reindex(names)
 
 
-def _relate(arm: _Arm, ellipses: Ellipses, choices: Choices, *, rows: dict[str, list[Row]]) -> Row:
+def _relate(arm: _Arm, ellipses: Statistic, choices: Choices, *, rows: dict[str, list[Row]]) -> Row:
     """Compare the map with metrics and mean ratings."""
     known = arm.attributes.notna().all(axis=1).to_numpy()
     attributes = arm.attributes[known]

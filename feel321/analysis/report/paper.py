@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.replication import claims as paper_claims
 from feel321.analysis.replication.claims import AGREES, DIFFERS, NOT_ESTIMABLE, PaperAnswer
-from feel321.analysis.replication.landin import tabulate_metric
+from feel321.analysis.replication.measures import tabulate_metric
 from feel321.analysis.report.section import Found, Row, Section, make_row
 from feel321.analysis.words import capitalise, format_interval, format_number
 

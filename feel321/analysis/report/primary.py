@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +37,7 @@ from feel321.analysis.primary.sensitivity import (
     judge_level,
     measure_influence,
 )
-from feel321.analysis.replication.park import explain_spread
+from feel321.analysis.replication.measures import explain_spread
 from feel321.analysis.report import parts
 from feel321.analysis.report.section import NONE, Found, Picture, Row, Section, count_rows, make_row
 from feel321.analysis.table.schema import STAND_INS
@@ -188,10 +188,10 @@ def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primar
         signs = [-1.0 if name in worse else 1.0 for name in (one, other)]
         for prefix, sizes in (("", (1.0, 1.0)), ("standardised_", (scales[one], scales[other]))):
             weights = {f"{one}_w": signs[0] * sizes[0], f"{other}_w": -signs[1] * sizes[1]}
-            found = asdict(contrast(model.fit, weights)) if math.isfinite(row["low"]) else {}
+            found = dict(contrast(model.fit, weights)) if math.isfinite(row["low"]) else {}
             row |= {f"{prefix}{key}": value for key, value in found.items()}
         rows.append(row)
-    return replace(model, differences=type(model.differences)(rows))
+    return model.replace(differences=type(model.differences)(rows))
 
 
 # What is concluded of a slope.

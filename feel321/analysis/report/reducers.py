@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
 from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -198,8 +197,7 @@ def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
         raise ValueError(f"Only one was rated, '{names[0]}'.")
     fit, terms, n = fit_reducers(rows, names)
     pairs: list[Row] = [
-        {"first": one, "second": two, "n": n}
-        | asdict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
+        {"first": one, "second": two, "n": n} | dict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
         for one, two in combinations(names, 2)
     ]
     for pair, holm in zip(pairs, adjust_holm([pair["p"] for pair in pairs]), strict=True):
@@ -215,7 +213,7 @@ def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
             test = equivalence(*numbers, low=-margin, high=margin)
             pair |= {"p_equivalence": test.p, "equivalent": test.equivalent, "test": test}
             pair["p_not_worse"] = non_inferiority(*numbers, margin=-margin).p
-    return pairs, compare_terms(fit, list(terms.values()))._asdict()
+    return pairs, dict(compare_terms(fit, list(terms.values())))
 
 
 def _list_pair(part: RatingsPart, pair: Row) -> Iterator[Row]:
@@ -339,7 +337,7 @@ def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> Iterator[Row]
                 "of": what,
                 "unit": unit,
             }
-            yield pair | asdict(contrast(fit, weights))
+            yield pair | dict(contrast(fit, weights))
 
 
 def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
@@ -352,6 +350,7 @@ def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
             ["participant", "recording", ITEM], observed=True
         )
         means = cells.mean(numeric_only=True).reset_index()
+        means = means.astype(dict.fromkeys(["participant", "recording", ITEM], object))
         reducers = means[ITEM].map(arm.drop_duplicates(ITEM).set_index(ITEM)["reducer"])
         base, source = means["recording"] + "/" + reducers, means["recording"].map(sources)
         tables.append(means.assign(level=level, reducer=reducers, base=base, source=source))

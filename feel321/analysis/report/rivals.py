@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.association.rivals import (
-    BASELINES,
-    FEWEST_REDUCERS,
-    LEVEL,
-    Ranking,
-    rank_metrics,
-)
+from feel321.analysis.association.rivals import BASELINES, FEWEST_REDUCERS, LEVEL, rank_metrics
 from feel321.analysis.figures.kinds import draw_ranking
 from feel321.analysis.report.parts import RatingsPart, split_parts
 from feel321.analysis.report.section import (
@@ -32,6 +26,7 @@ if TYPE_CHECKING:
 
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
+    from feel321.records import Statistic
 
 KEY = "rivals"
 AMPLITUDE, STRENGTH = "rms_m_s2", "level_as_played"
@@ -43,7 +38,7 @@ def compute(table: Table, choices: Choices) -> Found:
     """Rank all metrics on every scale and level, where a comparison was asked for."""
     if not table.rivals:
         return Found()
-    ranked: list[tuple[RatingsPart, Ranking]] = []
+    ranked: list[tuple[RatingsPart, Statistic]] = []
     told: list[Row] = []
     notes: list[str] = []
     for part in split_parts(table):
@@ -63,7 +58,7 @@ def compute(table: Table, choices: Choices) -> Found:
     return Found(rows, {"parts": told}, pictures, notes)
 
 
-def _draw(part: RatingsPart, one: Ranking, *, detail: bool) -> Picture:
+def _draw(part: RatingsPart, one: Statistic, *, detail: bool) -> Picture:
     caption = (
         f"How well each metric predicts {part.ratings} within recordings, out of fold: correlation with simultaneous "
         "95 % intervals; hollow: not in the confidence set of the best metric. Dashed: noise ceiling; dotted: level "
@@ -76,7 +71,7 @@ def _draw(part: RatingsPart, one: Ranking, *, detail: bool) -> Picture:
     return Picture(make_slug(KEY, *part.place), caption, draw, detail)
 
 
-def _rank(part: RatingsPart, table: Table, choices: Choices) -> Ranking:
+def _rank(part: RatingsPart, table: Table, choices: Choices) -> Statistic:
     rows, names = part.rows, list(table.rivals)
     # Where no metric of the set is about level alone, the level as played is.
     if not set(BASELINES) & set(names) and AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all():
@@ -86,7 +81,7 @@ def _rank(part: RatingsPart, table: Table, choices: Choices) -> Ranking:
     return rank_metrics(rows, names, draws=choices.draws, rng=rng, info=table.info)
 
 
-def _list_metrics(part: RatingsPart, ranking: Ranking) -> Iterator[Row]:
+def _list_metrics(part: RatingsPart, ranking: Statistic) -> Iterator[Row]:
     for row in ranking.to_frame().to_dict("records"):
         keys: Row = {**part.keys, "metric": row["metric"], "n": ranking.n_items}
         ends = {"low": row["low"], "high": row["high"], "interval": JOINT}
@@ -100,7 +95,7 @@ def _list_metrics(part: RatingsPart, ranking: Ranking) -> Iterator[Row]:
         yield make_row("r_in_fold", row["fitted"], **keys)
 
 
-def _list_picked(part: RatingsPart, one: Ranking) -> Iterator[Row]:
+def _list_picked(part: RatingsPart, one: Statistic) -> Iterator[Row]:
     ends = {"low": one.honest_low, "high": one.honest_high, "interval": PICKING, "n": one.n_items}
     yield make_row("r_picked", one.honest_value, **ends, **part.keys)
     sizes = {"ceiling": one.ceiling, "n_metrics": len(one.table), "n_items": one.n_items}
@@ -108,7 +103,7 @@ def _list_picked(part: RatingsPart, one: Ranking) -> Iterator[Row]:
     yield from count_rows(sizes, n=one.n_items, **part.keys)
 
 
-def describe_ranking(part: RatingsPart, ranking: Ranking) -> Row:
+def describe_ranking(part: RatingsPart, ranking: Statistic) -> Row:
     """Decide which metric may be said to predict best: verdict, and the numbers that its sentence needs."""
     table, row = ranking.table, ranking.to_frame().to_dict("records")[0]
     shown = list(map(str, table.index[(table["p"] < LEVEL) & (table["value"] > 0)]))

@@ -32,7 +32,7 @@ def compute(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every se
     for part in split_parts(table):
         try:
             _check_size(part, len(table.metrics))
-            varied = vary_primary(part.rows, table.metrics, leave_out=False)
+            varied = vary_primary(part.rows, table.metrics)
         except ValueError as error:
             notes.append(f"{part.lead}: no variants. {error}")
             continue

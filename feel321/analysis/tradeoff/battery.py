@@ -120,31 +120,11 @@ def _lose(samples: Samples, rng: np.random.Generator) -> Samples:
     return samples * kept
 
 
-def _run_fast(samples: Samples, rng: np.random.Generator) -> Samples:
-    del rng
-    number = np.arange(N_SAMPLES)
-    late = np.interp(1.003 * number, number, samples[1], period=N_SAMPLES)
-    return np.array([samples[0], late, samples[2]])
-
-
 def _impulse(rng: np.random.Generator) -> Samples:
     # Where one frame ends, the next but one begins, and the one between is at its middle; modes differ by axis.
     start = int(rng.integers(5, 20)) * WINDOW
     modes = ((95.0, 0.0075), (210.0, 0.0045), (340.0, 0.0035))
     return np.asarray(40 * np.array([make_tap(start, frequency_hz=f, decay_s=d) for f, d in modes]))
-
-
-def _between_bins(rng: np.random.Generator) -> Samples:
-    phases = 2 * np.pi * rng.uniform() + np.array([[0.0], [1.0], [-1.3]])
-    return np.asarray(
-        4 * np.array([[1.0], [0.8], [0.6]]) * np.cos(2 * np.pi * 150.5 * TIME_S + phases)
-    )
-
-
-def _chirp(rng: np.random.Generator) -> Samples:
-    sweep = 2 * np.pi * (20 * TIME_S + 0.5 * 980 * TIME_S**2) + 2 * np.pi * rng.uniform()
-    # Different delays on the way to the three axes: their phases drift apart as the frequency rises.
-    return 4 * np.array([np.cos(sweep), np.cos(1.004 * sweep), 0.1 * np.cos(0.997 * sweep)])
 
 
 def _near_silence(rng: np.random.Generator) -> Samples:
@@ -188,15 +168,8 @@ _SCENES = (
                 "A dozen gaps of 5 ms are filled with zeros: edges in all bands.", _ordinary, (), _lose),
     StressScene("impulse_at_edge", "Impulse at a window edge",
                 "A tap at a frame's edge: frames spread it before itself.", _impulse),
-    StressScene("between_bins", "Tone between bins", "150.5 Hz in 1 s leaks into all bins, each with its own phase.",
-                _between_bins),
-    StressScene("chirp", "Chirp", "20 to 1000 Hz, axes drifting apart in phase: they add, then cancel, then add.",
-                _chirp),
     StressScene("near_silence", "Near silence", "After one tap only noise, 80 dB below: its direction is arbitrary.",
                 _near_silence),
-    StressScene("rate_mismatch", "Sample-rate mismatch",
-                "y's clock runs 0.3 % fast: the axes slide through anti-phase.",
-                lambda rng: np.array([[4.0], [4.0], [0.4]]) * make_texture(rng), (), _run_fast),
 )  # fmt: skip
 
 BATTERY: Mapping[str, StressScene] = MappingProxyType({scene.name: scene for scene in _SCENES})

@@ -30,20 +30,14 @@ from feel321.types import Reducer, Samples
 if TYPE_CHECKING:
     from feel321.stimuli.recording import Recording
 
-Times = dict[str, tuple[float, float, float]]
-"""Measure -> median and quartiles."""
-
 MS_PER_S = 1000.0
 CARD_HZ, CARD_BLOCK = 48_000.0, 64
 WARM_UP, BLOCKS = 60, 1000
 """Blocks of a stream before times are taken, and those that are timed."""
 
-TWO, THREE = "two_principal_axes", "three_axes"
-"""What an actuator of several axes can play: the two leading principal axes, and the recording as it is."""
-
 
 class Candidate(NamedTuple):
-    """A reducer as it is compared: with its usual window or another; or several axes of an actuator.
+    """A reducer as it is compared: with its usual window or another.
 
     name: in all tables; base: of the reducer; window_s: of its window, the usual one where it has none.
     """
@@ -52,20 +46,19 @@ class Candidate(NamedTuple):
     base: str
     reduce: Reducer
     window_s: float = DEFAULT_WINDOW_S
-    axes: int = 1
 
 
 def list_candidates(
-    reducers: Mapping[str, Reducer], *, windows_ms: Sequence[float] = (), axes: int = 1
+    reducers: Mapping[str, Reducer], *, windows_ms: Sequence[float] = ()
 ) -> list[Candidate]:
-    """List reducers, those with a window also with other windows, and what an actuator of several axes can play.
+    """List reducers, and those with a window also with other windows.
 
     Examples
     --------
     >>> from feel321.stimuli.reducers.registry import REDUCERS
     >>> few = {"dft321_windowed": REDUCERS["dft321_windowed"]}
-    >>> [one.name for one in list_candidates(few, windows_ms=(20, 35), axes=3)]
-    ['dft321_windowed', 'dft321_windowed@20ms', 'two_principal_axes', 'three_axes']
+    >>> [one.name for one in list_candidates(few, windows_ms=(20, 35))]
+    ['dft321_windowed', 'dft321_windowed@20ms']
     """
     found = []
     for name, reducer in reducers.items():
@@ -76,20 +69,7 @@ def list_candidates(
                 label = f"{name}@{MS_PER_S * window_s:g}ms"
                 reduce = partial(reducer, window_s=window_s)  # type: ignore[call-arg]  # looked up above
                 found.append(Candidate(label, name, reduce, window_s))
-    several = [Candidate(TWO, TWO, _keep_two, axes=2), Candidate(THREE, THREE, _keep_all, axes=3)]
-    return [*found, *several[: axes - 1]]
-
-
-def _keep_two(samples: Samples, rate_hz: float) -> Samples:
-    """Leave out the motion along the weakest principal axis: (3, n)."""
-    del rate_hz
-    weakest = np.linalg.eigh(np.einsum("in,jn->ij", samples, samples))[1][:, 0]
-    return np.asarray(samples - weakest[:, None] * (weakest @ samples))
-
-
-def _keep_all(samples: Samples, rate_hz: float) -> Samples:
-    del rate_hz
-    return samples
+    return found
 
 
 _PROJECTION, _COVARIANCE, _MEAN = 5.0, 12.0, 6.0
@@ -127,8 +107,6 @@ _WORK: Mapping[str, Callable[[int, int], tuple[float, float]]] = MappingProxyTyp
     "dft321_bands": lambda n, _: (4.0 * n, _transforms(n) + _LEADING + _COVARIANCE + _PROJECTION + 1),
     # Five low-passes of three axes; six bands: 3 differences, 2 sums over axes, 4 squares, 2 sums, 8 for the gain, 2.
     "dft321_filtered": lambda *_: (27.0, 5 * 3 * 3 + 6 * 21.0),
-    TWO: lambda n, _: (3.0 * n, _MEAN + _COVARIANCE + 2 * _PROJECTION),
-    THREE: lambda *_: (0.0, 0.0),
 })  # fmt: skip
 """Reducer -> numbers held at once and operations per sample, by lengths of the signal and the window."""
 
@@ -141,24 +119,20 @@ def find_needs(candidate: Candidate, *, n_samples: int, rate_hz: float) -> dict[
         known = {k: float(v) if isinstance(v, int | float) else inf for k, v in facts.items()}
         latency_s = reducer.find_latency(rate_hz)
         latency_ms = inf if latency_s is None else MS_PER_S * latency_s
-        return {"axes": 1, "parameters": 0, **known, "latency_ms": latency_ms}
+        return {"parameters": 0, **known, "latency_ms": latency_ms}
     if candidate.base not in _WORK:  # a plain function: nothing is declared
         unknown = dict.fromkeys(("operations", "state", "latency_ms"), inf)
-        return {"axes": candidate.axes, "parameters": 0, **unknown}
+        return {"parameters": 0, **unknown}
     state, operations = _WORK[candidate.base](
         n_samples, window_samples(candidate.window_s, rate_hz)
     )
     latency_ms = inf
-    if candidate.base == THREE:
-        latency_ms = 0.0
-    elif candidate.base != TWO and candidate.base not in WHY_NOT_STREAMING:
+    if candidate.base not in WHY_NOT_STREAMING:
         stream = StreamingReducer(candidate.base, rate_hz, candidate.window_s)
         latency_ms = MS_PER_S * stream.latency_samples / rate_hz
     chosen = [one for one in signature(reducer).parameters.values() if one.kind is one.KEYWORD_ONLY]
-    return {
-        "axes": candidate.axes, "parameters": len(chosen), "operations": operations, "state": state,
-        "latency_ms": latency_ms,
-    }  # fmt: skip
+    needs = {"parameters": len(chosen), "operations": operations, "state": state}
+    return needs | {"latency_ms": latency_ms}
 
 
 def time_floor(samples: Samples) -> None:
@@ -170,32 +144,22 @@ def time_floor(samples: Samples) -> None:
 
 def time_reducers(
     candidates: Sequence[Candidate], recording: Recording, *, rounds: int, rng: np.random.Generator
-) -> Iterator[tuple[Candidate, Times]]:
-    """Time reducers on a signal: median and quartiles of the ratio to the floor, and of the time per sample."""
+) -> Iterator[tuple[Candidate, list[float]]]:
+    """Time reducers on a signal: median and quartiles of the ratio to the floor."""
     samples = recording.acceleration
     tasks: list[Callable[[], object]] = [partial(time_floor, samples)]
     tasks += [partial(one.reduce, samples, recording.rate_hz) for one in candidates]
     clocks = [time.thread_time, *map(_choose_clock, candidates)]
-    seconds = np.empty((
-        rounds + 1,
-        len(tasks),
-    ))  # the first round, unmeasured, warms caches and plans
+    # The first round, unmeasured, warms caches and plans.
+    seconds = np.empty((rounds + 1, len(tasks)))
     for row in seconds:
         for which in rng.permutation(len(tasks)):
             begun = clocks[which]()
             tasks[which]()
             row[which] = clocks[which]() - begun
     floor = float(np.median(seconds[1:, 0]))
-    per_sample = 1e9 / samples.shape[-1]
     for place, candidate in enumerate(candidates, start=1):
-        median, low, high = np.quantile(seconds[1:, place], (0.5, 0.25, 0.75)).tolist()
-        yield (
-            candidate,
-            {
-                "cost_ratio": (median / floor, low / floor, high / floor),
-                "ns_per_sample": (median * per_sample, low * per_sample, high * per_sample),
-            },
-        )
+        yield candidate, (np.quantile(seconds[1:, place], (0.5, 0.25, 0.75)) / floor).tolist()
 
 
 def _choose_clock(candidate: Candidate) -> Callable[[], float]:
@@ -210,9 +174,7 @@ def time_stream(candidate: Candidate, rng: np.random.Generator) -> Samples | Non
     stream: StreamingReducer | OwnStream | None = None
     if isinstance(candidate.reduce, OwnReducer):
         stream = candidate.reduce.open_stream(CARD_HZ)
-    elif (
-        candidate.base in _WORK and candidate.axes == 1 and candidate.base not in WHY_NOT_STREAMING
-    ):
+    elif candidate.base in _WORK and candidate.base not in WHY_NOT_STREAMING:
         stream = StreamingReducer(candidate.base, CARD_HZ, candidate.window_s)
     if stream is None:
         return None

@@ -10,8 +10,8 @@ Everything is decided from the frame of `measure`, by two numbers, both in decib
 Apart from both: a reducer *depends on the mounting* where turning the sensor changes its waveform by more than the
 tolerance. What is felt may stay the same.
 
-The simplest of those that suffice is advised. Fewer axes of the actuator come first; then, offline, parameters,
-operations and state; online, delay, state, operations and parameters. The paper's own metrics are measured and shown,
+The simplest of those that suffice is advised: offline by parameters, operations and state; online by delay, state,
+operations and parameters. The paper's own metrics are measured and shown,
 but do not decide: eq. 1 weighs a band without energy like any other, eq. 2 changes with the mounting.
 """
 
@@ -122,12 +122,6 @@ class Context:
         return (LATENCY_MS if self.latency_ms is None else self.latency_ms) - OVERHEAD_MS
 
 
-def find_facts(frame: DataFrame, recording: str) -> dict[str, float]:
-    """Find the properties of a recording."""
-    rows = frame[(frame["recording"] == recording) & (frame["reducer"] == "")]
-    return dict(zip(rows["measure"], rows["value"], strict=True))
-
-
 def judge_reducers(frame: DataFrame, context: Context, people: DataFrame) -> DataFrame:
     """Judge every reducer on every recording and scene: one row each, the simplest first."""
     import pandas as pd
@@ -159,10 +153,10 @@ def judge_reducers(frame: DataFrame, context: Context, people: DataFrame) -> Dat
     return ordered.drop(columns=["tied", "place"]).sort_index(kind="stable").reset_index(drop=True)
 
 
-NEEDS = ("axes", "parameters", "operations", "state", "latency_ms")
+NEEDS = ("parameters", "operations", "state", "latency_ms")
 RANK = {
-    False: ("axes", "parameters", "operations", "state"),
-    True: ("axes", "latency_ms", "state", "operations", "parameters"),
+    False: ("parameters", "operations", "state"),
+    True: ("latency_ms", "state", "operations", "parameters"),
 }
 """Online or not -> what simplicity goes by, first things first."""
 
@@ -192,12 +186,9 @@ def _judge_one(part: DataFrame, context: Context) -> DataFrame:
         behind = []
         for condition in (everywhere, *HALVES):
             high = read(condition, f"{criterion}_db")
-            loss = (
-                np.maximum(high, -read(condition, f"{criterion}_db", "low"))
-                if criterion == "level"
-                else high
-            )
-            behind.append(loss - loss[healthy].min())
+            if criterion == "level":  # too loud is as wrong as too weak
+                high = high.clip(lower=-read(condition, "level_db", "low"))
+            behind.append(high - high[healthy].min())
         shortfalls[criterion] = pd.concat(behind, axis=1).max(axis=1)
     change = to_weight(read("noise", "change_db"))
     shortfalls["steadiness"] = change - change[healthy].min()
@@ -228,8 +219,11 @@ def choose(
     recording: str, verdicts: DataFrame, *, facts: Mapping[str, float], context: Context
 ) -> dict[str, Any]:
     """Choose the simplest sufficient reducer of a recording, or the closest; and why."""
+    problem = "" if facts["felt_level"] > 0 else "silent from 20 to 1000 Hz"
+    if facts["duration_s"] < SHORTEST_S:
+        problem = f"shorter than {SHORTEST_S:g} s, two periods of 20 Hz"
     chosen: dict[str, Any] = {
-        "recording": recording, "answer": "", "closest": "", "ties": "", "problem": _find_problem(facts), "close": "",
+        "recording": recording, "answer": "", "closest": "", "ties": "", "problem": problem, "close": "",
         "simpler": "", "simpler_fails": "", "simpler_criterion": "", "simpler_db": math.nan,
         "better": "", "better_criterion": "", "better_db": math.nan, "barred": "", "people": "",
     }  # fmt: skip
@@ -261,10 +255,9 @@ def choose(
         nearest = min(simpler, key=lambda row: (row["fails"] != "", row["shortfall_db"]))
         fits = not nearest["fails"] and nearest["shortfall_db"] <= context.tolerance_db
         chosen |= {
-            "simpler": nearest["reducer"],
-            "simpler_fails": RATINGS if fits else nearest["fails"],
-        }
-        chosen |= {"simpler_criterion": nearest["criterion"], "simpler_db": nearest["shortfall_db"]}
+            "simpler": nearest["reducer"], "simpler_fails": RATINGS if fits else nearest["fails"],
+            "simpler_criterion": nearest["criterion"], "simpler_db": nearest["shortfall_db"],
+        }  # fmt: skip
     best = min(rows, key=order_failing)
     gain = one[f"{one['criterion']}_db"] - best[f"{one['criterion']}_db"]
     if gain > SAME_DB and not best["fails"] and best["shortfall_db"] < one["shortfall_db"]:
@@ -279,12 +272,6 @@ def choose(
 def order_failing(row: Mapping[str, Any]) -> tuple[bool, bool, float]:
     """Order reducers by how near they come: who is not rated worse and does not fail, then the shortfall."""
     return row["people"] == "worse", row["fails"] != "", row["shortfall_db"]
-
-
-def _find_problem(facts: Mapping[str, float]) -> str:
-    if facts["duration_s"] < SHORTEST_S:
-        return f"shorter than {SHORTEST_S:g} s, two periods of 20 Hz"
-    return "" if facts["felt_level"] > 0 else "silent from 20 to 1000 Hz"
 
 
 def _list_doubts(

@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -57,10 +58,8 @@ from feel321.stimuli.match import (
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import AXES, Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.rivals.envelope import compare_depths, find_depths
-from feel321.stimuli.rivals.pairs import Pair, follow_band, follow_energy
-from feel321.stimuli.sets.anchors import felt_level
-from feel321.stimuli.thresholds import acceleration_threshold
+from feel321.stimuli.rivals import Pair, compare_depths, find_depths, follow_band, follow_energy
+from feel321.stimuli.thresholds import acceleration_threshold, felt_level
 from feel321.types import Metric, Progress, Reducer, Rng, Samples
 
 if TYPE_CHECKING:
@@ -133,7 +132,6 @@ def measure_tradeoff(  # noqa: PLR0913 - every choice that changes the numbers h
     reducers: str | Reducer | Iterable[str | Reducer] | Mapping[str, Reducer] = "all",
     metrics: str | Metric | Iterable[str | Metric] | Mapping[str, Metric] = (),
     windows_ms: Sequence[float] = (),
-    axes: int = 1,
     thorough: bool = False,
     rng: Rng = 0,
     workers: int | Workers = 1,
@@ -153,8 +151,6 @@ def measure_tradeoff(  # noqa: PLR0913 - every choice that changes the numbers h
         rate_hz); or a mapping of names to functions.
     windows_ms : sequence of float
         Further windows in ms, for the reducers that work in windows.
-    axes : int
-        Axes that the actuator can move, 1 to 3; with more than one, what it can play without a reducer is measured too.
     thorough : bool
         Whole recordings instead of their strongest 2 s, 72 orientations instead of 24, more draws, and a battery of
         scenes on which reducers are known to fail. Takes many times as long.
@@ -192,7 +188,7 @@ def measure_tradeoff(  # noqa: PLR0913 - every choice that changes the numbers h
     chosen = REDUCERS.choose(reducers)
     if not chosen:
         raise ValueError("reducers must be one or more, got none; leave them out to take all")
-    candidates = list_candidates(chosen, windows_ms=windows_ms, axes=axes)
+    candidates = list_candidates(chosen, windows_ms=windows_ms)
     scope = Scope(
         candidates, METRICS.choose(metrics), THOROUGH if thorough else QUICK, as_seed(rng)
     )
@@ -250,8 +246,11 @@ def measure_recording(recording: Recording, scope: Scope) -> list[Row]:
     if felt == 0 or recording.duration_s < SHORTEST_S:
         return rows
     piece = take_strongest(recording, scope.effort.longest_s)
-    found = {"used_s": piece.duration_s, **find_properties(piece.acceleration)}
-    rows += [make_row(about, *one) for one in found.items()]
+    rows.append(make_row(about, "used_s", piece.duration_s))
+    # Energy along the second principal axis over that along the first: whether a direction leads.
+    values = np.linalg.eigvalsh(np.cov(piece.acceleration))
+    ratio = max(values[1], 0.0) / values[2] if values[2] > 0 else math.nan
+    rows.append(make_row(about, "eigenvalue_ratio", ratio))
     stage = Stage(piece, scope)
     for candidate in scope.candidates:
         needs = find_needs(candidate, n_samples=piece.n_samples, rate_hz=piece.rate_hz)
@@ -270,25 +269,7 @@ def take_strongest(recording: Recording, longest_s: float) -> Recording:
     length = prev_fast_len(max(round(wanted), 1))
     energy = np.cumsum(np.square(recording.acceleration).sum(axis=0))
     start = int(np.argmax(energy[length - 1 :] - np.concatenate([[0.0], energy[:-length]])))
-    return recording.with_(acceleration=recording.acceleration[:, start : start + length])
-
-
-def find_properties(samples: Samples) -> dict[str, float]:
-    """Find what makes reducers fail: whether a direction leads, and whether the sum of the axes cancels.
-
-    eigenvalue_ratio: energy along the second principal axis over that along the first. cancelled_share: share of the
-    energy at frequencies where the sum of the axes is below a tenth of their summed amplitude (in root mean square),
-    so that noise meets a gain above 10 in `dft321`; 0.7 % for independent axes.
-    """
-    values = np.linalg.eigvalsh(np.cov(samples))
-    spectra = np.fft.rfft(samples)[:, 1:]
-    energy = np.square(np.abs(spectra)).sum(axis=0)
-    cancelled = np.square(np.abs(spectra.sum(axis=0))) < 0.01 * energy
-    total = float(energy.sum())
-    return {
-        "eigenvalue_ratio": float(max(values[1], 0.0) / values[2]) if values[2] > 0 else math.nan,
-        "cancelled_share": float(energy[cancelled].sum() / total) if total > 0 else math.nan,
-    }
+    return replace(recording, acceleration=recording.acceleration[:, start : start + length])
 
 
 class Reference:
@@ -317,35 +298,32 @@ class Reference:
         self._onsets = np.flatnonzero(rises) + 1
 
     def score_felt(self, output: Samples) -> dict[str, float]:
-        """Score what a rotation of the sensor changes only if it changes the output, (n,) or (k, n)."""
+        """Score what a rotation of the sensor changes only if it changes the output, (n,)."""
         from scipy import fft
 
-        spectra = fft.rfft(np.atleast_2d(output))
-        power = _square(spectra).sum(axis=0)
-        energy = follow_band(spectra, self._felt).sum(axis=0)
+        spectrum = fft.rfft(output)
+        power, energy = _square(spectrum), follow_band(spectrum, self._felt)
         level = float(power @ self._weights) / float(self._power @ self._weights)
         own, kept = self._power[self._smooth.bins], power[self._smooth.bins]
         total, apart = self._smooth(own + kept).sum(), np.abs(self._smooth(own - kept)).sum()
         distance = float(compare_depths(self._depths, find_depths(energy, self._envelope_hz)))
+        spectral, bounded = map(float, self._original.match_both(output))
         found = {
             "level_db": to_db(level),
             "spectrum_db": -to_db(float((total - apart) / (total + apart))),
             "envelope_db": 2 * to_db(1 + distance),
+            "spectral_match": spectral,
+            "spectral_match_bounded": bounded,
         }
         if len(self._onsets):
-            hops = np.add.reduceat(np.square(np.atleast_2d(output)).sum(axis=0), self._starts)
+            hops = np.add.reduceat(np.square(output), self._starts)
             before, after = hops[self._onsets - 1].sum(), hops[self._onsets].sum()
             found["pre_echo_db"] = to_db(float(before / after)) if after > 0 else MOST_DB
-        if output.ndim == 1:
-            spectral, bounded = map(float, self._original.match_both(output))
-            found |= {"spectral_match": spectral, "spectral_match_bounded": bounded}
         return found
 
     def score_along(self, turned: Samples, output: Samples) -> dict[str, float]:
         """Score the waveform against the axes as they are mounted, (3, n); and by a lab's own metrics."""
         size = float(np.linalg.norm(output))
-        if output.ndim > 1:  # axes that are kept
-            return {"motion_db": -2 * to_db(size / self._size)}
         along = float(np.linalg.norm(turned @ output))
         share = min(along / (size * self._size), 1.0) if size > 0 else 0.0
         return {
@@ -415,8 +393,7 @@ class Stage:
         """Turn the sensor; orientations that were found to leave an output as it is are not reduced again."""
         scores: dict[str, list[float]] = {}
         reduced, own, change = output, felt, 0.0
-        turns_along = candidate.axes > 1
-        treats_alike = False
+        turns_along = treats_alike = False
         for number, turned in enumerate(self._turned):
             if not (turns_along or (treats_alike and number % AXES)):
                 before = reduced
@@ -438,14 +415,10 @@ class Stage:
     def _reduce(self, candidate: Candidate, samples: Samples) -> Samples:
         """Reduce one signal; a function of the caller's own may return anything."""
         output = np.asarray(candidate.reduce(samples, self._rate_hz))
-        allowed = samples.shape if candidate.axes > 1 else samples.shape[-1:]
-        if (
-            output.shape != allowed
-            or output.dtype.kind not in "iuf"
-            or not np.isfinite(output).all()
-        ):
+        is_real = output.dtype.kind in "iuf" and bool(np.isfinite(output).all())
+        if output.shape != samples.shape[-1:] or not is_real:
             raise ValueError(
-                f"reducer {candidate.name} must return finite real numbers of the shape {allowed}, "
+                f"reducer {candidate.name} must return finite real numbers of the shape {samples.shape[-1:]}, "
                 f"got {output.dtype} of shape {output.shape}"
             )
         return output.astype(np.float64, copy=False)
@@ -528,13 +501,11 @@ def _measure_costs(
         alike.setdefault((piece.n_samples, piece.rate_hz), []).append(piece)
     for pieces in alike.values():
         announce(f"speed on {pieces[0].name}")
-        for candidate, times in time_reducers(
-            scope.candidates, pieces[0], rounds=effort.rounds, rng=rng
-        ):
-            for measure, (median, low, high) in times.items():
-                own = {"low": low, "high": high, "n": effort.rounds}
-                places = [(piece.name, candidate.name, "") for piece in pieces]
-                rows += [make_row(place, measure, median) | own for place in places]
+        timed = time_reducers(scope.candidates, pieces[0], rounds=effort.rounds, rng=rng)
+        for candidate, (median, low, high) in timed:
+            own = {"low": low, "high": high, "n": effort.rounds}
+            places = [(piece.name, candidate.name, "") for piece in pieces]
+            rows += [make_row(place, "cost_ratio", median) | own for place in places]
         for _ in pieces:
             tick()
     announce("speed of streams")

@@ -15,8 +15,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from feel321 import __version__
 from feel321.analysis.figures import style
 from feel321.analysis.report.section import Picture
@@ -26,7 +24,6 @@ from feel321.analysis.tradeoff.judge import (
     RATINGS,
     Context,
     choose,
-    find_facts,
     judge_reducers,
     list_rows,
 )
@@ -161,6 +158,8 @@ class Tradeoff(PageResult):
 
     def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
         machine = describe_machine()
+        points = tables["points"]
+        front = points[points["on_frontier"]].sort_values("cost_ratio")
         content = {
             "version": __version__, "headline": self.headline, "common": self.common, "context": asdict(self.context),
             "fails_db": FAILS_DB, "simulated": self.simulated, "machine": machine,
@@ -168,12 +167,14 @@ class Tradeoff(PageResult):
         }  # fmt: skip
         values = {
             "result": self, "choices": list(map(describe_choice, list_rows(self.choices))), "scenes": BATTERY,
-            "frontiers": list_frontiers(tables["points"]), "reducers": list_reducers(self, tables["points"]),
+            "frontiers": {
+                str(metric): join_words(list(part["reducer"]))
+                for metric, part in front.groupby("metric", sort=False)
+            }, "reducers": list_reducers(self, points),
             "battery": map_battery(self.verdicts),
             "notes": list_notes(self), "fails_db": FAILS_DB, "machine": machine,
-            "shortfalls": tabulate_shortfalls(self.verdicts),
         }  # fmt: skip
-        pictures = [Picture("speed", CAPTION, draw_speed(tables["points"]))]
+        pictures = [Picture("speed", CAPTION, draw_speed(points))]
         return PageParts("tradeoff.html", content, pictures, values)
 
 
@@ -221,10 +222,12 @@ def advise_tradeoff(
     people = compare_rated(ratings, margin=margin)
     verdicts = judge_reducers(frame, context, people)
     own = verdicts[verdicts["kind"] == "recording"]
-    choices = [
-        choose(name, own[own["recording"] == name], facts=find_facts(frame, name), context=context)
-        for name in frame.loc[frame["kind"] == "recording", "recording"].unique()
-    ]
+    choices = []
+    about = frame[(frame["kind"] == "recording") & (frame["reducer"] == "")]
+    for name, rows in about.groupby("recording", sort=False):
+        facts = dict(zip(rows["measure"], rows["value"], strict=True))
+        ranked = own[own["recording"] == name]
+        choices.append(choose(str(name), ranked, facts=facts, context=context))
     if not len(own):
         why = "; ".join(f"{one['recording']}: {one['problem']}" for one in choices)
         raise ValueError(
@@ -358,15 +361,6 @@ def describe_choice(one: Mapping[str, Any]) -> dict[str, str]:
     }  # fmt: skip
 
 
-def list_frontiers(points: DataFrame) -> dict[str, str]:
-    """List who is on the frontier, the fastest first: metric -> reducers."""
-    front = points[points["on_frontier"]].sort_values("cost_ratio")
-    return {
-        str(metric): join_words(list(own["reducer"]))
-        for metric, own in front.groupby("metric", sort=False)
-    }
-
-
 def list_reducers(result: Tradeoff, points: DataFrame) -> list[dict[str, Any]]:
     """List reducers for the page, the fastest first and the single axes of a form as one: speed, needs, both marks."""
     own = result.verdicts[result.verdicts["kind"] == "recording"]
@@ -411,32 +405,15 @@ def map_battery(verdicts: DataFrame) -> dict[str, Any]:
     return {"scenes": scenes, "reducers": reducers, "cells": cells}
 
 
-def tabulate_shortfalls(verdicts: DataFrame) -> DataFrame:
-    """Tabulate how far each reducer is behind the best on each recording: rows are reducers."""
-    own = verdicts[verdicts["kind"] == "recording"]
-    table = own.pivot_table(index="reducer", columns="recording", values="shortfall_db", sort=False)
-    return table.replace(np.inf, np.nan)
-
-
 def list_notes(result: Tradeoff) -> list[str]:
     """List what was left out or assumed."""
     facts = result.frame[(result.frame["reducer"] == "") & (result.frame["kind"] == "recording")]
     wide = facts.pivot_table(index="recording", columns="measure", values="value", sort=False)
     notes = []
-    if "used_s" in wide:
-        cut = wide[wide["used_s"] < 0.98 * wide["duration_s"]]
-        if len(cut):
-            seconds = f"{wide['used_s'].max():.1f} s"
-            notes.append(
-                f"Of {format_count(len(cut), 'recording')} only the strongest part was used, up to {seconds}."
-            )
-        if len(lost := wide[wide["cancelled_share"] > LOST]):
-            named = [
-                f"{name} ({100 * value:.0f} %)" for name, value in lost["cancelled_share"].items()
-            ]
-            notes.append(
-                f"Energy where the sum of the axes cancels, which dft321 takes its phase from: {join_words(named)}."
-            )
+    cut = wide[wide["used_s"] < 0.98 * wide["duration_s"]] if "used_s" in wide else ()
+    if len(cut):
+        seconds, several = f"{wide['used_s'].max():.1f} s", format_count(len(cut), "recording")
+        notes.append(f"Of {several} only the strongest part was used, up to {seconds}.")
     if not len(result.people):
         notes.append(
             "Ratings were not used: that takes rated reducers and a margin set beforehand ([analysis] margin)."
@@ -447,23 +424,17 @@ def list_notes(result: Tradeoff) -> list[str]:
 LITTLE_DB = 0.1
 """Gains below this are not told."""
 
-LOST = 0.02
-"""Share of the energy from which on cancelling axes are noted."""
 
-
-def describe_machine(*, cpu_list: Path = Path("/proc/cpuinfo")) -> dict[str, Any]:
+def describe_machine() -> dict[str, Any]:
     """Describe what times were measured on: without its name a time means nothing."""
-    try:
-        lines = cpu_list.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
+    cpu_list = Path("/proc/cpuinfo")
+    lines = cpu_list.read_text(encoding="utf-8").splitlines() if cpu_list.is_file() else []
     named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    try:
-        load = round(os.getloadavg()[0], 1)  # programs that wanted to run in the last minute
-    except (AttributeError, OSError):  # not every system counts them
-        load = None
     return {
         "processor": next(named, "") or platform.processor() or platform.machine() or "unknown",
-        "cores": os.cpu_count() or 1, "load": load, "python": platform.python_version(),
+        "cores": os.cpu_count() or 1,
+        # Programs that wanted to run in the last minute; not every system counts them.
+        "load": round(os.getloadavg()[0], 1) if hasattr(os, "getloadavg") else None,
+        "python": platform.python_version(),
         **{name: version(name) for name in ("numpy", "scipy")},
-    }  # fmt: skip
+    }

@@ -34,19 +34,18 @@ def compare_rated(ratings: Table | DataFrame | None, *, margin: float | None = N
     """Compare the reducers of every recording with the best-rated: one row each; none without ratings or margin."""
     import pandas as pd
 
-    rows: list[dict[str, Any]] = []
-    if ratings is not None:
-        rows = _compare_all(read_ratings(ratings), margin)
-    frame = pd.DataFrame(rows, columns=list(COLUMNS))
-    if not len(frame):
-        return frame
-    frame["place"] = frame["agree"].map(FAVOUR.index)
-    worst = (
-        frame
-        .sort_values("place", kind="stable")
-        .groupby(["recording", "reducer"], sort=False)
-        .tail(1)
-    )
+    found: list[dict[str, Any]] = []
+    rows = None if ratings is None else read_ratings(ratings)
+    if margin is not None and not (isfinite(margin) and margin > 0):
+        raise ValueError(f"margin must be a number of points above 0, got {margin:g}")
+    if rows is not None and margin is not None:
+        for _, _, part in split_arms(rows):
+            for recording, own in part.groupby(part["recording"].astype(str), sort=False):
+                found += [{"recording": str(recording), **one} for one in _compare(own, margin)]
+    frame = pd.DataFrame(found, columns=list(COLUMNS))
+    place = frame["agree"].map({name: number for number, name in enumerate(FAVOUR)})
+    order = frame.assign(place=place).sort_values("place", kind="stable")
+    worst = order.groupby(["recording", "reducer"], sort=False).tail(1)
     return worst.drop(columns="place").reset_index(drop=True)
 
 
@@ -61,18 +60,6 @@ def read_ratings(ratings: Table | DataFrame) -> DataFrame:
     rows, _ = leave_rejected(name_items(open_ratings(ratings)))
     check_columns(rows, NEEDED, "ratings")
     return rows.assign(simulated=rows.get("simulated", False))
-
-
-def _compare_all(rows: DataFrame, margin: float | None) -> list[dict[str, Any]]:
-    if margin is None:
-        return []
-    if not (isfinite(margin) and margin > 0):
-        raise ValueError(f"margin must be a number of points above 0, got {margin:g}")
-    found = []
-    for _, _, part in split_arms(rows):
-        for recording, own in part.groupby(part["recording"].astype(str), sort=False):
-            found += [{"recording": str(recording), **one} for one in _compare(own, margin)]
-    return found
 
 
 def _compare(rows: DataFrame, margin: float) -> list[dict[str, Any]]:

@@ -5,28 +5,19 @@ The first bytes decide which format a file is, and only then its suffix. What is
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from feel321 import intake
-from feel321.doors import as_path
+from feel321.doors import as_path, describe
+from feel321.extensions import Method, call, find_method, list_entry_points
 from feel321.files import file_named
-from feel321.stimuli.formats.arrays import read_mat, read_npy, read_npz
-from feel321.stimuli.formats.common import Decoded, ReadingOptions, settle_unit
-from feel321.stimuli.formats.containers import (
-    is_lmt,
-    read_hatt,
-    read_ide,
-    read_lmt,
-    read_wav_recording,
-)
-from feel321.stimuli.formats.own import find_format, read_own
-from feel321.stimuli.formats.tables import read_table
+from feel321.stimuli.formats import files
+from feel321.stimuli.formats.tables import Decoded, ReadingOptions, parse_unit, read_table
 from feel321.stimuli.recording import UNITS, Recording, check_finite, check_rate
 from feel321.types import PathLike, Samples
 
@@ -73,7 +64,7 @@ def _detect_text(path: Path, head: bytes) -> str:
         return "mat"  # version 4 has no first bytes of its own
     if is_text and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return "hatt"
-    if is_text and is_lmt(path):
+    if is_text and files.is_lmt(path):
         return "lmt"
     if is_text and suffix in TABLE_SUFFIXES:
         return "table"
@@ -88,72 +79,34 @@ def _detect_text(path: Path, head: bytes) -> str:
 SATURATED_SAMPLES = 3
 """So many equal samples in a row at an axis's extreme count as saturated."""
 
-STILL_S = 0.05
-"""So long a run of equal samples counts as standing still."""
-
-
-class Runs(NamedTuple):
-    """Runs of equal samples on one axis, (n_runs,) each: where they begin, how long they are, their value in m/s²."""
-
-    start: NDArray[np.intp]
-    length: NDArray[np.intp]
-    value: Samples
-
 
 def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
-    """Report saturated runs, constant axes and axes that stand still, in samples (3, n) as recorded, not resampled.
+    """Report saturated runs and constant axes, in samples (3, n) as recorded, not resampled.
 
     A run is *saturated* if three or more equal samples stand at the axis's minimum or maximum and the signal came or
     went by more than twice the smallest difference between its values: the smooth crest of a slow, quantised signal is
-    not reported. An axis *stands still* if it holds one value for 50 ms while another axis moves.
+    not reported.
     """
-    runs = [find_runs(axis) for axis in acceleration]
-    held = [_held(axis_runs, rate_hz) for axis_runs in runs]
-    silence = np.logical_and.reduce(held)
-    findings: list[str] = []
-    for name, axis_runs, still in zip("xyz", runs, held, strict=True):
-        if axis_runs.start.size > 1:
-            findings += _find_saturated(name, axis_runs, rate_hz=rate_hz)
-            findings += _find_standing(name, still & ~silence, rate_hz=rate_hz)
-        elif axis_runs.length[0] > 1:
-            constant = f"{axis_runs.value[0]:.6g} m/s^2 in all {axis_runs.length[0]} samples"
-            findings.append(f"axis {name}: flat, {constant}")
+    findings = []
+    for name, axis in zip("xyz", acceleration, strict=True):
+        start = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1])
+        length, value = np.diff(np.append(start, axis.size)), axis[start]
+        if len(start) == 1:
+            if axis.size > 1:
+                constant = f"{value[0]:.6g} m/s^2 in all {axis.size} samples"
+                findings.append(f"axis {name}: flat, {constant}")
+            continue
+        jumps = np.abs(np.diff(value))
+        jump = np.maximum(np.append(0.0, jumps), np.append(jumps, 0.0))
+        for extreme in (value.min(), value.max()):
+            hit = (value == extreme) & (length >= SATURATED_SAMPLES)
+            hit &= hit.any() and jump > 2 * np.diff(np.unique(value)).min()
+            if hit.any():
+                findings.append(
+                    f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs "
+                    f"({length[hit].sum()} samples), the first at {start[hit][0] / rate_hz:.6g} s"
+                )
     return tuple(findings)
-
-
-def find_runs(axis: Samples) -> Runs:
-    """Find the runs of equal samples."""
-    start = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1])
-    return Runs(start, np.diff(np.append(start, axis.size)), axis[start])
-
-
-def _find_saturated(name: str, runs: Runs, *, rate_hz: float) -> Iterator[str]:
-    jumps = np.abs(np.diff(runs.value))
-    jump = np.maximum(np.append(0.0, jumps), np.append(jumps, 0.0))
-    for extreme in (runs.value.min(), runs.value.max()):
-        hit = (runs.value == extreme) & (runs.length >= SATURATED_SAMPLES)
-        if hit.any() and (hit := hit & (jump > 2 * np.diff(np.unique(runs.value)).min())).any():
-            yield (
-                f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs "
-                f"({runs.length[hit].sum()} samples), the first at {runs.start[hit][0] / rate_hz:.6g} s"
-            )
-
-
-def _held(runs: Runs, rate_hz: float) -> NDArray[np.bool_]:
-    """Which samples, (n_samples,), belong to a long run of equal ones."""
-    long = runs.length >= max(SATURATED_SAMPLES, STILL_S * rate_hz)
-    return np.repeat(long, runs.length)
-
-
-def _find_standing(name: str, still: NDArray[np.bool_], *, rate_hz: float) -> Iterator[str]:
-    runs = find_runs(still.astype(np.float64))
-    long = (runs.value > 0) & (runs.length >= STILL_S * rate_hz)
-    if long.any():
-        yield (
-            f"axis {name}: stands still while another moves, "
-            f"{long.sum()} times for {STILL_S * 1000:g} ms or longer "
-            f"({runs.length[long].sum()} samples), the first at {runs.start[long][0] / rate_hz:.6g} s"
-        )
 
 
 AGREEMENT = 0.01
@@ -258,15 +211,27 @@ def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
     return np.asarray(even, dtype=np.float64), 1 / period
 
 
+NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2; if it is another, name it (unit, --unit)"
+
+
+def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str, ...]]:
+    """Decide the unit from the file and the caller."""
+    wanted = None if requested is None else parse_unit(requested)
+    if own and wanted and own != wanted:
+        raise ValueError(f"the file gives the unit {own!r}, but unit={requested!r}; leave unit out")
+    unit = own or wanted
+    return (unit, ()) if unit else ("m/s^2", (NO_UNIT_NOTE,))
+
+
 READERS: Mapping[str, Callable[[Path, ReadingOptions], Decoded]] = {
-    "wav": read_wav_recording,
+    "wav": files.read_wav_recording,
     "table": read_table,
-    "npz": read_npz,
-    "npy": read_npy,
-    "mat": read_mat,
-    "hatt": read_hatt,
-    "lmt": read_lmt,
-    "ide": read_ide,
+    "npz": files.read_npz,
+    "npy": files.read_npy,
+    "mat": files.read_mat,
+    "hatt": files.read_hatt,
+    "lmt": files.read_lmt,
+    "ide": files.read_ide,
 }
 """Format name -> reader, the only list of formats."""
 
@@ -381,16 +346,16 @@ def read_recordings(
     ...     [recording.name for recording in stimuli.read_recordings(folder, unit="m/s^2")]
     ['bumps', 'hard_taps']
     """
-    files = [as_path(paths)] if isinstance(paths, str | os.PathLike) else [*map(as_path, paths)]
-    if isinstance(paths, str | os.PathLike) and (folder := files[0]).is_dir():
-        files = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
-        if not files:
+    wanted = [as_path(paths)] if isinstance(paths, str | os.PathLike) else [*map(as_path, paths)]
+    if isinstance(paths, str | os.PathLike) and (folder := wanted[0]).is_dir():
+        wanted = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
+        if not wanted:
             raise ValueError(
                 f"{folder}: holds no recording; the suffix must be one of {' '.join(SUFFIXES)}"
             )
     read: dict[tuple[str, str], Recording] = {}
     problems = []
-    for file in files:
+    for file in wanted:
         try:
             found = read_recording(file, **options)
         except (OSError, ValueError) as error:
@@ -400,6 +365,28 @@ def read_recordings(
     if problems:
         raise ValueError("\n".join(problems))
     return list(read.values())
+
+
+def find_format(
+    path: Path, *, folder: Path | None = None, declared: Mapping[str, str] | None = None
+) -> Method | None:
+    """Find the reader of a file's suffix, among those of a study and the entry points of `feel321.formats`."""
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix in (declared or {}):
+        return find_method("format", (declared or {})[suffix], folder=folder)
+    return find_method("format", suffix) if suffix in list_entry_points("format") else None
+
+
+def read_own(method: Method, path: Path) -> Recording:
+    """Read a file by a lab's reader; the digest is that of the file and the reader."""
+    content = intake.read_bytes(path)
+    found = call(method, method.load(), path, doing=f"given {path.name}")
+    if not isinstance(found, Recording):
+        raise TypeError(
+            f"{path.name}: {method} must return a feel321.stimuli.Recording, got {describe(found)}"
+        )
+    digest = hashlib.sha256(content + method.sha256.encode()).hexdigest()
+    return replace(found, name=found.name or path.stem, sha256=digest)
 
 
 def _decode(path: Path, request: ReadingOptions) -> Decoded:

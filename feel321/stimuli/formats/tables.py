@@ -1,12 +1,16 @@
-"""Recordings in text tables (CSV, TSV, TXT): separators, header, samples.
+"""What a recording's file says: which columns are meant, their units; and text tables (CSV, TSV, TXT).
 
-Strict UTF-8, a sniffed delimiter, numbers by pandas, and the line of whatever is wrong.
+A reader raises ValueError with a bare sentence; `read_recording` adds the file's name. Which columns hold x, y, z and
+time is settled by name or by number, never by guess. Tables are strict UTF-8, their delimiter is sniffed, pandas reads
+the numbers, and the line of whatever is wrong is named.
 """
 
 import csv
 import io
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -14,9 +18,239 @@ from pathlib import Path
 import numpy as np
 
 from feel321 import intake
-from feel321.stimuli.formats import common
-from feel321.stimuli.recording import AXES
+from feel321.stimuli.recording import AXES, UNITS
 from feel321.types import Samples
+
+RATE_KEYS = ("rate_hz", "fs", "rate", "sample_rate", "samplerate", "sampling_rate", "fs_hz")
+UNIT_KEYS = ("unit", "units")
+"""What the rate and the unit are called, in archives and sidecars alike."""
+
+ACCELERATION_SPELLINGS = {
+    "m/s^2": "m/s^2", "m/s2": "m/s^2", "m/s²": "m/s^2", "m/s/s": "m/s^2", "m/s**2": "m/s^2",
+    "ms^-2": "m/s^2", "ms-2": "m/s^2", "ms⁻²": "m/s^2", "m·s⁻²": "m/s^2", "m*s^-2": "m/s^2", "ms2": "m/s^2",
+    "g": "g", "gn": "g", "g0": "g", "gee": "g", "gees": "g",
+    "mg": "mg", "milli-g": "mg", "millig": "mg",
+}  # fmt: skip
+"""Accepted spellings of a unit of acceleration (case, blanks and underscores aside) and the unit meant."""
+
+TIME_SPELLINGS = {
+    "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0,
+    "ms": 1e-3, "msec": 1e-3, "millis": 1e-3, "milliseconds": 1e-3,
+    "us": 1e-6, "μs": 1e-6, "usec": 1e-6, "micros": 1e-6, "microseconds": 1e-6,
+    "ns": 1e-9, "nsec": 1e-9, "nanoseconds": 1e-9,
+}  # fmt: skip
+"""Accepted spellings of a unit of time and its size in s."""
+
+SENSOR = r"(?:a|acc|accel|acceleration|accelerometer)"
+AXIS = re.compile(
+    rf"(?:linear[\s_.-]*)?{SENSOR}?[\s_.-]*([xyz])[\s_.-]*(?:{SENSOR}|axis)?", re.IGNORECASE
+)
+TIME = re.compile(r"t|time|times|time[\s_]?stamps?", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingOptions:
+    """Options of the caller; columns are (x, y, z) or (time, x, y, z), by name or number from 0."""
+
+    rate_hz: float | None = None
+    unit: str | None = None
+    columns: Sequence[str | int] | None = None
+    full_scale: float | None = None
+    resample: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decoded:
+    """The content of a file; first_line is the line of a text file that holds the first sample, from 1."""
+
+    acceleration: Samples
+    unit: str | None = None
+    rate_hz: float | None = None
+    time_s: Samples | None = None
+    time_step_s: float = 0.0
+    first_line: int | None = None
+    notes: tuple[str, ...] = ()
+    sources: tuple[Path, ...] = ()
+    name: str = ""
+
+
+@contextmanager
+def foreign_errors(what: str) -> Iterator[None]:
+    """Translate whatever a library raises at a damaged file."""
+    try:
+        yield
+    except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
+        # The system's own; libraries raise theirs without a number.
+        if isinstance(error, intake.TooLargeError) or (isinstance(error, OSError) and error.errno):
+            raise
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise ValueError(
+            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
+        ) from error
+
+
+def stack_axes(axes: Mapping[str, Samples]) -> Samples:
+    """Stack three axes of equal length, (n,) each, to (3, n); never shorten one to fit."""
+    if len(axes) < AXES:
+        got = f"only the axes {', '.join(sorted(axes))}" if axes else "no axes"
+        raise ValueError(
+            f"the file must hold three axes x, y, z, got {got}; a reduction needs all three"
+        )
+    if len({axis.size for axis in axes.values()}) > 1:
+        counts = ", ".join(f"{axis} {axes[axis].size}" for axis in "xyz")
+        raise ValueError(f"the axes must be of equal length, got {counts} samples; cut them alike")
+    return np.stack([axes[axis] for axis in "xyz"])
+
+
+def as_three_axes(values: Samples) -> Samples:
+    """Turn an array to (3, n_samples), or say why it is not three axes."""
+    got = f"an array of shape {values.shape}"
+    if values.size == 0:
+        raise ValueError(f"the array must have the shape (3, n) or (n, 3), got {got}: it is empty")
+    if values.ndim == 2 and values.shape[0] == AXES:  # noqa: PLR2004 - axes x samples
+        return values
+    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape):  # noqa: PLR2004 - axes x samples
+        raise refuse_reduced(got)
+    if values.ndim == 2 and values.shape[1] == AXES:  # noqa: PLR2004 - axes x samples
+        return values.T
+    raise ValueError(
+        f"the array must have the shape (3, n) or (n, 3), exactly three axes; got {got}"
+    )
+
+
+def refuse_reduced(got: str) -> ValueError:
+    """Return the refusal of a signal with one axis."""
+    return ValueError(
+        f"{got} is one channel, so already reduced to one axis; read the raw three-axis recording instead"
+    )
+
+
+def normalise(text: str) -> str:
+    """Strip case, blanks and underscores, and make both micro signs one."""
+    return re.sub(r"[\s_]+", "", text).casefold()
+
+
+def split_unit(label: str, spellings: Container[str]) -> tuple[str, str | None]:
+    """Split a column's label, such as ``x_g``, ``acc x (m/s²)`` or ``time [µs]``, into its bare name and its unit."""
+    label = label.strip()
+    if bracketed := re.fullmatch(r"(.+?)[\s_]*[\[(](.*)[\])]", label):
+        return bracketed[1], normalise(bracketed[2])
+    for gap in re.finditer(r"[\s_]+", label):
+        if normalise(label[gap.end() :]) in spellings:
+            return label[: gap.start()], normalise(label[gap.end() :])
+    return label, None
+
+
+def parse_unit(text: str) -> str:
+    """Return the unit of acceleration meant by a spelling."""
+    try:
+        return ACCELERATION_SPELLINGS[normalise(text)]
+    except (KeyError, TypeError):
+        raise ValueError(f"the unit must be one of {', '.join(UNITS)}; got {text!r}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Column numbers, from 0, of x, y, z (or of all three together) and the time stamps, and their units."""
+
+    axes: tuple[int, ...]
+    time: int | None = None
+    unit: str | None = None
+    time_unit_s: float | None = None
+
+
+def find_columns(labels: Sequence[str], *, wholes: Sequence[str] = ()) -> Columns:
+    """Find x, y, z and time by their labels; wholes: what an array of all three axes is called."""
+    found = _sort_labels(labels, wholes)
+    axes, whole = [found[axis][0] for axis in "xyz" if found[axis]], found["whole"]
+    if whole and len(candidates := [*whole, *(axes if len(axes) == AXES else ())]) > 1:
+        several = ", ".join(labels[i] for i in candidates)
+        raise ValueError(
+            f"several arrays may be the acceleration ({several}); "
+            f"say which, e.g. columns=({labels[whole[0]]!r},) or columns=(x, y, z)"
+        )
+    for what in ("time",) if whole else ("time", "x", "y", "z"):
+        if len(found[what]) > 1:
+            both = ", ".join(labels[i] for i in found[what])
+            raise ValueError(
+                f"several columns may be {what} ({both}); say which, columns=(time, x, y, z)"
+            )
+    if not whole and len(axes) < AXES:
+        header = intake.clip(", ".join(labels), 200)
+        if len(labels) - len(found["time"]) == 1:
+            raise refuse_reduced(f"a table with the columns {header}")
+        present = ", ".join(axis for axis in "xyz" if found[axis])
+        got = f"only the axes {present}" if present else "no columns named x, y, z"
+        raise ValueError(
+            f"the header must name three axes, e.g. x, acc_y, az (m/s^2), got {got} ({header}); "
+            "or say columns=(time, x, y, z)"
+        )
+    for i in whole or axes:
+        if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
+            parse_unit(
+                unit
+            )  # a bracket that is no unit may say volts: only columns=... overrules it
+    return _with_units(labels, tuple(whole or axes), next(iter(found["time"]), None))
+
+
+def _sort_labels(labels: Sequence[str], wholes: Sequence[str]) -> dict[str, list[int]]:
+    """Sort labels by what they name."""
+    found: dict[str, list[int]] = {"x": [], "y": [], "z": [], "time": [], "whole": []}
+    for i, label in enumerate(labels):
+        name = split_unit(label, ACCELERATION_SPELLINGS)[0]
+        if name.casefold() in wholes:
+            found["whole"].append(i)
+        elif match := AXIS.fullmatch(name):
+            found[match[1].lower()].append(i)
+        elif TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0]):
+            found["time"].append(i)
+    return found
+
+
+def pick_columns(
+    wanted: Sequence[str | int],
+    *,
+    labels: Sequence[str] | None,
+    n_columns: int,
+    whole: bool = False,
+) -> Columns:
+    """Take the columns that the caller names: (x, y, z) or (time, x, y, z), by label or by number from 0."""
+    counts = {1, 2, AXES, AXES + 1} if whole else {AXES, AXES + 1}
+    if isinstance(wanted, str) or not isinstance(wanted, Sequence) or len(wanted) not in counts:
+        more = "(acceleration,), (time, acceleration), " if whole else ""
+        raise ValueError(f"columns must be {more}(x, y, z) or (time, x, y, z), got {wanted!r}")
+    names = [label.strip().casefold() for label in labels or ()]
+    places: list[int] = []
+    for column in wanted:
+        if isinstance(column, str) and names.count(column.strip().casefold()) == 1:
+            places.append(names.index(column.strip().casefold()))
+        elif (
+            str(column).isdecimal() and int(column) < n_columns
+        ):  # the command line knows text only
+            places.append(int(column))
+        else:
+            known = f"{intake.clip(', '.join(labels), 200)}, or " if labels else ""
+            raise ValueError(
+                f"a column must be {known}a number from 0 to {n_columns - 1}, got {column!r}"
+            )
+    if len(set(places)) < len(places):
+        raise ValueError(f"columns must name each column once, got {tuple(wanted)!r}")
+    time = places.pop(0) if len(places) in {2, AXES + 1} else None
+    return _with_units(labels, tuple(places), time) if labels else Columns(tuple(places), time)
+
+
+def _with_units(labels: Sequence[str], axes: tuple[int, ...], time: int | None) -> Columns:
+    """Add the units that the labels of the chosen columns name."""
+    units = {split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes}
+    named = {ACCELERATION_SPELLINGS.get(unit or "") for unit in units}
+    if len(named) > 1:
+        header = ", ".join(labels[i] for i in axes)
+        raise ValueError(f"the axes must be in one unit, got {header}")
+    second = None if time is None else split_unit(labels[time], TIME_SPELLINGS)[1]
+    if second is not None and second not in TIME_SPELLINGS:
+        raise ValueError(f"the time column must be in s, ms, us or ns, got {labels[time or 0]!r}")
+    return Columns(axes, time, named.pop(), None if second is None else TIME_SPELLINGS[second])
+
 
 BLANKS = r"\s+"
 """Stands for any run of blanks as the delimiter, as pandas spells it."""
@@ -27,16 +261,6 @@ HEAD_LINES = 50
 """Within so many lines the numbers must begin."""
 
 MOST_COLUMNS = 1000
-
-SLOWEST_HZ = 40.0
-"""Twice the 20 Hz where the match metrics begin: below, milliseconds were taken for seconds."""
-
-CLUSTER_LABELS = ("time", "X", "Y", "Z")
-CLUSTER_RATE_HZ = 6000.0
-CLUSTER_NOTE = (
-    "header and rate are those of the Cluster Haptic Texture Database: unit taken as g (unit=... "
-    "says otherwise)"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,42 +275,26 @@ class TextTable:
     n_columns: int
 
 
-def read_table(path: Path, request: common.ReadingOptions) -> common.Decoded:
+def read_table(path: Path, request: ReadingOptions) -> Decoded:
     """Read three columns of acceleration, and time if there is a column for it."""
     table = split_table(path)
     if request.columns is not None:
-        columns = common.pick_columns(
-            request.columns, labels=table.labels, n_columns=table.n_columns
-        )
+        columns = pick_columns(request.columns, labels=table.labels, n_columns=table.n_columns)
     elif table.labels:
-        columns = common.find_columns(table.labels)
+        columns = find_columns(table.labels)
     else:
         columns = _count_columns(table.n_columns)
     if columns.time is None:
-        return common.Decoded(
-            read_numbers(table, columns.axes), columns.unit, first_line=table.first_line
-        )
+        return Decoded(read_numbers(table, columns.axes), columns.unit, first_line=table.first_line)
     values = read_numbers(table, (columns.time, *columns.axes))
     second = columns.time_unit_s or 1.0
     time_s = values[0] * second
-    span_s = float(np.ptp(time_s))
-    rate_hz = (time_s.size - 1) / span_s if span_s > 0 else np.inf
-    unit, notes = columns.unit, []
-    if columns.time_unit_s is None and rate_hz < SLOWEST_HZ:
-        notes.append(
-            f"the time column names no unit: taken as s, which gives {rate_hz:g} Hz; if it is ms, call it time_ms"
-        )
-    is_cluster = table.labels == CLUSTER_LABELS and abs(rate_hz / CLUSTER_RATE_HZ - 1) < 0.1  # noqa: PLR2004 - nominal, so a tenth either way
-    if request.unit is None and unit is None and is_cluster:
-        unit = "g"
-        notes.append(CLUSTER_NOTE)
-    return common.Decoded(
+    return Decoded(
         values[1:],
-        unit,
+        columns.unit,
         time_s=time_s,
         time_step_s=second * _find_printed_step(table, columns.time),
         first_line=table.first_line,
-        notes=tuple(notes),
     )
 
 
@@ -139,12 +347,12 @@ def _find_labels(
     return comment if len(comment) == n_columns else None
 
 
-def _count_columns(n_columns: int) -> common.Columns:
+def _count_columns(n_columns: int) -> Columns:
     """Take three unlabelled columns as x, y, z; refuse any other number."""
     if n_columns == AXES:
-        return common.Columns((0, 1, 2))
+        return Columns((0, 1, 2))
     if n_columns == 1:
-        raise common.refuse_reduced("one column without a header")
+        raise refuse_reduced("one column without a header")
     if n_columns < AXES:
         raise ValueError(
             f"there must be three axes x, y, z, got {n_columns} columns without a header"

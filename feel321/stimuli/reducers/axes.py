@@ -88,9 +88,9 @@ def reduce_in_frames(
     window_s: float,
 ) -> Samples:
     """Check a recording and feed it through a block processor."""
-    admitted = admit(acceleration, rate_hz)
+    samples, _ = admit(acceleration, rate_hz)
     hop = window_samples(window_s, rate_hz) // 2
-    return admitted.restore(run_offline(processor_for, admitted.samples, hop))
+    return run_offline(processor_for, samples, hop)
 
 
 def run_offline(
@@ -132,8 +132,8 @@ def soc321(acceleration: ArrayLike, rate_hz: float) -> Samples:
 
     Axes in phase interfere constructively (three equal axes: three times the energy), axes in anti-phase cancel.
     """
-    admitted = admit(acceleration, rate_hz)
-    return admitted.restore(admitted.samples.sum(axis=-2))
+    samples, _ = admit(acceleration, rate_hz)
+    return np.asarray(samples.sum(axis=-2))
 
 
 def mag321(acceleration: ArrayLike, rate_hz: float) -> Samples:
@@ -141,10 +141,8 @@ def mag321(acceleration: ArrayLike, rate_hz: float) -> Samples:
 
     Never negative, so it has an offset that the vibration did not have, and frequencies are doubled and mixed.
     """
-    admitted = admit(acceleration, rate_hz)
-    return admitted.restore(
-        np.sqrt(np.einsum("...in,...in->...n", admitted.samples, admitted.samples))
-    )
+    samples, _ = admit(acceleration, rate_hz)
+    return np.asarray(np.sqrt(np.einsum("...in,...in->...n", samples, samples)))
 
 
 # Below this the sum of an axis's components is rounding, and cannot choose its sign.
@@ -163,8 +161,8 @@ def pca321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     The sign is the one whose correlation with x + y + z is not negative. Where it is 0 (an axis perpendicular to the
     sensor's diagonal, as for anti-phase axes), the axis's largest component is positive, the first among equals.
     """
-    admitted = admit(acceleration, rate_hz)
-    return admitted.restore(_project(admitted.samples)[0])
+    samples, _ = admit(acceleration, rate_hz)
+    return _project(samples)[0]
 
 
 def _project(samples: Samples) -> tuple[Samples, Samples]:
@@ -432,10 +430,10 @@ def _match(keep: Callable[[Samples], tuple[Samples, Samples]]) -> _OneAxis:
     """Give what is kept of the samples one gain that makes it as strong as all axes; keep: (kept, all axes)."""
 
     def match(acceleration: ArrayLike, rate_hz: float) -> Samples:
-        admitted = admit(acceleration, rate_hz)
-        kept, samples = keep(admitted.samples)
+        samples, _ = admit(acceleration, rate_hz)
+        kept, samples = keep(samples)
         gain = match_energy(add_squares(samples, 2), add_squares(kept))
-        return admitted.restore(gain[..., None] * kept)
+        return gain[..., None] * kept
 
     return match
 
@@ -444,13 +442,13 @@ def _make_axis(axis: int) -> tuple[_OneAxis, _OneAxis, _OneAxis]:
     """Make the reducers to one sensor axis: as it is, with one gain, and with the gain of the recent past."""
 
     def keep(acceleration: ArrayLike, rate_hz: float) -> Samples:
-        admitted = admit(acceleration, rate_hz)
-        return admitted.restore(admitted.samples[..., axis, :].copy())
+        samples, _ = admit(acceleration, rate_hz)
+        return samples[..., axis, :].copy()
 
     def run(acceleration: ArrayLike, rate_hz: float) -> Samples:
-        admitted = admit(acceleration, rate_hz)
-        running = RunningAxis(admitted.samples.shape[:-2], axis, rate_hz)
-        return admitted.restore(running.push(admitted.samples))
+        samples, _ = admit(acceleration, rate_hz)
+        running = RunningAxis(samples.shape[:-2], axis, rate_hz)
+        return running.push(samples)
 
     match = _match(lambda samples: (samples[..., axis, :], samples))
     name, does = f"sa{'xyz'[axis]}321", f"Keep the sensor's {'xyz'[axis]} axis"

@@ -53,13 +53,13 @@ def dft321_bands(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """
     from scipy import fft
 
-    admitted = admit(acceleration, rate_hz)
-    n = admitted.samples.shape[-1]
+    samples, _ = admit(acceleration, rate_hz)
+    n = samples.shape[-1]
     if n == 0:
-        return np.zeros((*admitted.samples.shape[:-2], 0))
-    centred = admitted.samples - admitted.samples.mean(axis=-1, keepdims=True)
+        return np.zeros((*samples.shape[:-2], 0))
+    centred = samples - samples.mean(axis=-1, keepdims=True)
     main = with_sign(leading_axis(np.einsum("...in,...jn->...ij", centred, centred)))
-    spectra = fft.rfft(admitted.samples)
+    spectra = fft.rfft(samples)
     starts = np.searchsorted(np.arange(n // 2 + 1) * (rate_hz / n), EDGES_HZ)
     merged = np.empty_like(spectra[..., 0, :])
     for first, last in zip(starts, [*starts[1:], n // 2 + 1], strict=True):
@@ -67,7 +67,7 @@ def dft321_bands(acceleration: ArrayLike, rate_hz: float) -> Samples:
         single = [place for place in (0, n // 2 if n % 2 == 0 else 0) if first <= place < last]
         band = _project(spectra[..., first:last], np.asarray(single, int) - first, main=main)
         merged[..., first:last] = band
-    return admitted.restore(fft.irfft(merged, n))
+    return fft.irfft(merged, n)
 
 
 def _project(
@@ -106,12 +106,12 @@ def dft321_filtered(acceleration: ArrayLike, rate_hz: float) -> Samples:
     longer. The frames of `dft321_windowed` take 35 ms to do it for every bin; this does it for six bands at once,
     sample by sample. First-order bands overlap widely, and where the axes cancel nothing is left to be amplified.
     """
-    admitted = admit(acceleration, rate_hz)
-    bank = FilterBank(admitted.samples.shape[:-2], rate_hz)
-    return admitted.restore(bank.push(admitted.samples))
+    samples, _ = admit(acceleration, rate_hz)
+    bank = FilterBank(samples.shape[:-2], rate_hz)
+    return bank.push(samples)
 
 
-_AT_A_TIME = 8192
+_AT_A_TIME = 2048
 """Samples whose six bands lie side by side: so few that they stay in the processor's cache."""
 
 
@@ -119,47 +119,50 @@ class FilterBank:
     """The sample by sample form of `dft321_filtered`."""
 
     def __init__(self, batch: tuple[int, ...], rate_hz: float) -> None:
-        self._poles = [math.exp(-2 * math.pi * split / rate_hz) for split in SPLITS_HZ]
-        tops = (*SPLITS_HZ, math.inf)
-        memories = [math.exp(-1 / (max(FASTEST_S, 1 / top) * rate_hz)) for top in tops]
-        # Bands that forget alike are filtered in one call.
-        self._memories = {memory: memories.index(memory) for memory in memories}
-        self._lows = [np.zeros((*batch, 3, 1)) for _ in SPLITS_HZ]
-        self._energies = {
-            memory: np.zeros((*batch, memories.count(memory), 2, 1)) for memory in memories
-        }
+        tops = np.array((*SPLITS_HZ, math.inf))
+        self._poles = np.exp(-2 * math.pi * tops[:-1] / rate_hz)
+        self._memories = np.exp(-1 / (np.maximum(FASTEST_S, 1 / tops) * rate_hz))
+        self._lows = np.zeros((*batch, 3, len(self._poles)))
+        self._energies = np.zeros((*batch, 2, len(self._memories)))
 
     def push(self, samples: Samples) -> Samples:
         """Reduce the next samples, (..., 3, k), to as many of the output, (..., k), without delay."""
         reduced = np.zeros((*samples.shape[:-2], samples.shape[-1]))
         for start in range(0, reduced.shape[-1] if samples.size else 0, _AT_A_TIME):
-            place = slice(start, start + _AT_A_TIME)
-            reduced[..., place] = self._push_few(samples[..., place])
+            few = slice(start, start + _AT_A_TIME)
+            reduced[..., few] = self._push_few(samples[..., few])
         return reduced
 
     def _push_few(self, samples: Samples) -> Samples:
-        from scipy.signal import lfilter
-
-        *batch, _, k = samples.shape
-        bands = np.empty((*batch, len(SPLITS_HZ) + 1, 3, k))
-        below: Samples | float = 0.0
-        for place, pole in enumerate(self._poles):
-            low, self._lows[place] = lfilter(
-                np.array([1 - pole]), np.array([1.0, -pole]), samples, zi=self._lows[place]
-            )
-            np.subtract(low, below, out=bands[..., place, :, :])
-            below = low
-        np.subtract(samples, below, out=bands[..., -1, :, :])
-        kept = bands.sum(axis=-2)
-        powers = np.empty((*batch, len(SPLITS_HZ) + 1, 2, k))
-        np.square(bands, out=bands)
-        np.sum(bands, axis=-2, out=powers[..., 0, :])
-        np.square(kept, out=powers[..., 1, :])
-        for memory, first in self._memories.items():
-            state = self._energies[memory]
-            alike = slice(first, first + state.shape[-3])
-            powers[..., alike, :, :], self._energies[memory] = lfilter(
-                np.ones(1), np.array([1.0, -memory]), powers[..., alike, :, :], zi=state
-            )
-        kept *= match_energy(powers[..., 0, :], powers[..., 1, :])
+        lows = samples[..., None, :] * (1 - self._poles[:, None])
+        lows = _decay(lows, self._poles, self._lows)
+        bands = np.empty((*lows.shape[:-2], len(self._memories), lows.shape[-1]))
+        bands[..., 0, :] = lows[..., 0, :]
+        np.subtract(lows[..., 1:, :], lows[..., :-1, :], out=bands[..., 1:-1, :])
+        np.subtract(samples, lows[..., -1, :], out=bands[..., -1, :])
+        kept = bands.sum(axis=-3)
+        powers = np.empty((*kept.shape[:-2], 2, *kept.shape[-2:]))
+        np.sum(np.square(bands, out=bands), axis=-3, out=powers[..., 0, :, :])
+        np.square(kept, out=powers[..., 1, :, :])
+        powers = _decay(powers, self._memories, self._energies)
+        kept *= match_energy(powers[..., 0, :, :], powers[..., 1, :, :])
         return np.asarray(kept.sum(axis=-2))
+
+
+def _decay(values: Samples, poles: Samples, state: Samples) -> Samples:
+    """Filter each of m signals, (..., m, k), by a pole of its own: y(n) = x(n) + p y(n-1); the state, y, is moved on.
+
+    All signals make one banded triangular system, side by side: a tenth of the calls that `lfilter` takes.
+    """
+    from scipy.linalg.lapack import dtbtrs
+
+    *_, m, k = values.shape
+    values[..., 0] += poles * state
+    system = np.ones((2, m, k))
+    system[1] = -poles[:, None]
+    system[1, :, -1] = 0.0
+    side_by_side = values.reshape(-1, m * k).T
+    found, _ = dtbtrs(system.reshape(2, -1), side_by_side, uplo="L", diag="U", overwrite_b=1)
+    found = found.T.reshape(values.shape)
+    state[...] = found[..., -1]
+    return np.asarray(found)

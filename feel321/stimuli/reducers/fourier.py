@@ -1,8 +1,8 @@
 r"""DFT321 and its relatives: the energy of all three axes at every frequency, with one phase.
 
 Conventions: acceleration (..., 3, n) in, reduced signal (..., n) out, same unit, float64; the input is never
-modified. Spectra are lists of three (..., n_bins), axes and onsets (..., 3), covariances and anchors (the mean products
-of onsets) (..., 3, 3). `dft321` works on the whole signal at once (offline, stationary vibrations); `dft321_windowed`
+modified. Spectra are (3, ..., n_bins), axes and onsets (..., 3), covariances and anchors (the mean products of onsets)
+(..., 3, 3). `dft321` works on the whole signal at once (offline, stationary vibrations); `dft321_windowed`
 on short overlapping frames (transients, streaming).
 
 `dft321` takes its phase from the sum of the axes: from the projection on the sensor's own diagonal. Where the motion is
@@ -51,7 +51,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.stimuli.recording import AXES, SAFE_PEAK, Admitted, admit, check_rate, each_by_itself
+from feel321.stimuli.recording import admit, each_by_itself
 from feel321.stimuli.reducers.axes import (
     DEFAULT_WINDOW_S,
     leading_axis,
@@ -61,15 +61,12 @@ from feel321.stimuli.reducers.axes import (
 from feel321.types import Samples
 
 Bins = NDArray[np.complex128]
-Spectra = list[Bins]
 
 ROUNDING = 32 * np.finfo(np.float64).eps
 """A sum of three axes below this share of the spectrum's root mean square is the rounding error of the transforms."""
 
 # So few that what is worked on stays in the processor's cache and no memory is asked from the system.
 _BINS_AT_A_TIME = 16384
-# Axes up to this long are transformed faster together (1.4 times, primes 1 to 1.4), longer ones one after the other.
-_TOGETHER = 20_000
 # Axes whose strengths differ by less than this are equally strong; the first of them counts.
 _TIE = 1e-6
 
@@ -99,31 +96,12 @@ def dft321(acceleration: ArrayLike, rate_hz: float) -> Samples:
     """
     from scipy import fft
 
-    admitted = _admit_quickly(acceleration, rate_hz) or admit(acceleration, rate_hz)
-    samples = admitted.samples
+    samples, energy = admit(acceleration, rate_hz)
     n = samples.shape[-1]
     if n == 0:
         return np.zeros((*samples.shape[:-2], 0))
-    if samples.ndim == 2 and n <= _TOGETHER:  # noqa: PLR2004 - axes x samples
-        merged = _merge_together(fft.rfft(samples), ROUNDING**2 * admitted.energy)
-    else:
-        merged = merge_spectra(transform(samples), admitted.energy)
-    return admitted.restore(fft.irfft(merged, n, overwrite_x=True))
-
-
-def _admit_quickly(acceleration: ArrayLike, rate_hz: float) -> Admitted | None:
-    """Admit an ordinary recording, whose energy proves in one pass that all is finite and in range; None for others."""
-    if type(acceleration) is not np.ndarray or not acceleration.flags.c_contiguous:
-        return None
-    if acceleration.dtype != np.float64 or acceleration.shape[:-1] != (AXES,):
-        return None
-    check_rate(rate_hz)
-    flat = acceleration.reshape(-1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        energy = np.dot(flat, flat)
-    if not SAFE_PEAK[0] ** 2 <= energy <= SAFE_PEAK[1] ** 2:
-        return None
-    return Admitted(acceleration, np.array([energy]))
+    merged = merge_spectra(transform(samples), energy)
+    return fft.irfft(merged, n, overwrite_x=True)
 
 
 def dft321_windowed(
@@ -163,7 +141,8 @@ class FourierFrames:
         np.multiply(blocks[..., :-1, :], self._rise, out=frames[..., 1:, :hop])
         np.multiply(blocks, self._fall, out=frames[..., hop:])
         self._previous = blocks[..., -1, :].copy()
-        merged = self.merge([*np.moveaxis(fft.rfft(frames), -3, 0)], frames)
+        spectra = fft.rfft(frames)
+        merged = self.merge(spectra if spectra.ndim == 3 else np.moveaxis(spectra, -3, 0), frames)  # noqa: PLR2004 - axes x frames x bins
         reduced = fft.irfft(merged, 2 * hop, overwrite_x=True)
         finished = reduced[..., :hop] * self._rise
         reduced[..., hop:] *= self._fall
@@ -172,94 +151,57 @@ class FourierFrames:
         self._tail = reduced[..., -1, hop:].copy()
         return finished
 
-    def merge(self, spectra: Spectra, frames: Samples) -> Bins:
+    def merge(self, spectra: Bins, frames: Samples) -> Bins:
         """Make one spectrum of the three axes', frame by frame; other rules override this."""
         return merge_spectra(spectra, np.einsum("...imt,...imt->...m", frames, frames)[..., None])
 
 
-def transform(samples: Samples) -> Spectra:
-    """Compute the spectra of the three axes, one after the other.
-
-    At once they would ask for one large piece of fresh memory, and axes that lie a whole number of memory pages apart
-    would compete for the same places in the processor's cache. Short ones gain more from sharing its vector units.
-    """
+def transform(samples: Samples) -> Bins:
+    """Compute the spectra of the three axes, (3, ..., n_bins)."""
     from scipy import fft
 
-    if samples.ndim == 2 and samples.shape[-1] <= _TOGETHER:  # noqa: PLR2004 - axes x samples
-        return [*fft.rfft(samples)]
-    return [fft.rfft(axis) for axis in np.moveaxis(samples, -2, 0)]
+    spectra: Bins = fft.rfft(samples)
+    return spectra if spectra.ndim == 2 else np.moveaxis(spectra, -2, 0)  # noqa: PLR2004 - axes x bins
 
 
-def _merge_together(spectra: Bins, floor: Samples) -> Bins:
-    """Merge the spectra of a short signal, (3, n_bins), as `merge_spectra`, in a third of its calls; they are used up.
-
-    What is freed at the end of a call goes back to the system if it is much, and costs as much time as the arithmetic
-    when it is asked for again; so squares take the place of what is squared.
-    """
-    merged: Bins = spectra[0] + spectra[1]
-    merged += spectra[2]
-    squares = np.square(merged.view(np.float64))
-    of_sum = squares[0::2]  # real and imaginary parts lie side by side
-    of_sum += squares[1::2]
-    if np.minimum.reduce(of_sum) <= floor[0]:
-        vanishing = of_sum <= floor
-        _take_strongest(merged, of_sum, spectra=[*spectra], vanishing=vanishing)
-    parts = spectra.view(np.float64)
-    np.square(parts, out=parts)
-    of_axes = parts[:, 0::2]  # in the order of `_merge`, so that the last bit is the same
-    of_axes += parts[:, 1::2]
-    energy = of_axes[0]
-    energy += of_axes[1]
-    energy += of_axes[2]
-    energy /= of_sum
-    merged *= np.sqrt(energy)
+def merge_spectra(spectra: Bins, energy: Samples) -> Bins:
+    """Merge the spectra of the axes by equations 3 and 4; they are used up."""
+    floor = ROUNDING**2 * energy
+    for start in range(0, spectra.shape[-1], _BINS_AT_A_TIME):
+        _merge(spectra[..., start : start + _BINS_AT_A_TIME], floor)
+    merged: Bins = spectra[0]
     return merged
 
 
-def merge_spectra(spectra: Spectra, energy: Samples) -> Bins:
-    """Merge the spectra of the axes by equations 3 and 4."""
-    floor = ROUNDING**2 * energy
-    for start in range(0, spectra[0].shape[-1], _BINS_AT_A_TIME):
-        parts = [spectrum[..., start : start + _BINS_AT_A_TIME] for spectrum in spectra]
-        parts[0][...] = _merge(parts, floor)
-    return spectra[0]
-
-
-def _merge(spectra: Spectra, floor: Samples) -> Bins:
-    x, y, z = spectra
-    merged: Bins = x + y
-    merged += z
-    energy = bin_energy(x)
-    energy += bin_energy(y)
-    energy += bin_energy(z)
+def _merge(spectra: Bins, floor: Samples) -> None:
+    """Merge some bins, into the first axis. Squares take the place of what is squared: fresh memory costs much time."""
+    merged: Bins = spectra[0] + spectra[1]
+    merged += spectra[2]
     of_sum = bin_energy(merged)
     vanishing = of_sum <= floor
     if vanishing.any():
-        _take_strongest(merged, of_sum, spectra=spectra, vanishing=vanishing)
-    np.divide(energy, of_sum, out=energy)
-    np.sqrt(energy, out=energy)
-    merged *= energy
-    return merged
+        # The strongest axis stands for a sum that vanishes; silence stays silence.
+        there = spectra[:, vanishing]
+        strength = np.abs(there)
+        first = np.argmax(strength >= (1 - _TIE) * strength.max(axis=0), axis=0)
+        strongest = np.take_along_axis(there, first[None], axis=0)[0]
+        merged[vanishing] = strongest
+        of_strongest = bin_energy(strongest)
+        of_sum[vanishing] = np.where(of_strongest > 0, of_strongest, 1.0)
+    parts = spectra.view(np.float64)
+    np.square(parts, out=parts)
+    of_axes = parts[..., 0::2]  # real and imaginary parts lie side by side
+    of_axes += parts[..., 1::2]
+    energy = of_axes[0] + of_axes[1]
+    energy += of_axes[2]
+    energy /= of_sum
+    np.multiply(merged, np.sqrt(energy, out=energy), out=spectra[0])
 
 
-def _take_strongest(
-    merged: Bins, of_sum: Samples, *, spectra: Spectra, vanishing: NDArray[np.bool_]
-) -> None:
-    """Use the strongest axis where the sum vanishes; silence stays silence."""
-    there = np.array([spectrum[vanishing] for spectrum in spectra])
-    strength = np.abs(there)
-    first = np.argmax(strength >= (1 - _TIE) * strength.max(axis=0), axis=0)
-    strongest = np.take_along_axis(there, first[None], axis=0)[0]
-    merged[vanishing] = strongest
-    of_strongest = bin_energy(strongest)
-    of_sum[vanishing] = np.where(of_strongest > 0, of_strongest, 1.0)
-
-
-def bin_energy(spectrum: Bins) -> Samples:
+def bin_energy(spectra: Bins) -> Samples:
     """Compute the energy of every bin."""
-    energy: Samples = np.square(spectrum.real)
-    energy += np.square(spectrum.imag)
-    return energy
+    squares = np.square(spectra.view(np.float64))
+    return np.asarray(squares[..., 0::2] + squares[..., 1::2])
 
 
 PULL = 0.01
@@ -275,8 +217,9 @@ from 26 to 2.5, on a drifting rotor from 6.7 to 1.6, on a chirp from 3.9 to 1.9,
 # No tilt beyond this: the axis stays a leading one, and what is known badly cannot turn it far.
 _FARTHEST = 0.5
 # Directions below this share of the energy (3 % of the amplitude) are left alone: what is there may be noise.
-_WEAK = 1e-3
+_WEAK = 1e-3 * np.eye(3)
 
+_TINY = np.finfo(np.float64).tiny
 # So few that what is worked on stays in the processor's cache.
 _AT_A_TIME = 8192
 # A projection below this share of the motion has a phase that rounding (1e-15 or so) changes by more than 1e-9.
@@ -316,32 +259,24 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> Samples:
     >>> np.round(dft321_principal([2 * u, -u, 2 * u], 1000) / 3, 12)
     array([ 1.  , -2.  ,  0.5 ,  0.25])
     """
-    admitted = admit(acceleration, rate_hz)
-    n = admitted.samples.shape[-1]
-    if n == 0:
-        return np.zeros((*admitted.samples.shape[:-2], 0))
-    onset, anchor = _find_onsets(admitted.samples)
-    spectra = transform(admitted.samples)
-    energy, covariance = measure(spectra)
-    axis = _point_along(start_axis(covariance, anchor, pull=PULL), onset)
-    axis = tilt(axis, covariance, anchor)
-    return admitted.restore(_align_all(spectra, energy, axis=axis, n_samples=n))
-
-
-def _point_along(axis: Samples, onset: Samples) -> Samples:
-    return np.where(np.einsum("...i,...i->...", axis, onset)[..., None] < 0, -axis, axis)
-
-
-def _align_all(spectra: Spectra, energy: Samples, *, axis: Samples, n_samples: int) -> Samples:
-    """Give the whole spectrum equation 3's magnitude and the phase along an axis, and transform it back."""
     from scipy import fft
 
-    aligned = spectra[0]  # overwritten in place: memory of this size is slow to get
-    for place in _places(spectra):
-        aligned[..., place] = align(
-            [part[..., place] for part in spectra], energy[..., place], axis=axis
-        )
-    return np.asarray(fft.irfft(aligned, n_samples, overwrite_x=True))
+    samples, _ = admit(acceleration, rate_hz)
+    n = samples.shape[-1]
+    if n == 0:
+        return np.zeros((*samples.shape[:-2], 0))
+    # Each by itself: those of a batch begin at different times.
+    begun = each_by_itself(lambda one: np.vstack(find_onset(one)), samples)
+    onset, anchor = begun[..., 0, :], begun[..., 1:, :]
+    spectra = transform(samples)
+    energy, covariance = measure(spectra)
+    shares = share_out(covariance)
+    axis = leading_axis(shares + PULL * anchor)
+    axis = np.where(np.einsum("...i,...i->...", axis, onset)[..., None] < 0, -axis, axis)
+    axis = tilt(axis, shares, anchor)
+    for few in _cut_bins(spectra):
+        spectra[0, ..., few] = align(spectra[..., few], energy[..., few], axis=axis)
+    return fft.irfft(spectra[0], n, overwrite_x=True)
 
 
 def find_onset(samples: Samples) -> tuple[Samples, Samples]:
@@ -364,20 +299,14 @@ def find_onset(samples: Samples) -> tuple[Samples, Samples]:
     return onset, np.where(still[..., None], onset[..., :, None] * onset[..., None, :], anchor)
 
 
-def _find_onsets(samples: Samples) -> tuple[Samples, Samples]:
-    """Find the onset of each signal by itself: those of a batch begin at different times."""
-    found = each_by_itself(lambda one: np.vstack(find_onset(one)), samples)
-    return found[..., 0, :], found[..., 1:, :]
-
-
 def _measure_excursion(samples: Samples, mean: Samples) -> Samples:
     """Squared distance from the mean, sample by sample."""
     size = np.empty((*samples.shape[:-2], samples.shape[-1]))
     for start in range(0, samples.shape[-1], _AT_A_TIME):
-        place = slice(start, start + _AT_A_TIME)
-        excursion = samples[..., place] - mean
+        few = slice(start, start + _AT_A_TIME)
+        excursion = samples[..., few] - mean
         np.square(excursion, out=excursion)
-        np.sum(excursion, axis=-2, out=size[..., place])
+        np.sum(excursion, axis=-2, out=size[..., few])
     return size
 
 
@@ -389,47 +318,37 @@ def _share_beginning(shares: Samples) -> Samples:
     return np.asarray(chance)
 
 
-def measure(spectra: Spectra) -> tuple[Samples, Samples]:
-    """Sum the energies of the axes bin by bin, and compute their covariance by Parseval's theorem."""
-    energy = np.empty(spectra[0].shape)
+def measure(spectra: Bins) -> tuple[Samples, Samples]:
+    """Sum the energies of the axes bin by bin; and their covariance by Parseval's theorem."""
+    energy = np.empty(spectra.shape[1:])
     covariance = np.zeros((*energy.shape[:-1], 3, 3))
-    for place in _places(spectra):
-        parts = [spectrum[..., place] for spectrum in spectra]
-        own = [bin_energy(part) for part in parts]
-        vibration = slice(0 if place.start else 1, None)
-        real = [part[..., vibration].view(np.float64) for part in parts]
-        for i in range(3):
-            covariance[..., i, i] += own[i][..., vibration].sum(axis=-1)
-            covariance[..., i, i - 1] += np.einsum("...k,...k->...", real[i], real[i - 1])
-        own[0] += own[1]
-        np.add(own[0], own[2], out=energy[..., place])
-    for i in range(3):
-        covariance[..., i - 1, i] = covariance[..., i, i - 1]
-    vibrates = np.trace(covariance, axis1=-2, axis2=-1) > ROUNDING**2 * energy[..., 0]
+    for few in _cut_bins(spectra):
+        part = spectra[..., few]
+        np.add.reduce(bin_energy(part), axis=0, out=energy[..., few])
+        vibration = part[..., 0 if few.start else 1 :].view(np.float64)
+        covariance += np.einsum("i...k,j...k->...ij", vibration, vibration)
+    vibrates = np.einsum("...ii->...", covariance) > ROUNDING**2 * energy[..., 0]
     return energy, covariance * vibrates[..., None, None]
 
 
-def start_axis(covariance: Samples, anchor: Samples, *, pull: float) -> Samples:
-    """First principal axis, leaning a little towards the onset; its sign is left open."""
-    return leading_axis(_shares(covariance) + pull * anchor)
-
-
-def tilt(axis: Samples, covariance: Samples, anchor: Samples) -> Samples:
-    """Tilt axes towards weak directions, by point 4 of the module's notes."""
-    onset = np.einsum("...ij,...j->...i", anchor, axis)
-    aside = np.linalg.solve(_shares(covariance) + _WEAK * np.eye(3), onset[..., None])[..., 0]
-    deviations = np.sqrt(np.einsum("...i,...i->...", aside, onset))[..., None]
-    aside *= TILT / np.where(deviations > 0, deviations, 1.0)
-    aside *= _FARTHEST / np.maximum(np.linalg.norm(aside, axis=-1, keepdims=True), _FARTHEST)
-    return unit(axis + aside, axis)
-
-
-def _shares(covariance: Samples) -> Samples:
-    trace = np.trace(covariance, axis1=-2, axis2=-1)[..., None, None]
+def share_out(covariance: Samples) -> Samples:
+    """Scale covariances to a trace of 1; those of silence stay 0."""
+    trace = np.einsum("...ii->...", covariance)[..., None, None]
     return np.asarray(covariance / np.where(trace > 0, trace, 1.0))
 
 
-def align(spectra: Spectra, energy: Samples, *, axis: Samples) -> Bins:
+def tilt(axis: Samples, shares: Samples, anchor: Samples) -> Samples:
+    """Tilt axes towards weak directions, by point 4 of the module's notes; shares: the covariance, of trace 1."""
+    onset = np.einsum("...ij,...j->...i", anchor, axis)
+    aside = np.linalg.solve(shares + _WEAK, onset[..., None])[..., 0]
+    deviation = np.sqrt(np.einsum("...i,...i->...", aside, onset))
+    far = np.sqrt(np.einsum("...i,...i->...", aside, aside))
+    # So long that it is TILT standard deviations, but no longer than the farthest; where there is no onset it is 0.
+    size = np.minimum(TILT / np.maximum(deviation, _TINY), _FARTHEST / np.maximum(far, _TINY))
+    return unit(axis + size[..., None] * aside, axis)
+
+
+def align(spectra: Bins, energy: Samples, *, axis: Samples) -> Bins:
     """Give bins the magnitude of equation 3 and the phase of the projection on an axis."""
     x, y, z = spectra
     aligned: Bins = x * axis[..., 0, None]
@@ -449,15 +368,18 @@ def align(spectra: Spectra, energy: Samples, *, axis: Samples) -> Bins:
     return aligned
 
 
-def _places(spectra: Spectra) -> Iterator[slice]:
-    for start in range(0, spectra[0].shape[-1], _AT_A_TIME):
+def _cut_bins(spectra: Bins) -> Iterator[slice]:
+    for start in range(0, spectra.shape[-1], _AT_A_TIME):
         yield slice(start, start + _AT_A_TIME)
 
 
 def unit(vectors: Samples, otherwise: Samples) -> Samples:
     """Scale vectors to length 1; where one is zero, use the other."""
     length = np.sqrt(np.einsum("...i,...i->...", vectors, vectors))[..., None]
-    return np.asarray(np.where(length > 0, vectors / np.where(length > 0, length, 1.0), otherwise))
+    there = length > 0
+    if there.all():
+        return np.asarray(vectors / length)
+    return np.where(there, vectors / np.where(there, length, 1.0), otherwise)
 
 
 MEMORY = 0.99
@@ -505,29 +427,31 @@ class TrackingFrames(FourierFrames):
         self._covariance = np.zeros((*batch, 1, 3, 3))
         self._past = np.zeros((*batch, 1, 3))
 
-    def merge(self, spectra: Spectra, frames: Samples) -> Bins:
+    def merge(self, spectra: Bins, frames: Samples) -> Bins:
         """Give every frame equation 3's magnitude and the phase of the projection on its axis."""
         energy, covariances = measure(spectra)
         covariances, self._covariance = _remember(covariances, self._covariance, axis=-3)
         strength = energy.sum(axis=-1)
-        anchors, waking = self._find_anchors(strength**0.25, frames)
-        leading = self._keep_sign(
-            start_axis(covariances, anchors, pull=PULL_PER_FRAME), anchors, waking
-        )
+        anchors, waking = self._find_anchors(np.sqrt(np.sqrt(strength)), frames)
+        shares = share_out(covariances)
+        leading = leading_axis(shares + PULL_PER_FRAME * anchors)
+        leading = self._keep_sign(leading, anchors, waking)
         past, self._past = _remember(strength[..., None] * leading, self._past, axis=-2)
-        axis = tilt(unit(past, leading), covariances, anchors)
+        axis = tilt(unit(past, leading), shares, anchors)
         merged = align(spectra, energy, axis=axis)
-        for real in (0, -1):
-            merged[..., real] = sum(spectra[i][..., real] * axis[..., i] for i in range(3))
+        ends = np.einsum("i...e,...i->...e", spectra[..., [0, -1]], axis)
+        merged[..., 0], merged[..., -1] = ends[..., 0], ends[..., 1]
         return merged
 
     def _find_anchors(self, loudness: Samples, frames: Samples) -> tuple[Samples, Samples]:
         """Mean products of the onsets so far, frame by frame; and the onset where silence ends, 0 elsewhere."""
-        loudest = np.maximum.accumulate(
-            np.concatenate([self._loudness, loudness], axis=-1), axis=-1
-        )
-        louder = np.diff(loudest, axis=-1)
+        loudest = np.concatenate([self._loudness, loudness], axis=-1)
+        np.maximum.accumulate(loudest, axis=-1, out=loudest)
+        louder = loudest[..., 1:] - loudest[..., :-1]
+        scale = np.where(loudest > 0, loudest, 1.0)[..., 1:, None, None]
         onsets, sums = np.zeros((*louder.shape, 3)), np.zeros((*louder.shape, 3, 3))
+        if not louder.any():
+            return (sums + self._anchor) / scale, onsets
         for one in np.ndindex(louder.shape[:-1]):
             if (records := np.flatnonzero(louder[one])).size:
                 found = find_onset(np.moveaxis(frames[one][:, records, :], 0, 1))
@@ -535,12 +459,12 @@ class TrackingFrames(FourierFrames):
         sums *= louder[..., None, None]
         sums = self._anchor + np.cumsum(sums, axis=-3)
         self._loudness, self._anchor = loudest[..., -1:], sums[..., -1:, :, :]
-        waking = np.logical_and(loudest[..., :-1, None] == 0, louder[..., None] > 0)
-        return sums / np.where(loudest > 0, loudest, 1.0)[..., 1:, None, None], onsets * waking
+        onsets *= ((loudest[..., :-1] == 0) & (louder > 0))[..., None]
+        return sums / scale, onsets
 
     def _keep_sign(self, axes: Samples, anchors: Samples, waking: Samples) -> Samples:
         """Flip each axis to point along the one before it, the first along the first onset; silence has no axis."""
-        axes = np.where(np.asarray(anchors.any(axis=(-2, -1)))[..., None], axes, 0.0)
+        axes = axes * np.asarray(anchors.any(axis=(-2, -1)))[..., None]
         before = np.concatenate([self._axis, axes[..., :-1, :]], axis=-2) + waking
         turns = np.einsum("...mi,...mi->...m", axes, before)
         axes *= np.cumprod(np.where(turns < 0, -1.0, 1.0), axis=-1)[..., None]
@@ -554,8 +478,7 @@ def _remember(values: Samples, state: Samples, *, axis: int) -> tuple[Samples, S
 
     if (
         values.shape[axis] == 1
-    ):  # as a stream gives them, one by one: what `lfilter` does, in a tenth of its time
+    ):  # as a stream gives them: what `lfilter` does, in a tenth of its time
         sums = values + state
         return sums, MEMORY * sums
-    sums, state = lfilter(np.ones(1), np.array([1.0, -MEMORY]), values, axis=axis, zi=state)
-    return sums, state
+    return lfilter(np.ones(1), np.array([1.0, -MEMORY]), values, axis=axis, zi=state)

@@ -3,54 +3,43 @@
 Both passes go over the recordings in parallel. *Measure* renders what is not remembered at unit gain, keeps it as a
 part in m/s² and measures it; *write* gives every stimulus the gain of its level. Between them stands the only thing
 that needs the whole set: the gain. Finished files wait in a folder of their own until all are there; then the old
-manifest goes, the files move in, and the new manifest comes last. So a set that has a manifest is complete.
+manifest goes, the files move in, and the new manifest comes last. So a set that has a manifest is complete, and a build
+that was killed leaves the former set as it was.
 
-What a build remembers is `built.jsonl`, a line per stimulus: in the set, and in the folder of the unfinished parts,
-where a line is added as soon as something is done. A build that was killed, or found the disk full, is continued by
-the next; a damaged line, or one whose file does not hold what it says, is a stimulus that is made again.
+What a build remembers is `built.jsonl`, a line per stimulus; a damaged line, or one whose file does not hold what it
+says, is a stimulus that is made again.
 """
 
 import hashlib
-import io
 import json
 import math
 import secrets
 import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from itertools import count
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from feel321 import __version__
 from feel321.doors import announce, as_path, describe, follow
-from feel321.files import (  # fmt: skip
-    hold_lock,
-    make_folder,
-    move_files,
-    replace_bytes,
-    sweep,
-    write_bytes,
-    write_text,
-)
+from feel321.files import hold_lock, make_folder, move_files, sweep, write_bytes, write_text
 from feel321.jobs import Workers, as_workers, run_jobs
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.sets import render
-from feel321.stimuli.sets.anchors import sensation_level_db, to_db
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
-from feel321.stimuli.sets.recipe import Recipe, check_names, describe_recipe
-from feel321.stimuli.sets.unread import Unread, read_given
+from feel321.stimuli.sets.recipe import Recipe, Unread, check_names, describe_recipe, read_given
+from feel321.stimuli.thresholds import sensation_level_db, to_db
 from feel321.stimuli.wav import encode_wav
 from feel321.types import PathLike, Progress, Samples
 
 BUILT = "built.jsonl"
 PARTS = ".parts"
-FINISHED = "finished"
 
 THREADS = 2
 """Of a process: transforms release the interpreter, and each file waits for the disk. A lab's own code gets one."""
@@ -58,48 +47,38 @@ THREADS = 2
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """A line of `built.jsonl`: what was measured of a draft, the digest of its part, and the row of its file."""
+    """A line of `built.jsonl`: what was measured of a draft, and the row of its file."""
 
     recording: str
     key: str
     measured: render.Measured
-    part: str = ""
-    row: Stimulus | None = None
+    row: Stimulus
 
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """What is remembered of a recording's stimuli; parts: key -> digest; rows: id -> key and row."""
+    """What is remembered of a recording's stimuli, by key and by id."""
 
     measured: dict[str, render.Measured] = field(default_factory=dict)
-    parts: dict[str, str] = field(default_factory=dict)
-    rows: dict[str, tuple[str, Stimulus]] = field(default_factory=dict)
+    built: dict[str, Built] = field(default_factory=dict)
 
 
 def read_history(folder: Path) -> defaultdict[str, Known]:
-    """Read what earlier builds remember, by recording; it saves work and is never trusted further."""
-    found: defaultdict[str, Known] = defaultdict(Known)
-    for path in (folder / BUILT, *sorted(folder.glob(f"{PARTS}*/{BUILT}"))):
-        for one in _read_lines(path):
-            own, row = found[one.recording], one.row
-            own.measured[one.key] = one.measured
-            own.parts[one.key] = one.part
-            if row and row.file == Path(row.file).name == f"{row.stimulus_id}.wav":
-                own.rows[row.stimulus_id] = one.key, row
-    return found
-
-
-def _read_lines(path: Path) -> Iterator[Built]:
-    """Read the lines that are whole; none of a file that is not there."""
+    """Read what the last build remembers, by recording; it saves work and is never trusted further."""
     from pydantic import TypeAdapter
 
     read_line = TypeAdapter(Built).validate_json
-    if not path.is_file():
-        return
-    with path.open("rb") as lines:
-        for line in lines:
-            with suppress(ValueError):
-                yield read_line(line)
+    found: defaultdict[str, Known] = defaultdict(Known)
+    path = folder / BUILT
+    for line in path.read_bytes().splitlines() if path.is_file() else ():
+        try:
+            one = read_line(line)
+        except ValueError:
+            continue
+        found[one.recording].measured[one.key] = one.measured
+        if one.row.file == Path(one.row.file).name == f"{one.row.stimulus_id}.wav":
+            found[one.recording].built[one.row.stimulus_id] = one
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,15 +127,11 @@ class Facts:
 
 
 class Survey(NamedTuple):
-    """Facts of a recording and the measurements of its stimuli by key, or why it cannot be used.
-
-    parts: key -> digest of what was rendered just now.
-    """
+    """Facts of a recording and the measurements of its stimuli by key, or why it cannot be used."""
 
     facts: Facts | None
     measured: Mapping[str, render.Measured]
     fault: str = ""
-    parts: Mapping[str, str] = {}
 
 
 def build_stimuli(
@@ -231,81 +206,37 @@ def build_set(
     make_folder(folder)
     busy = "another build is running here; let it finish or stop it first"
     with hold_lock(folder / ".lock", busy=busy):
-        parts = _take_over_parts(folder)
+        for left in folder.glob(f"{PARTS}*"):
+            shutil.rmtree(left, ignore_errors=True)
+        sweep(folder)
+        # A process that was left over from a killed build does not know this name.
+        parts = folder / f"{PARTS}-{secrets.token_hex(4)}"
+        make_folder(parts)
+        steps, threads = count(1), 1 if recipe.methods else THREADS
+
+        def run(work: Callable[..., Any], given: Iterable[tuple[Any, ...]]) -> list[Any]:
+            """Do the work for each recording, and return what it gave, in their order."""
+            found: dict[int, Any] = {}
+            jobs = ((work, one, {"recipe": recipe, "parts": parts}) for one in given)
+            for place, result in run_jobs(jobs, workers=workers, threads=threads):
+                found[place] = result
+                move(next(steps), 2 * len(recordings))
+            return [found[place] for place in sorted(found)]
+
         history = read_history(folder)
-        with (parts / BUILT).open("ab") as log:
-            crew = _Crew(recipe, parts, workers, log, move, total=2 * len(recordings))
-            surveyed = crew.run(
-                ((survey_recording, (one, history[one.name].measured)) for one in recordings),
-                _list_surveyed,
-            )
-            facts, measured = _gather(surveyed)
-            for one, survey in zip(facts, surveyed, strict=True):
-                history[one.name].parts.update(survey.parts)
-            placed = _place({one.name: one.drafts for one in facts}, measured, recipe)
-            jobs = (
-                (_write_recording, ((given, one), placed[one.name], history[one.name]))
+        surveyed = run(survey_recording, ((one, history[one.name].measured) for one in recordings))
+        facts, placed = _place(surveyed, recipe)
+        written = run(
+            _write_recording,
+            (
+                ((given, one), placed[one.name], history[one.name].built)
                 for given, one in zip(recordings, facts, strict=True)
-            )
-            lines = [line for own in crew.run(jobs, list) for line in own]
-        stale = {row.file for known in history.values() for _, row in known.rows.values()}
-        return facts, _publish(parts, lines, stale=stale, details=_describe(facts, placed, recipe))
-
-
-@dataclass(slots=True)
-class _Crew:
-    """What both passes have in common: the recipe, the folder of the parts, who does the work, where it is noted."""
-
-    recipe: Recipe
-    parts: Path
-    workers: Workers
-    log: BinaryIO
-    move: Callable[[int, int], None]
-    total: int
-    done: int = 0
-
-    def run(
-        self, jobs: Iterable[tuple[Any, Any]], list_lines: Callable[[Any], Iterable[Built]]
-    ) -> list[Any]:
-        """Run jobs, one per recording, and note what each has done; returns their results in order."""
-        found: dict[int, Any] = {}
-        how = {"recipe": self.recipe, "parts": self.parts}
-        threads = 1 if self.recipe.methods else THREADS
-        whole = ((*job, how) for job in jobs)
-        for place, result in run_jobs(whole, workers=self.workers, threads=threads):
-            found[place] = result
-            for one in list_lines(result):
-                self.log.write(f"\n{_dump(one)}\n".encode())  # what was torn before ends here
-                self.log.flush()
-                if one.row:
-                    _part_path(self.parts, one.key).unlink(missing_ok=True)
-            self.done += 1
-            self.move(self.done, self.total)
-        return [found[place] for place in sorted(found)]
-
-
-def _dump(line: Built) -> str:
-    return json.dumps(asdict(line), sort_keys=True)
-
-
-def _list_surveyed(survey: Survey) -> Iterator[Built]:
-    for key, digest in survey.parts.items():
-        name = survey.facts.name if survey.facts else ""
-        yield Built(name, key, survey.measured[key], digest)
-
-
-def _gather(surveyed: Iterable[Survey]) -> tuple[list[Facts], dict[str, render.Measured]]:
-    """Gather the facts of all recordings; refuses with every one that cannot be used."""
-    facts: list[Facts] = []
-    measured: dict[str, render.Measured] = {}
-    faults: list[str] = []
-    for one in surveyed:
-        facts += [one.facts] if one.facts else []
-        measured.update(one.measured)
-        faults += [one.fault] if one.fault else []
-    if faults:
-        raise ValueError("\n".join(faults))
-    return facts, measured
+            ),
+        )
+        lines = [line for own in written for line in own]
+        stale = {one.row.file for known in history.values() for one in known.built.values()}
+        details = _describe(facts, placed, recipe)
+        return facts, _publish(folder, parts, lines, stale=stale, details=details)
 
 
 def survey_recording(
@@ -325,18 +256,18 @@ def survey_recording(
     new = [one for one in drafts if one.key not in measured]
     if new and parts is None:
         announce(recording.name)
-    digests: dict[str, str] = {}
     try:
         for draft, samples, note in render.render_drafts(recording, new, recipe) if new else ():
             measured[draft.key] = note
             if parts is not None:
-                content = io.BytesIO()
-                np.save(content, samples.astype(np.float32))
-                replace_bytes(_part_path(parts, draft.key), content.getvalue())
-                digests[draft.key] = hashlib.sha256(content.getvalue()).hexdigest()
+                np.save(_part_path(parts, draft), samples.astype(np.float32))
     except ValueError as error:
         return Survey(None, {}, str(error))
-    return Survey(Facts.find(recording, drafts), measured, parts=digests)
+    return Survey(Facts.find(recording, drafts), measured)
+
+
+def _part_path(parts: Path, draft: render.Draft) -> Path:
+    return parts / f"{draft.recording}-{draft.key}.npy"
 
 
 def foresee_stimuli(
@@ -344,35 +275,36 @@ def foresee_stimuli(
 ) -> list[Foreseen]:
     """Compute how strong the stimuli of a set will be; nothing is written."""
     history = read_history(folder)
-    surveyed = (
-        survey_recording(one, history[one.name].measured, recipe=recipe) for one in recordings
+    return place_surveyed(
+        (survey_recording(one, history[one.name].measured, recipe=recipe) for one in recordings),
+        recipe,
     )
-    return place_surveyed(surveyed, recipe)
 
 
 def place_surveyed(surveyed: Iterable[Survey], recipe: Recipe) -> list[Foreseen]:
     """Give stimuli their levels and gains."""
-    facts, measured = _gather(surveyed)
-    wanted = {one.name: one.drafts for one in facts}
-    return [one for orders in _place(wanted, measured, recipe).values() for one in orders]
+    return [one for orders in _place(surveyed, recipe)[1].values() for one in orders]
 
 
 def _place(
-    wanted: Mapping[str, Sequence[render.Draft]],
-    measured: Mapping[str, render.Measured],
-    recipe: Recipe,
-) -> dict[str, list[Foreseen]]:
-    gains = render.choose_gains(measured, recipe, drafts=wanted)
-    return {
-        name: [
-            Foreseen(
-                **asdict(one), measured=measured[one.key], level=level, gain=gains[level, one.key]
-            )
+    surveyed: Iterable[Survey], recipe: Recipe
+) -> tuple[list[Facts], dict[str, list[Foreseen]]]:
+    """Give stimuli their levels and gains, by recording; refuses with every recording that cannot be used."""
+    surveyed = list(surveyed)
+    if faults := [one.fault for one in surveyed if one.fault]:
+        raise ValueError("\n".join(faults))
+    facts = [one.facts for one in surveyed if one.facts]
+    measured = {key: note for one in surveyed for key, note in one.measured.items()}
+    gains = render.choose_gains(measured, recipe, drafts={one.name: one.drafts for one in facts})
+    placed = {
+        own.name: [
+            Foreseen(**asdict(one), measured=measured[one.key], level=level, gain=gains[level, one.key])
             for level in recipe.levels
-            for one in drafts
+            for one in own.drafts
         ]
-        for name, drafts in wanted.items()
-    }
+        for own in facts
+    }  # fmt: skip
+    return facts, placed
 
 
 def find_copies(facts: Iterable[Facts]) -> list[str]:
@@ -387,81 +319,42 @@ def find_copies(facts: Iterable[Facts]) -> list[str]:
     ]
 
 
-def _take_over_parts(folder: Path) -> Path:
-    """Make the folder of unfinished work, or take over that of a killed build.
-
-    It gets a name that nobody knows: a process that was left over from that build writes nothing here any more.
-    """
-    parts = folder / f"{PARTS}-{secrets.token_hex(4)}"
-    for one in sorted(folder.glob(f"{PARTS}*")):
-        with suppress(
-            OSError
-        ):  # there is one already, or, on Windows, somebody still has a file open
-            one.rename(parts)
-        shutil.rmtree(one, ignore_errors=True)
-    make_folder(parts / FINISHED)
-    sweep(folder)
-    return parts
-
-
-def _part_path(parts: Path, key: str) -> Path:
-    return parts / f"{key}.npy"
-
-
 def _write_recording(
     source: tuple[Recording | Unread, Facts],
     orders: Sequence[Foreseen],
-    known: Known,
+    known: Mapping[str, Built],
     *,
     recipe: Recipe,
     parts: Path,
 ) -> list[Built]:
     """Write the files of one recording that are not there already; returns what is to be remembered of all."""
     given, facts = source
-    rows = {one.stimulus_id: _find_written(one, known, parts) for one in orders}
-    lacking = [one for one in orders if rows[one.stimulus_id] is None]
-    for key, samples in _list_samples(given, lacking, known, recipe=recipe, parts=parts):
+    rows: dict[str, Stimulus] = {}
+    for order in orders:
+        one = known.get(order.stimulus_id)
+        if one and (one.key, one.row.gain) == (order.key, order.gain):
+            path = parts.parent / one.row.file
+            if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == one.row.sha256:
+                rows[order.stimulus_id] = one.row
+    lacking = [one for one in orders if one.stimulus_id not in rows]
+    drafts = {one.key: one for one in lacking}
+    for key, samples in _list_samples(given, drafts.values(), recipe=recipe, parts=parts):
         for order in lacking:
             if order.key == key:
                 rows[order.stimulus_id] = _write(order, samples, facts, recipe=recipe, parts=parts)
-    return [
-        Built(one.recording, one.key, one.measured, row=rows[one.stimulus_id]) for one in orders
-    ]
-
-
-def _find_written(order: Foreseen, known: Known, parts: Path) -> Stimulus | None:
-    """Find the row of a stimulus that an earlier build, or this one before it was killed, made just so."""
-    key, row = known.rows.get(order.stimulus_id, ("", None))
-    finished = parts / FINISHED / f"{order.stimulus_id}.wav"
-    if row is None or key != order.key or row.gain != order.gain:
-        return None
-    if _holds(finished, row.sha256):
-        return row
-    finished.unlink(missing_ok=True)  # another one; the right one may have been moved
-    return row if _holds(parts.parent / finished.name, row.sha256) else None
-
-
-def _holds(path: Path, sha256: str) -> bool:
-    return path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == sha256
+    return [Built(one.recording, one.key, one.measured, rows[one.stimulus_id]) for one in orders]
 
 
 def _list_samples(
-    given: Recording | Unread,
-    wanted: Iterable[Foreseen],
-    known: Known,
-    *,
-    recipe: Recipe,
-    parts: Path,
+    given: Recording | Unread, drafts: Iterable[Foreseen], *, recipe: Recipe, parts: Path
 ) -> Iterator[tuple[str, Samples]]:
     """Give the samples of drafts by key, one after the other: of their parts, or else rendered again."""
     missing = []
-    for one in {one.key: one for one in wanted}.values():
-        try:
-            content = _part_path(parts, one.key).read_bytes()
-        except OSError:  # or used by a recording that is the same
-            content = b""
-        if hashlib.sha256(content).hexdigest() == known.parts.get(one.key):
-            yield one.key, np.load(io.BytesIO(content)).astype(np.float64)
+    for one in drafts:
+        path = _part_path(parts, one)
+        if path.is_file():
+            yield one.key, np.load(path).astype(np.float64)
+            path.unlink()
         else:
             missing.append(one)
     if missing:
@@ -477,7 +370,7 @@ def _write(
     np.clip(samples, -1.0, 1.0, out=samples)
     content = encode_wav(samples, recipe.rate_hz)
     name = f"{order.stimulus_id}.wav"
-    write_bytes(parts / FINISHED / name, content)
+    write_bytes(parts / name, content)
     mean_square = np.einsum("...n,...n->...", samples, samples).sum() / samples.shape[-1]
     sensation = order.sensation_levels_db[recipe.threshold]
     if clipped:
@@ -511,20 +404,24 @@ def _write(
 
 
 def _publish(
-    parts: Path, lines: Sequence[Built], *, stale: Iterable[str], details: Mapping[str, Any]
+    folder: Path,
+    parts: Path,
+    lines: Sequence[Built],
+    *,
+    stale: set[str],
+    details: Mapping[str, Any],
 ) -> StimulusSet:
     """Move finished files into the set and remove what is no longer wanted, without a manifest meanwhile."""
-    folder, finished = parts.parent, parts / FINISHED
-    rows = [line.row for line in lines if line.row]
-    wanted = {row.file for row in rows}
-    moved = sorted(wanted & {path.name for path in finished.iterdir()})
-    stale = set(stale) - wanted
-    if moved or stale:
+    rows = [line.row for line in lines]
+    stale = stale - {row.file for row in rows}
+    finished = sorted(parts.glob("*.wav"))
+    if finished or stale:
         (folder / "manifest.csv").unlink(missing_ok=True)
-    move_files({finished / name: folder / name for name in moved})
+    move_files({path: folder / path.name for path in finished})
     for name in stale:
         (folder / name).unlink(missing_ok=True)
-    write_text(folder / BUILT, "".join(f"{_dump(line)}\n" for line in lines))
+    remembered = (json.dumps(asdict(line), sort_keys=True) for line in lines)
+    write_text(folder / BUILT, "".join(f"{line}\n" for line in remembered))
     published = write_manifest(folder, rows, details=details)
     shutil.rmtree(parts, ignore_errors=True)
     return published

@@ -37,26 +37,14 @@ class Stimulus:
 
     Parameters
     ----------
-    stimulus_id, recording, reducer, level, role, file : str
-        What it is, and where.
-    rate_hz, n_samples, duration_s : float, int, float
-        How long it is.
-    peak, rms_m_s2, gain : float
-        How strong it is.
-    spectral_match, temporal_match : float
-        How well it matches its recording.
-    clipped : int
-        How many samples were limited.
-    sha256, recording_sha256 : str
-        Digests of the file and of its source.
-    spectral_match_bounded : float
-        As the other matches; NaN where nothing could be compared.
-    sensation_level_db : float
-        How strong it is felt; NaN for silence.
-    temporal_match_windowed : float
-        As the other matches; NaN where nothing could be compared.
-    band_high_hz : float
-        Upper edge of the band that the matches compare; NaN where it is not known.
+    stimulus_id, recording, reducer, level, role, file, sha256, recording_sha256 : str
+        What it is, where, and the digests of the file and of its source.
+    rate_hz, duration_s, peak, rms_m_s2, gain, sensation_level_db : float
+        How long and how strong it is; the last is NaN for silence.
+    n_samples, clipped : int
+        How many samples it has, and how many of them were limited.
+    spectral_match, temporal_match, spectral_match_bounded, temporal_match_windowed, band_high_hz : float
+        How well it matches its recording, and up to which frequency; NaN where nothing could be compared.
     metrics : Mapping of str to float
         Further metrics, each a column of its own; NaN where nothing could be compared.
     """
@@ -171,16 +159,6 @@ class StimulusSet(Result):
         return find_raised(
             (row.recording, row.level, row.gain) for row in self if row.role != ANCHOR
         )
-
-    def find_methods(self) -> dict[str, str]:
-        """Find the lab's own reducers and metrics that the set was made with.
-
-        Returns
-        -------
-        dict of str to str
-            Name -> digest of the code, from `manifest.json`; empty where there are none.
-        """
-        return find_methods(self.folder)
 
     def to_frame(self) -> DataFrame:
         """Return the manifest as a table.

@@ -1,4 +1,4 @@
-"""The recipe of a stimulus set: which reducers, levels, anchors and further metrics, for which rig.
+"""What is made of every recording: reducers, levels, anchors and further metrics, for which rig.
 
 - `as_is`: one physical gain, so that energy which a reducer lost is felt as loss.
 - `equal_intensity`: every stimulus at the same sensation level, that of its loudest 200 ms, so that a high rating
@@ -8,21 +8,236 @@ A gain is m/s² played per m/s² recorded. Automatic gains let the loudest stimu
 or, with a gain per recording, of each recording with its reductions and reference. Anchors never set a gain. One gain
 for the set keeps the differences between recordings, but then the highest peak of any recording decides how strong all
 others are.
+
+Audio's anchors are low-passed at 3.5 and 7 kHz; below 1 kHz that is no change at all. Here the energy of the recording
+is put where the recording has least of it: a hum of two just noticeable bands (22 %), one at the quietest frequency of
+those that are easily felt, with nine tenths of the energy, and one at the quietest of all:
+
+- the *low* anchor is steady: wrong frequency, and nothing happens when the tool touches something;
+- the *mid* anchor follows the recording's envelope: wrong frequency, but at the right times.
+
+What correlates with an axis by chance is taken out, so the temporal match of both is 0. They are played at the
+sensation level of their recording, so that strength does not mark them: the envelope of a mid anchor is flattened until
+its peaks are no higher than the recording's, and an anchor that still does not fit the headroom is played as strong as
+fits. `check_stimuli` refuses a set in which an anchor does not score below every test stimulus of its recording.
+
+Anchors change continuously with the recording. Nothing is decided by a threshold, a smallest value or a phase that
+rounding could change, and the random numbers depend on seed and names only: otherwise the same set would differ between
+processors.
+
+References
+----------
+.. [1] ITU-R BS.1534-3, "Method for the subjective assessment of intermediate quality level of audio systems", 2015 (low
+   and mid anchors).
+.. [2] E. Muschter et al., "Perceptual quality assessment of compressed vibrotactile signals through comparative
+   judgment", IEEE Transactions on Haptics 14(2), 2021 (hidden reference and anchors for vibrotactile signals).
+   doi:10.1109/TOH.2021.3077191
 """
 
+from __future__ import annotations
+
 import re
-from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
-from feel321.doors import as_names, check_name, describe
+import numpy as np
+from numpy.typing import NDArray
+
+from feel321.doors import Registry, as_names, check_name, describe
 from feel321.extensions import Method, find_method, is_given
 from feel321.stimuli.condition import Conditioning, make_plain
-from feel321.stimuli.recording import check_rate
+from feel321.stimuli.match import (
+    HIGHEST_HZ,
+    LOWEST_HZ,
+    NUMERICAL_FLOOR,
+    WEBER_FRACTION,
+    WeberSmoothing,
+    energy_spectrum,
+    log_grid,
+)
+from feel321.stimuli.recording import Recording, check_rate, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS
 from feel321.stimuli.sets.manifest import COLUMNS
-from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold, loudest_levels
+from feel321.types import Samples
+
+
+@dataclass(frozen=True, slots=True)
+class Unread:
+    """A recording that is not read yet: its name, and a function with its arguments, all of which can be pickled.
+
+    size: number of its samples of all axes, once it is known.
+    """
+
+    name: str
+    open: Callable[..., Recording]
+    given: tuple[Any, ...] = ()
+    size: int = 0
+
+    def read(self) -> Recording:
+        """Read the recording."""
+        return replace(self.open(*self.given), name=self.name)
+
+
+def read_given(given: Recording | Unread) -> Recording:
+    """Read a recording that is not read yet."""
+    return given.read() if isinstance(given, Unread) else given
+
+
+EASILY_FELT = 2.0
+"""Acceleration thresholds up to this multiple of the lowest count as easily felt: up to 250 Hz."""
+
+ENVELOPE_HZ = 50.0
+"""Envelopes are followed up to this frequency: equal energy in shorter segments is hard to tell apart."""
+
+FAINT = 0.1
+"""Share of the energy in the quietest band of all: it may hardly be felt, so more would cost headroom for nothing."""
+
+PRECEDENCE = 1000
+"""A band with 1 % more energy than the quietest gets exp(-10) of its share; bands that differ by rounding share."""
+
+LOWEST_SHARE = 1e-30
+"""Bands with less of the energy are left out: 300 dB below the hum."""
+
+DRIFT_HZ = (3.0, 12.0)
+DRIFTS = 8
+"""A hum's frequency drifts within its band by so many sinusoids, whose rates are drawn from this range."""
+
+RIDGE = 1e-14
+PASSES = 3
+"""Axes that are parallel but for rounding are not told apart, without a threshold that rounding could cross."""
+
+MARGIN = 0.95
+"""A mid anchor's peaks are kept to this share of its recording's, for what resampling adds."""
+
+
+def low_anchor(
+    recording: Recording, rng: np.random.Generator, *, threshold: str = CONTACTOR
+) -> Samples:
+    """Make a steady hum with the recording's energy, where the recording has least."""
+    del threshold  # its peaks cannot be made lower
+    return _with_energy_of(recording, _hum(recording, rng))
+
+
+def mid_anchor(
+    recording: Recording, rng: np.random.Generator, *, threshold: str = CONTACTOR
+) -> Samples:
+    """Make a hum as `low_anchor` does, with the recording's envelope."""
+    hum = _hum(recording, rng)
+    envelope = _flatten(_envelope(recording), hum, recording, threshold=threshold)
+    return _with_energy_of(recording, hum * envelope)
+
+
+ANCHORS: Registry[Callable[..., Samples]] = Registry(
+    "anchor", {"anchor_low": low_anchor, "anchor_mid": mid_anchor}
+)
+"""Name -> anchor, made from a conditioned recording; the names stand in the manifest's column `reducer`."""
+
+
+def weigh_bands(recording: Recording) -> tuple[Samples, Samples]:
+    """Find the bands in which a recording has least energy: of all that are felt, and of those that are easily felt.
+
+    Returns frequencies in Hz, 24 per octave, and the share of each in the energy of a hum. A tenth of the energy
+    is in the first choice, the rest in the second; either is nearly all in one band, and in none below the numerical
+    floor. Shares change continuously with the recording: bands that are equally quiet share.
+    """
+    n, rate_hz, axes = recording.n_samples, recording.rate_hz, recording.acceleration
+    frequencies = log_grid(n, rate_hz)
+    smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
+    energy = smooth(np.sum([energy_spectrum(axis, smooth.bins) for axis in axes], axis=0))
+    floor = NUMERICAL_FLOOR * float(np.einsum("in,in->", axes, axes))
+    if not (energy > floor).any():
+        raise ValueError(
+            f"{recording.name!r} is silent between 20 and 1000 Hz and can have no anchors; leave it out"
+        )
+    # Least at ten times the floor, and higher again below it: no threshold, or a band could cross it by rounding.
+    energy = np.maximum(energy, floor)
+    energy = energy + 10 * floor * (10 * floor / energy)
+    inside = (frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)) & (
+        frequencies * (1 + WEBER_FRACTION) <= min(HIGHEST_HZ, rate_hz / 2)
+    )
+    easily_felt = acceleration_threshold(frequencies) <= EASILY_FELT * acceleration_threshold(
+        LOWEST_HZ
+    )
+    shares = [_share(energy, inside), _share(energy, inside & easily_felt)]
+    return frequencies, FAINT * shares[0] + (1 - FAINT) * shares[1]
+
+
+def _share(energy: Samples, allowed: NDArray[np.bool_]) -> Samples:
+    allowed = allowed if allowed.any() else np.ones_like(allowed)
+    ratio = np.minimum(energy[allowed].min() / energy, 1.0)
+    shares = np.where(allowed, ratio**PRECEDENCE, 0.0)
+    return np.asarray(shares / shares.sum())
+
+
+def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
+    """Sum sinusoids at a constant amplitude whose frequency drifts: noise would have peaks, which cost level."""
+    frequencies, shares = weigh_bands(recording)
+    time_s = np.arange(recording.n_samples) / recording.rate_hz
+    phases = rng.uniform(0, 2 * np.pi, len(frequencies))
+    # As wide as a uniform distribution over the band. What is drifted is time, so that all bands are as wide.
+    drift = WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
+    warped = time_s.copy()
+    for rate, phase in zip(
+        2 * np.pi * rng.uniform(*DRIFT_HZ, DRIFTS), rng.uniform(0, 2 * np.pi, DRIFTS), strict=True
+    ):
+        warped += drift / rate * np.sin(rate * time_s + phase)
+    hum = np.zeros(recording.n_samples)
+    for one in np.flatnonzero(shares > LOWEST_SHARE):
+        hum += np.sqrt(shares[one]) * np.cos(2 * np.pi * frequencies[one] * warped + phases[one])
+    return hum
+
+
+def _envelope(recording: Recording) -> Samples:
+    """Root of the three axes' energy, smoothed over half a period of the highest envelope frequency; RMS 1."""
+    from scipy.ndimage import gaussian_filter1d
+
+    energy = np.einsum("in,in->n", recording.acceleration, recording.acceleration)
+    smooth = gaussian_filter1d(
+        energy, recording.rate_hz / (2 * np.pi * ENVELOPE_HZ), mode="nearest"
+    )
+    smooth = np.maximum(smooth, 0.0)
+    return np.asarray(np.sqrt(smooth / smooth.mean()))
+
+
+def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold: str) -> Samples:
+    """Flatten an envelope softly, until an anchor as strong as its recording has no higher peaks.
+
+    At most so far that its root mean square marks the knee: events remain events.
+    """
+    from scipy.optimize import brentq
+
+    def measure(samples: Samples) -> tuple[float, float]:
+        levels = loudest_levels(samples, recording.rate_hz, [threshold])
+        return largest(samples), levels[threshold]
+
+    def flatten(much: float) -> Samples:
+        return np.asarray(envelope / np.sqrt(1 + much * envelope**2))
+
+    def exceed(much: float) -> float:
+        peak, level = measure(hum * flatten(much))
+        return peak / level - MARGIN * allowed
+
+    peak, level = measure(recording.acceleration)
+    allowed = peak / level
+    if exceed(0.0) <= 0:
+        return envelope
+    return flatten(1.0 if exceed(1.0) >= 0 else brentq(exceed, 0.0, 1.0, xtol=1e-15))
+
+
+def _with_energy_of(recording: Recording, hum: Samples) -> Samples:
+    """Remove what correlates with an axis, and scale the hum to the recording's energy."""
+    axes = recording.acceleration
+    norms = np.sqrt(np.einsum("in,in->i", axes, axes))[:, None]
+    alike = axes / np.where(norms > 0, norms, 1.0)
+    # The normal equations of three unknowns; the ridge leaves silent axes alone, and further passes remove its error.
+    products = np.einsum("in,jn->ij", alike, alike) + RIDGE * np.eye(len(axes))
+    for _ in range(PASSES):
+        shares = np.linalg.solve(products, np.einsum("in,n->i", alike, hum))
+        hum = hum - np.einsum("i,in->n", shares, alike)
+    return np.asarray(hum * np.sqrt(np.sum(norms**2) / np.einsum("n,n->", hum, hum)))
+
 
 LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
@@ -40,13 +255,6 @@ each recording with its reductions and reference, so that no spike of one record
 RIG_RATES_HZ = (2000, 384_000)
 """Rates at which 1000 Hz can be played and sound devices run."""
 
-_RESERVED = {
-    "con",
-    "prn",
-    "aux",
-    "nul",
-    *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
-}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -206,10 +414,6 @@ def check_names(names: Sequence[str]) -> None:
             raise ValueError(
                 "a recording's name must be up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter "
                 f"or digit; got {name!r}, give it another name"
-            )
-        if name.partition(".")[0].casefold() in _RESERVED:
-            raise ValueError(
-                f"a recording's name must not be that of a device on Windows, got {name!r}; give it another name"
             )
         # Some file systems do not distinguish capitals from small letters.
         if name.casefold() in seen:

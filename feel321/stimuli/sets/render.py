@@ -30,9 +30,8 @@ from feel321.stimuli.match import (
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording, digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS, loudest_levels, to_db
-from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL, Recipe
-from feel321.stimuli.thresholds import THRESHOLDS
+from feel321.stimuli.sets.recipe import ANCHORS, GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL, Recipe
+from feel321.stimuli.thresholds import THRESHOLDS, loudest_levels, to_db
 from feel321.types import Metric, Reducer, Samples
 
 ROUNDING = 1e-9

@@ -16,11 +16,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from feel321 import intake
 from feel321.files import digest_file, list_csv
-from feel321.study.columns import RATING_COLUMNS
-from feel321.study.matches import COLUMNS, MATCHES_FILE, list_matches
+from feel321.study.folder import RATING_COLUMNS
 from feel321.study.people import ROSTER_FILE, Progress, list_roster, make_progress
 from feel321.study.persons import answers
-from feel321.study.ratings import list_judgements
+from feel321.study.ratings import MATCH_COLUMNS, MATCHES_FILE, list_judgements, list_matches
 from feel321.study.session.plan import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
@@ -91,7 +90,9 @@ class Tables:
             tables += [
                 Derived(study.ratings, RATING_COLUMNS, RATED, rows["rated"]),
                 Derived(asked, answers.COLUMNS, ASKED, rows["asked"]),
-                Derived(matched, COLUMNS, ("participant", "trial", "stimulus_id"), rows["matched"]),
+                Derived(
+                    matched, MATCH_COLUMNS, ("participant", "trial", "stimulus_id"), rows["matched"]
+                ),
             ]
         for table in tables:
             if study.is_rehearsal or not table.path.is_file():

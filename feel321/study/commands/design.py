@@ -12,13 +12,7 @@ from cyclopts import Parameter, Token
 from feel321 import intake
 from feel321.study.commands import shared
 from feel321.study.commands.shared import ALONE, Crew, File, Json, Out, Seed, within
-from feel321.study.folder import (
-    StudyFolder,
-    create_study,
-    list_bundled,
-    read_template,
-    require_study,
-)
+from feel321.study.folder import StudyFolder, list_bundled, read_template, require_study
 from feel321.study.session.identity import FROZEN_FILE
 from feel321.study.study import Study
 
@@ -50,36 +44,28 @@ def new(
     all_settings
         Only print every setting.
     """
-    from feel321.study.folder import add_methods
-
     if all_settings:
         from feel321.study.all_settings import FILES, write_list
 
         shared.echo("\n".join(write_list(file) for file in FILES).rstrip("\n"))
         return
     if texts is not None:
-        _write_texts(require_study(folder or Path()), texts)
+        from feel321.doors import check_name
+        from feel321.files import create_text
+        from feel321.protocols.texts import COPY_FILE, list_languages, write_copy
+
+        check_name(texts, list_languages(), "--texts")
+        path = require_study(folder or Path()).path / COPY_FILE
+        create_text(path, write_copy(texts))
+        use = f'in study.toml under [session]: language = "{COPY_FILE}"'
+        shared.echo(f"{path}: edit it, then {use}")
         return
     if folder is None:
         shared.refuse_use("name the folder of the new study")
     if study and methods:
         shared.refuse_use("--methods adds to a study of your own; leave out --study")
-    made = Study.create(folder, like=study).folder
-    if methods:
-        add_methods(made)
+    made = Study.create(folder, like=study, methods=methods).folder
     shared.echo(f"{made.settings}: edit it, then: feel321 check {quote(str(folder))}")
-
-
-def _write_texts(study: StudyFolder, language: str) -> None:
-    """Write the participants' texts of a language, each as a comment, for a study that changes some of them."""
-    from feel321.doors import check_name
-    from feel321.files import create_text
-    from feel321.protocols.texts import COPY_FILE, list_languages, write_copy
-
-    check_name(language, list_languages(), "--texts")
-    path = study.path / COPY_FILE
-    create_text(path, write_copy(language))
-    shared.echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
 
 
 def check(
@@ -112,18 +98,12 @@ def check(
     found = opened.check()
     for text in (*shared.cap(found.remarks), *shared.cap(found.warnings)):
         shared.warn(text)
-    if as_json:
-        facts: dict[str, object] = {
-            "problems": found.problems,
-            "warnings": found.warnings,
-            "notes": found.notes,
-        }
-        shared.print_json({**facts, **found.figures})
-    else:
-        count = len(found.warnings) + len(found.remarks)
-        counted = f", {count} warning{'s' * (count > 1)}" if count else ""
-        good = f"{opened.folder.path}: no problems{counted}"
-        shared.echo("\n".join([*(shared.cap(found.problems) or [good]), *found.notes]))
+    count = len(found.warnings) + len(found.remarks)
+    counted = f", {count} warning{'s' * (count > 1)}" if count else ""
+    good = f"{opened.folder.path}: no problems{counted}"
+    lines = [*(shared.cap(found.problems) or [good]), *found.notes]
+    facts = {"problems": found.problems, "warnings": found.warnings, "notes": found.notes}
+    shared.print_facts({**facts, **found.figures}, lines, as_json=as_json)
     return 1 if found.problems else 0
 
 
@@ -135,15 +115,13 @@ def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -
     method = open_method(name, folder, kind)
     found = check_method(method)
     failed = sum(not one.passed for one in found)
-    if as_json:
-        facts = {"kind": method.kind, "name": method.name, **method.to_json()}
-        shared.print_json({**facts, "checks": found, "failed": failed})
-    else:
-        all_passed = f"all {len(found)} checks passed"
-        outcome = f"{failed} of {len(found)} checks failed" if failed else all_passed
-        shared.echo(f"{method.kind} {method.name}: {outcome}")
-        for one in found:
-            shared.echo(f"  {'ok    ' if one.passed else 'FAILED'}  {one.check}: {one.text}")
+    passed = f"all {len(found)} checks passed"
+    outcome = f"{failed} of {len(found)} checks failed" if failed else passed
+    lines = [f"{method.kind} {method.name}: {outcome}"]
+    marks = {True: "ok    ", False: "FAILED"}
+    lines += [f"  {marks[one.passed]}  {one.check}: {one.text}" for one in found]
+    facts = {"kind": method.kind, "name": method.name, **method.to_json()}
+    shared.print_facts({**facts, "checks": found, "failed": failed}, lines, as_json=as_json)
     return 1 if failed else 0
 
 
@@ -161,25 +139,15 @@ def build(
     no_page
         No stimuli/index.html.
     """
-    from feel321.stimuli.sets.build import find_copies
     from feel321.study.strength import describe_built
-    from feel321.study.workflow import build_study
 
     workers, opened = crew.employ(), shared.open_study(study)
-    with shared.show_progress("build") as progress:
-        facts, stimuli = build_study(
-            opened.folder, workers=workers, page=not no_page, progress=progress
-        )
-    shared.report_warnings(facts)
-    for copies in find_copies(facts):
-        shared.warn(copies)
+    stimuli = opened.build(workers, page=not no_page)
     notes = describe_built(opened.settings, stimuli)
     count, folder, sha256 = len(stimuli.stimuli), str(stimuli.folder), stimuli.sha256
-    if as_json:
-        shared.print_json({"stimuli": count, "folder": folder, "sha256": sha256, "notes": notes})
-    else:
-        lines = [f"{folder}: {count} stimuli, set {sha256[:12]}", *shared.cap(notes)]
-        shared.echo("\n".join(lines))
+    lines = [f"{folder}: {count} stimuli, set {sha256[:12]}", *shared.cap(notes)]
+    facts = {"stimuli": count, "folder": folder, "sha256": sha256, "notes": notes}
+    shared.print_facts(facts, lines, as_json=as_json)
 
 
 MOST_OF_ANY = 100_000
@@ -191,11 +159,10 @@ def _read_numbers(_kind: type, tokens: Sequence[Token]) -> tuple[int, ...]:
     try:
         numbers = sorted({int(part) for part in text.split(",")})
     except ValueError:
-        numbers = []
-    if not numbers or numbers[0] < 1 or numbers[-1] > MOST_OF_ANY:
-        raise ValueError(
-            f"must be whole numbers from 1 to {MOST_OF_ANY} with commas between them, such as 8,12,16; got {text!r}"
-        )
+        numbers = [0]
+    if numbers[0] < 1 or numbers[-1] > MOST_OF_ANY:
+        allowed = f"whole numbers from 1 to {MOST_OF_ANY} with commas between them, such as 8,12,16"
+        raise ValueError(f"must be {allowed}; got {text!r}")
     return tuple(numbers)
 
 
@@ -274,12 +241,12 @@ def power(  # noqa: PLR0913 - one per option
     """
     workers, effects, opened = crew.employ(), _read_effects(effect), shared.open_study(study)
     target = out or opened.folder.path / "power"
+    sizes = {
+        "participants": participants, "recordings": recordings, "reducers": reducers, "repeats": repeats,
+    }  # fmt: skip
     with shared.recording(opened.folder, "power", target):
         found = opened.power(
-            participants=participants,
-            recordings=recordings,
-            reducers=reducers,
-            repeats=repeats,
+            **sizes,
             effects=effects,
             hypothesis=hypothesis,
             pilot=pilot,
@@ -320,26 +287,18 @@ def freeze(study: File = Path(), /, *, show: bool = False, as_json: Json = False
     else:
         frozen, changes = freezing.freeze_study(folder, now=opened.now)
     faults = freezing.find_faults(folder)
-    if as_json:
-        own = asdict(frozen) if frozen else None
-        shared.print_json({"frozen": own, "changes": [*changes.values()], "faults": faults})
-        return
-    for line in faults:
+    for line in () if as_json else faults:
         shared.warn(line)
-    if frozen is None:
-        shared.echo(f"{folder.path}: nothing is frozen; before the first rating: feel321 freeze")
-        return
-    lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
-    if show:
-        own_words = frozen.settings["analysis.hypotheses"]
-        settings = [
-            f"  {name} = {freezing.describe_value(one)}" for name, one in frozen.settings.items()
-        ]
-        lines += ["hypotheses:", *(f"  {one}" for one in (*frozen.hypotheses, *own_words))]
-        lines += ["settings:", *settings]
+    lines = [f"{folder.path}: nothing is frozen; before the first rating: feel321 freeze"]
+    if frozen is not None:
+        lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
+    own = asdict(frozen) if frozen else None
+    if own and show:
+        lines += shared.lay_facts({name: own[name] for name in ("hypotheses", "settings")})
     if changes:
         lines += ["changed:", *(f"  {one}" for one in changes.values())]
-    shared.echo("\n".join(lines))
+    facts = {"frozen": own, "changes": [*changes.values()], "faults": faults}
+    shared.print_facts(facts, lines, as_json=as_json)
 
 
 DEMO_PARTICIPANTS = 16
@@ -350,36 +309,31 @@ def demo(*, out: Out = Path("demo-study")) -> None:
 
     Example: feel321 demo --out demo-study
     """
-    opened = Study(_open_demo(out or Path()), shared.wants_bar(), warn=shared.warn)
+    folder = out or Path()
+    if not folder.exists() or not any(folder.iterdir()):
+        Study.create(folder)
+    _require_demo(StudyFolder(folder))
+    opened = shared.open_study(folder)
     stimuli = opened.build()
     shared.echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
-    rows = shared.simulate_sessions(opened, DEMO_PARTICIPANTS)
+    rows = opened.simulate_sessions(DEMO_PARTICIPANTS)
     table = opened.folder.ratings
     shared.echo(f"{table}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
     opened.analyze()
     shared.print_results(opened.folder.report, as_json=False)
 
 
-def _open_demo(folder: Path) -> StudyFolder:
-    """Begin the demonstration, or resume it; a folder with anything else in it is left alone."""
+def _require_demo(study: StudyFolder) -> None:
+    """Refuse a folder that holds anything but the demonstration, which is then left alone."""
     from feel321.study.observer.model import NUMBERED
 
-    study = StudyFolder(folder)
-    if not folder.exists() or not any(folder.iterdir()):
-        return create_study(folder)
     people = [entry.name for entry in study.participants if not NUMBERED.fullmatch(entry.name)]
+    refusal = ""
     if not study.settings.is_file():
-        refusal = f"{folder}: holds files that demo did not write; name another folder with --out"
+        refusal = f"{study.path}: holds files that demo did not write"
     elif intake.read_small(study.settings) != read_template():
-        refusal = (
-            f"{study.settings}: edited, or written by another version of feel321, so this is not the study that demo "
-            "runs; name another folder with --out, or delete this one"
-        )
+        refusal = f"{study.settings}: edited, or written by another version of feel321"
     elif people:
-        refusal = (
-            f"{folder}: holds a session of {people[0]}, who is no simulated participant; "
-            "name another folder with --out"
-        )
-    else:
-        return study
-    raise FileExistsError(refusal)
+        refusal = f"{study.path}: holds a session of {people[0]}, who is no simulated participant"
+    if refusal:
+        raise FileExistsError(f"{refusal}; name another folder with --out")

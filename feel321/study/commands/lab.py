@@ -1,8 +1,6 @@
 """Verbs that run sessions and look after them: run, simulate, status, note, collect, withdraw."""
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from shlex import join
@@ -68,13 +66,15 @@ def run(  # noqa: PLR0913 - one parameter per option
         lsl=lsl,
     )
     folder = replace(opened.folder, is_rehearsal=rehearse)
-    log = SessionLog(participant, _write_command(), folder.rig)
-    with log.watch():
+    log = SessionLog(participant, folder.rig)
+    try:
         outcome = run_participant(folder, visit, now=opened.now, on_step=log.note, warn=shared.warn)
+    except (Exception, KeyboardInterrupt) as error:
+        log.end(type(error).__name__)
+        raise
+    log.end(outcome.stopped)
     if outcome.stopped:
-        log.say_how_to_resume(outcome.stopped)
         return 1
-    log.end_line()
     shared.echo(f"{participant}: all {outcome.total} done")
     return 0
 
@@ -87,62 +87,37 @@ class SessionLog:
     """Prints how far the session is, and how to resume it."""
 
     participant: str
-    command: str
     rig: Path
     place: "Place | None" = None
 
     def note(self, place: "Place") -> None:
         """Print where the session is now."""
+        done = f"{self.participant}: {place.done} of {place.total} done"
         if self.place is None:
-            shared.echo(f"{self.participant}: {place.done} of {place.total} done so far")
+            shared.echo(f"{done} so far")
+        self.place = place
         if place.fault:
-            self._call(place.fault)
+            from feel321.study.actuator.rig import read_rig
+            from feel321.study.keys import label_key
+
+            key = label_key(read_rig(self.rig).keys.find_key("experimenter"), {})
+            begin = "\n" if shared.is_terminal() else ""
+            failed = f"{begin}{self.participant}: the device failed ({place.fault}); check it"
+            shared.echo(f"{failed}, then press {key} in the participant's window", err=True)
         elif shared.is_terminal():
             minutes = "" if place.left_s is None else f", about {place.left_s / 60:.0f} min left"
-            line = f"{self.participant}: {place.done} of {place.total} done{minutes}"
-            shared.echo(f"{line:<{LINE}}", over=True, err=True)
-        self.place = place
+            shared.echo(f"{done + minutes:<{LINE}}", over=True, err=True)
 
-    def _call(self, fault: str) -> None:
-        from feel321.study.actuator.rig import read_rig
-        from feel321.study.keys import label_key
-
-        key = label_key(read_rig(self.rig).keys.find_key("experimenter"), {})
-        begin = "\n" if shared.is_terminal() else ""
-        shared.echo(
-            f"{begin}{self.participant}: the device failed ({fault}); check it, then press "
-            f"{key} in the participant's window",
-            err=True,
-        )
-
-    @contextmanager
-    def watch(self) -> Iterator[None]:
-        """Say how to resume a session that something ended."""
-        try:
-            yield
-        except (Exception, KeyboardInterrupt) as error:
-            self.say_how_to_resume(type(error).__name__)
-            raise
-
-    def end_line(self) -> None:
-        """Leave what was left as it stands, and begin a new line."""
+    def end(self, reason: str) -> None:
+        """Leave what was left as it stands; where something ended the session, say how to resume it."""
         if self.place is not None and shared.is_terminal():
             shared.echo(err=True)
-
-    def say_how_to_resume(self, reason: str) -> None:
-        """Print the command that resumes the session."""
-        if self.place is not None:
-            self.end_line()
-            done = f"{self.place.done} of {self.place.total} done"
-            shared.echo(
-                f"{self.participant}: {done} (aborted: {reason}); resume with: {self.command}",
-                err=True,
-            )
-
-
-def _write_command() -> str:
-    """Write the command that resumes a session: this one, but a change of the rig is accepted only once."""
-    return join(["feel321", *(word for word in shared.CALL.get().words if word != "--accept-rig")])
+        if self.place is not None and reason:
+            # A change of the rig is accepted only once.
+            words = [word for word in shared.CALL.get().words if word != "--accept-rig"]
+            done = f"{self.place.done} of {self.place.total} done (aborted: {reason})"
+            command = join(["feel321", *words])
+            shared.echo(f"{self.participant}: {done}; resume with: {command}", err=True)
 
 
 def simulate(
@@ -165,19 +140,17 @@ def simulate(
     from feel321.study.simulation import regress_planted
 
     opened = shared.open_study(study)
-    rows = shared.simulate_sessions(opened, participants, seed)
+    rows = opened.simulate_sessions(participants, seed)
     planted = regress_planted(opened.settings, opened.stimuli())
     file = str(opened.folder.ratings)
-    if as_json:
-        facts: dict[str, object] = {"participants": participants, "ratings": rows, "file": file}
-        facts |= {"planted_reducers": planted.reducers} if planted.reducers else {}
-        shared.print_json(facts | {"planted": planted.slopes})
-        return
+    facts: dict[str, object] = {"participants": participants, "ratings": rows, "file": file}
+    facts |= {"planted_reducers": planted.reducers} if planted.reducers else {}
     terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.slopes.items()]
     terms += [f"{points:+.1f} for {reducer}" for reducer, points in planted.reducers.items()]
+    said = f"planted in realism, in points: {', '.join(terms)}"
     more = "planted: more than the two matches"
-    shared.echo(f"{file}: {rows} ratings")
-    shared.echo(f"planted in realism, in points: {', '.join(terms)}" if terms else more)
+    lines = [f"{file}: {rows} ratings", said if terms else more]
+    shared.print_facts(facts | {"planted": planted.slopes}, lines, as_json=as_json)
 
 
 def status(
@@ -212,11 +185,8 @@ def status(
         shared.echo("status: ended", err=True)
         return
     state = opened.status()
-    if as_json:
-        shared.print_json(asdict(state))
-        return
     notes = state.list_notes() if with_notes else []
-    shared.echo("\n".join([state.summary(), *notes]))
+    shared.print_facts(asdict(state), [state.summary(), *notes], as_json=as_json)
 
 
 def note(
@@ -267,13 +237,12 @@ def collect(
     opened = shared.open_study(folder)
     with shared.show_progress("collect") as progress:
         found = collect_sessions(opened.folder, sources, now=opened.now, follow=progress)
-    if as_json:
-        shared.print_json(asdict(found))
-    else:
-        size, who = f"{found.size / 1e6:.1f} MB", ", ".join(found.participants)
-        copied = f"{found.files} files ({size}) of {who}" if found.files else "nothing to copy"
-        refused = [f"refused: {line}" for line in found.refused]
-        shared.echo("\n".join([f"{folder}: {copied}", *refused, *found.notes]))
+    size, who = f"{found.size / 1e6:.1f} MB", ", ".join(found.participants)
+    copied = f"{found.files} files ({size}) of {who}" if found.files else "nothing to copy"
+    refused = [f"refused: {line}" for line in found.refused]
+    shared.print_facts(
+        asdict(found), [f"{folder}: {copied}", *refused, *found.notes], as_json=as_json
+    )
     return 1 if found.refused else 0
 
 
@@ -312,9 +281,14 @@ def withdraw(
         number = release_participant(folder, participant, now=opened.now)
         shared.echo(f"{folder.path}: {participant} is released, number {number} is free")
         return 0
-    if not is_sure and not _is_confirmed(f"Remove all data of {participant} in {folder.path}"):
-        shared.echo(f"{folder.path}: nothing was removed")
-        return 1
+    if not is_sure:
+        if not sys.stdin.isatty():
+            shared.refuse_use("no terminal to ask for confirmation; add --yes")
+        question = f"Remove all data of {participant} in {folder.path} for good? [y/N]: "
+        shared.echo(question, err=True)
+        if sys.stdin.readline().strip().lower() not in {"y", "yes"}:
+            shared.echo(f"{folder.path}: nothing was removed")
+            return 1
     removed = withdraw_participant(
         folder, participant, now=opened.now, reason=reason, warn=shared.warn
     )
@@ -325,11 +299,3 @@ def withdraw(
         "Copies that feel321 did not make must be removed by hand"
     )
     return 0
-
-
-def _is_confirmed(question: str) -> bool:
-    """Ask on the terminal; nothing but a yes is one."""
-    if not sys.stdin.isatty():
-        shared.refuse_use("no terminal to ask for confirmation; add --yes")
-    shared.echo(f"{question} for good? [y/N]: ", err=True)
-    return sys.stdin.readline().strip().lower() in {"y", "yes"}

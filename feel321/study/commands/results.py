@@ -1,7 +1,6 @@
 """Verbs of what was found: analyze, audit, seal, export."""
 
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +10,7 @@ from cyclopts import Parameter
 from feel321.study.commands import shared
 from feel321.study.commands.shared import File, Json, Out, Rehearsals, Several
 from feel321.study.folder import StudyFolder, require_study
+from feel321.study.study import Study
 
 
 def analyze(  # noqa: PLR0913 - one per option
@@ -47,30 +47,16 @@ def analyze(  # noqa: PLR0913 - one per option
     rivals
         Also rank all metrics, corrected for how many were tried.
     """
+    folder = StudyFolder(study)
     if manifest is not None and ratings is None:
         shared.refuse_use("--manifest needs --ratings; give both, or --ratings alone in a study")
-    folder = StudyFolder(study)
     if ratings is not None and manifest is None and not folder.settings.is_file():
         shared.refuse_use(
             "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
         )
-    from feel321.study.analyze import analyze_study
-    from feel321.study.export.narrative import write_methods
-
-    target = out or folder.report
-    recording = shared.recording(folder, "analyze", target)
-    with shared.show_progress("analyze") as progress, recording:
-        analyze_study(
-            folder,
-            ratings=ratings,
-            manifest=manifest,
-            metrics=metric or None,
-            rivals=rivals,
-            out=out,
-            progress=progress,
-        )
-        if ratings is None:
-            write_methods(folder, target)
+    target, opened = out or folder.report, Study(folder, shared.wants_bar(), warn=shared.warn)
+    with shared.recording(folder, "analyze", target):
+        opened.analyze(rivals=rivals, metrics=metric, ratings=ratings, manifest=manifest, out=out)
     shared.print_results(target, as_json=as_json)
 
 
@@ -105,28 +91,18 @@ def audit(
     """
     opened = shared.open_study(study, rehearsals=rehearsals, clears=False)
     found = opened.audit(expect=expect, remotes=remote)
-    if as_json:
-        shared.print_json(asdict(found))
-    else:
-        n, path = len(opened.folder.journals), opened.folder.path
-        good = f"{path}: {n} {'journal' if n == 1 else 'journals'}, no contradiction in them"
-        lines = _group(found.findings) or [good]
-        sentence = [found.sentence] if found.sentence else []
-        shared.echo("\n".join([*lines, *sentence, *found.remarks]))
-    return 1 if found.findings else 0
-
-
-def _group(findings: Sequence[str]) -> list[str]:
-    """Group findings by file; of each only some are printed."""
-    files: dict[str, list[str]] = defaultdict(list)
-    for text in findings:
-        files[text.partition(": ")[0].partition(", line ")[0]].append(text)
+    by_file: dict[str, list[str]] = defaultdict(list)
+    for text in found.findings:
+        by_file[text.partition(": ")[0].partition(", line ")[0]].append(text)
     lines = []
-    for own in files.values():
-        lines += own[:PER_FILE]
-        if len(own) > PER_FILE:
-            lines.append(f"  and {len(own) - PER_FILE} more in this file (--json lists all)")
-    return shared.cap(lines)
+    for own in by_file.values():
+        more = f"  and {len(own) - PER_FILE} more in this file (--json lists all)"
+        lines += [*own[:PER_FILE], *([more] if len(own) > PER_FILE else [])]
+    n = len(opened.folder.journals)
+    good = f"{opened.folder.path}: {n} journal{'s' * (n != 1)}, no contradiction in them"
+    lines = [*(shared.cap(lines) or [good]), *filter(None, [found.sentence]), *found.remarks]
+    shared.print_facts(asdict(found), lines, as_json=as_json)
+    return 1 if found.findings else 0
 
 
 def seal(
@@ -159,12 +135,10 @@ def seal(
     found = opened.seal(reason, to=to)
     for problem in found.problems:
         shared.warn(problem)
-    if as_json:
-        shared.print_json(asdict(found))
-        return
     unset = "not pushed, because no remote is set: feel321 seal --to REMOTE"
     places = [f"pushed to {place}" for place in found.places] or [unset]
-    shared.echo("\n".join([f"{opened.folder.path}: checkpoint {found.checkpoint}", *places]))
+    lines = [f"{opened.folder.path}: checkpoint {found.checkpoint}", *places]
+    shared.print_facts(asdict(found), lines, as_json=as_json)
 
 
 def export(
@@ -203,21 +177,18 @@ def export(
     study = require_study(folder or Path())
     with shared.recording(study, "export", target):
         if for_r:
-            _export_r(study, target)
+            from feel321.analysis.export import export_r
+            from feel321.study.analyze import read_study_table
+
+            table, seed = read_study_table(study)
+            if "simulated" in table.rows and table.rows["simulated"].any():
+                said = "ratings of simulated participants are among these"
+                shared.warn(f"{said}; see the column simulated")
+            export_r(table, target, rng=seed)
+            shared.echo(f"{target}: next, in that folder: Rscript model.R")
             return
         from feel321.study.export.dataset import export_bids
 
         for line in export_bids(study, target, keep_ids=keep_ids, simulated=simulated):
             shared.warn(line)
     shared.echo(f"{target}: check it with: bids-validator-deno {target}")
-
-
-def _export_r(study: StudyFolder, target: Path) -> None:
-    from feel321.analysis.export import export_r
-    from feel321.study.analyze import read_study_table
-
-    table, seed = read_study_table(study)
-    if "simulated" in table.rows and table.rows["simulated"].any():
-        shared.warn("ratings of simulated participants are among these; see the column simulated")
-    export_r(table, target, rng=seed)
-    shared.echo(f"{target}: next, in that folder: Rscript model.R")

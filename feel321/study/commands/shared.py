@@ -1,16 +1,20 @@
-"""What several verbs share: options, how a study is opened, progress and output."""
+"""What several verbs share: options, how a study is opened, progress, output and help."""
 
+import inspect
 import json
+import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import wrap
 from time import monotonic
-from typing import TYPE_CHECKING, Annotated, NoReturn, TextIO, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
 from cyclopts import CycloptsError, Parameter, Token
+from cyclopts.annotations import resolve_optional
 
 from feel321 import files
 from feel321.doors import announcing, clean_text, follow
@@ -18,9 +22,10 @@ from feel321.study.folder import require_study
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
+    from cyclopts import App, Argument
+
     from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
-    from feel321.stimuli.sets.build import Facts
     from feel321.study.folder import StudyFolder
 
 # How a verb is called.
@@ -175,31 +180,21 @@ class Reading:
         """Read a recording, and print what was noticed in it."""
         from feel321.stimuli.formats.read import read_recording
 
-        recording = read_recording(
-            path,
-            rate_hz=self.rate_hz,
-            unit=self.unit,
-            columns=self.columns,
-            full_scale=self.full_scale,
-            resample=self.resample,
-        )
+        options = {name: getattr(self, name) for name in self.__slots__}
+        recording = read_recording(path, **options)
         report_warnings([recording])
         return recording
 
 
 AS_IT_SAYS = Reading()
 
-MOST_SWEPT = 5
-
 
 def open_study(folder: Path, *, rehearsals: bool = False, clears: bool = True) -> Study:
     """Open a study that is there; what killed processes left in it goes, unless the verb only reads."""
     study = require_study(folder)
-    swept = [*files.sweep(study.path), *files.sweep_temporary()] if clears else []
-    if swept:
-        more = f" and {len(swept) - MOST_SWEPT} more" if len(swept) > MOST_SWEPT else ""
-        names = ", ".join(map(str, swept[:MOST_SWEPT]))
-        warn(f"removed what an interrupted run left: {names}{more}")
+    if clears and (swept := [*files.sweep(study.path), *files.sweep_temporary()]):
+        names, more = ", ".join(map(str, swept[:5])), len(swept) - 5
+        warn(f"removed what an interrupted run left: {names}{f' and {more} more' * (more > 0)}")
     if rehearsals:
         study = type(study)(study.path, is_rehearsal=True)
     return Study(study, wants_bar(), warn=warn)
@@ -225,15 +220,12 @@ def echo(text: object = "", *, err: bool = False, over: bool = False) -> None:
     """
     line = clean_text(str(text), keep="\n\t")
     if not err:
-        _print(sys.stdout, line)
+        sys.stdout.write(f"{line}\n")
+        sys.stdout.flush()
     elif sys.stderr is not None:
         with suppress(OSError):
-            _print(sys.stderr, f"\r{line}" if over else line, end="" if over else "\n")
-
-
-def _print(stream: TextIO, line: str, end: str = "\n") -> None:
-    stream.write(f"{line}{end}")
-    stream.flush()
+            sys.stderr.write(f"\r{line}" if over else f"{line}\n")
+            sys.stderr.flush()
 
 
 def warn(message: str) -> None:
@@ -242,7 +234,7 @@ def warn(message: str) -> None:
         echo(f"feel321: warning: {clean_text(message)}", err=True)
 
 
-def report_warnings(recordings: Iterable["Recording | Facts"]) -> None:
+def report_warnings(recordings: Iterable["Recording"]) -> None:
     """Print what was noticed in recordings, one line each, to stderr."""
     for line in cap([f"{one.name}: {text}" for one in recordings for text in one.warnings]):
         warn(line)
@@ -259,19 +251,28 @@ def cap(
     return [*lines[:MOST_LINES], *([f"and {left} more like these; {whole}"] if left > 0 else [])]
 
 
-def print_json(entry: object) -> None:
-    """Print numbers as JSON."""
-    echo(dump_json(entry))
+def print_facts(facts: object, lines: Iterable[str], *, as_json: bool) -> None:
+    """Print numbers as JSON, or lines that a person reads."""
+    echo(dump_json(facts) if as_json else "\n".join(lines))
+
+
+def lay_facts(facts: Mapping[str, Any], indent: str = "") -> Iterator[str]:
+    """Lay out facts for reading, a line each: those that JSON holds, without what is empty."""
+    from feel321.records import to_json_value
+
+    for name, fact in (facts if indent else to_json_value(facts)).items():
+        several = fact if isinstance(fact, list | tuple) else [fact]
+        if isinstance(several[0] if several else None, Mapping):
+            for one in several:
+                yield f"{indent}{name}:"
+                yield from lay_facts(one, f"{indent}  ")
+        elif fact not in (None, "", (), []):
+            shown = [f"{one:.5g}" if isinstance(one, float) else str(one) for one in several]
+            yield f"{indent}{name} {', '.join(shown)}"
 
 
 def dump_json(entry: object) -> str:
-    """Write numbers as JSON, which knows no NaN and no infinity: both become null.
-
-    Examples
-    --------
-    >>> dump_json([1.5, float("nan")]).split()
-    ['[', '1.5,', 'null', ']']
-    """
+    """Write numbers as JSON, which knows no NaN and no infinity: both become null."""
     from feel321.records import to_json_value
 
     return json.dumps(to_json_value(entry), indent=2, ensure_ascii=False, allow_nan=False)
@@ -307,16 +308,89 @@ def show_progress(what: str) -> AbstractContextManager[Callable[[int, int], None
     return follow(wants_bar(), what)
 
 
-def simulate_sessions(study: Study, participants: int, seed: int | None = None) -> int:
-    """Simulate sessions; returns the number of ratings. It does without pandas, which takes a second to import."""
-    from feel321.study.simulation import simulate_study
+# The help, in plain text, from the verbs' type hints and docstrings.
 
-    with show_progress("simulate") as progress:
-        return simulate_study(
-            study.folder,
-            participants=participants,
-            seed=seed,
-            now=study.now,
-            progress=progress,
-            warn=warn,
-        )
+COLUMN, NARROWEST, WIDEST = 34, 40, 100
+
+PROGRAM = (
+    ("--version", "Show the version."),
+    ("--install-completion", "Let this shell complete verbs and options."),
+)
+"""Options of no verb."""
+
+EVERYWHERE = (
+    ("-q, --quiet", "Only results and errors."),
+    ("-v, --verbose", "Print each step as it begins."),
+    ("-h, --help", "Show this text."),
+)
+"""Options of every verb."""
+
+KINDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH", bool: ""}
+"""Type of an option -> what stands behind its name."""
+
+
+def find_example(verb: object) -> str:
+    """Read the first example of a verb's docstring."""
+    return (inspect.getdoc(verb) or "").partition("Example: ")[2].partition("\n")[0]
+
+
+def describe_program(about: str, groups: Mapping[str, Mapping[str, object]]) -> str:
+    """Describe the program: its verbs by group."""
+    lines = ["Usage: feel321 VERB [STUDY] [OPTIONS]", "", *_fill(about)]
+    lines += ["", "Options:", *_lay_rows([*PROGRAM, *EVERYWHERE])]
+    for title, verbs in groups.items():
+        texts = {name: inspect.getdoc(verb) or "" for name, verb in verbs.items()}
+        rows = [(name, text.partition("\n\n")[0]) for name, text in texts.items()]
+        lines += ["", f"{title}:", *_lay_rows(rows)]
+    return "\n".join([*lines, "", "  Begin with: feel321 demo"])
+
+
+def describe_verb(name: str, app: "App", verb: object) -> str:
+    """Describe a verb: what it does, its arguments and options, and an example."""
+    text = (inspect.getdoc(verb) or "").partition("\n\nParameters\n")[0]
+    *paragraphs, examples = text.split("\n\n")
+    found = app.assemble_argument_collection(parse_docstring=True)
+    places, rows = [], []
+    for one in (one for one in found if one.parse and not one.children):
+        if one.name.startswith("-"):
+            rows.append(_describe_option(one))
+        else:
+            is_several = one.field_info.kind is one.field_info.VAR_POSITIONAL
+            places.append(one.name if is_several or one.required else f"[{one.name}]")
+    lines = [f"Usage: feel321 {name} {' '.join([*places, '[OPTIONS]'])}"]
+    for paragraph in paragraphs:
+        lines += ["", *_fill(paragraph)]
+    lines += ["", "Options:", *_lay_rows([*rows, *EVERYWHERE])]
+    return "\n".join([*lines, "", *(f"  {line}" for line in examples.splitlines())])
+
+
+def _describe_option(argument: "Argument") -> tuple[str, str]:
+    """Name an option with what it takes, and say what it means."""
+    names = ", ".join(sorted(set(argument.names) - set(argument.negatives), key=len))
+    kind = argument.parameter.metavar or KINDS.get(resolve_optional(argument.hint), "NAME")
+    default, choices = argument.field_info.default, argument.get_choices()
+    notes = [f"one of {', '.join(choices)}"] if choices else []
+    if isinstance(default, int | float | str) and default not in {"", False}:
+        notes.append(f"default: {default}")
+    notes += ["required"] if argument.required else []
+    meaning = " ".join([argument.parameter.help or "", *(f"[{note}]" for note in notes)])
+    return f"{names} {kind}".rstrip(), meaning
+
+
+def _lay_rows(rows: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Lay names beside their meanings, in two columns."""
+    column = min(max(len(name) for name, _ in rows) + 4, COLUMN)
+    for name, text in rows:
+        begin = f"  {name}"
+        if len(begin) + 2 > column:
+            yield begin
+            begin = ""
+        yield from _fill(text, first=f"{begin:<{column}}", rest=" " * column)
+
+
+def _fill(text: str, *, first: str = "  ", rest: str = "  ") -> list[str]:
+    columns = min(max(shutil.get_terminal_size().columns, NARROWEST), WIDEST)
+    words = " ".join(text.split())
+    return wrap(
+        words, columns, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False
+    )

@@ -1,18 +1,30 @@
-"""Verbs for single recordings: reduce, match."""
+"""Verbs about recordings and reducers: reduce, match, tradeoff."""
 
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from feel321.study.commands import shared
-from feel321.study.commands.shared import AS_IT_SAYS, File, Json, Reading, Several
+from feel321.study.commands.shared import (
+    ALONE,
+    AS_IT_SAYS,
+    Crew,
+    File,
+    Json,
+    Number,
+    Out,
+    Reading,
+    Seed,
+    Several,
+)
+from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
     from feel321.stimuli.condition import Conditioning
@@ -68,12 +80,17 @@ def reduce(  # noqa: PLR0913 - one per option
     _check_output(recording, output, sidecar, force=force)
     steps = None if raw else Conditioning()
     conditioned = _condition(read, steps)
-    reduced, origin = _reduce(conditioned, reduce_it)
+    method = getattr(reduce_it, "method", None)
+    try:
+        reduced = reduce_it(conditioned.acceleration, conditioned.rate_hz)
+    except ValueError as error:
+        place = f"recording {read.name!r}: " if method else ""
+        raise ValueError(f"{place}{error}") from None
     facts = {
         "recording": read.name,
         "recording_sha256": read.sha256,
         "reducer": name_of(reducer),
-        **origin,
+        **(method.to_json() if method else {}),
         "window_ms": window_ms,
         "unit": "m/s^2",
         "version": __version__,
@@ -82,14 +99,11 @@ def reduce(  # noqa: PLR0913 - one per option
     }
     write_wav(output, reduced, round(read.rate_hz))
     write_text(sidecar, shared.dump_json(facts) + "\n")
-    if as_json:
-        shared.print_json(facts)
-    else:
-        done = f"{read.name} through {name_of(reducer)}, {read.n_samples} samples, m/s^2"
-        shared.echo("\n".join([f"{output}: {done}", *_describe_matches(facts)]))
+    done = f"{read.name} through {name_of(reducer)}, {read.n_samples} samples, m/s^2"
+    shared.print_facts(facts, [f"{output}: {done}", *shared.lay_facts(facts)], as_json=as_json)
 
 
-def match(  # noqa: PLR0913 - one per option
+def match(
     recording: File,
     reduced: Annotated[File, Parameter(name="REDUCED.wav")],
     /,
@@ -97,7 +111,6 @@ def match(  # noqa: PLR0913 - one per option
     source: Reading = AS_IT_SAYS,
     metric: Several = (),
     raw: Raw = False,
-    rivals: bool = False,
     as_json: Json = False,
 ) -> None:
     """Match a reduced WAV file, in m/s^2, against its recording.
@@ -110,9 +123,7 @@ def match(  # noqa: PLR0913 - one per option
     Parameters
     ----------
     metric
-        Also this metric, or your own (mylab.haptics:psnr); repeatable.
-    rivals
-        Also rival metrics: level, spectra, envelopes.
+        Also this metric (a wrong name lists all), or your own (mylab.haptics:psnr); repeatable.
     """
     from feel321.doors import name_of
     from feel321.stimuli.wav import read_wav
@@ -124,18 +135,12 @@ def match(  # noqa: PLR0913 - one per option
     steps, origin = _find_steps(read, reduced.with_suffix(".json"), raw=raw)
     ready = _condition(read, steps)
     facts = {**_list_steps(read, steps), "conditioning_from": origin, **_match(ready, samples)}
-    if rivals:
-        facts |= _compare_by_rivals(ready, samples)
     further = {
         name_of(name): open_metric(name, Path())(ready.acceleration, samples, ready.rate_hz)
         for name in metric
     }
     facts |= further
-    if as_json:
-        shared.print_json(facts)
-    else:
-        own = [f"{name.replace('_', ' ')} {value:.4f}" for name, value in further.items()]
-        shared.echo("\n".join([*_describe_matches(facts), *own]))
+    shared.print_facts(facts, shared.lay_facts(facts), as_json=as_json)
     if facts["reasons"]:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
         raise ValueError(f"{read.name}: {reasons}")
@@ -177,20 +182,6 @@ def _check_output(source: Path, *targets: Path, force: bool) -> None:
         raise FileNotFoundError(f"{targets[0].parent}: there is no such folder; make it first")
 
 
-def _reduce(
-    recording: "Recording", reducer: "Callable[..., Samples]"
-) -> "tuple[Samples, dict[str, str]]":
-    """Reduce a recording; also return what a reducer of the lab's own is."""
-    method = getattr(reducer, "method", None)
-    try:
-        reduced = reducer(recording.acceleration, recording.rate_hz)
-    except ValueError as error:
-        if method is None:
-            raise
-        raise ValueError(f"recording {recording.name!r}: {error}") from None
-    return reduced, {} if method is None else method.to_json()
-
-
 def _condition(recording: "Recording", steps: "Conditioning | None") -> "Recording":
     from feel321.stimuli.condition import condition
 
@@ -216,8 +207,12 @@ def _find_steps(
     """Find out how the recording was conditioned before it was reduced, and where that is known from."""
     from feel321.stimuli.condition import Conditioning
 
-    facts = _read_sidecar(sidecar)
-    if facts is None:
+    try:
+        facts = json.loads(sidecar.read_bytes()) if sidecar.is_file() else None
+    except (ValueError, RecursionError) as error:
+        remedy = "remove it, or reduce the recording again"
+        raise ValueError(f"{sidecar.name}: not JSON ({error}); {remedy}") from None
+    if not isinstance(facts, dict) or not {"recording_sha256", "reducer"} <= set(facts):
         assumed = f"assumed: no {sidecar.name} of reduce beside it"
         return (None, "--raw") if raw else (Conditioning(), assumed)
     if facts["recording_sha256"] != recording.sha256:
@@ -238,20 +233,6 @@ def _find_steps(
         raise ValueError(
             f"{sidecar.name}: invalid conditioning ({error}); reduce the recording again"
         ) from None
-
-
-def _read_sidecar(path: Path) -> dict[str, Any] | None:
-    """Read what `reduce` wrote beside a WAV file; None where there is no such file, or it is of another kind."""
-    if not path.is_file():
-        return None
-    try:
-        facts = json.loads(path.read_bytes())
-    except (ValueError, RecursionError) as error:
-        raise ValueError(
-            f"{path.name}: not JSON ({error}); remove it, or reduce the recording again"
-        ) from None
-    is_ours = isinstance(facts, dict) and {"recording_sha256", "reducer"} <= set(facts)
-    return facts if is_ours else None
 
 
 def _check_pair(recording: "Recording", samples: "Samples", *, rate_hz: int, name: str) -> None:
@@ -291,34 +272,96 @@ def _match(recording: "Recording", samples: "Samples") -> dict[str, Any]:
     }
 
 
-def _compare_by_rivals(recording: "Recording", samples: "Samples") -> dict[str, Any]:
-    """Rival metrics by name, and why one is not known."""
-    from feel321.stimuli.rivals.catalog import RIVALS, measure_batch
+def tradeoff(  # noqa: PLR0913 - one per option
+    *places: Annotated[File, Parameter(name="[STUDY | RECORDING...]")],
+    scenes: bool = False,
+    thorough: bool = False,
+    online: bool = False,
+    latency_ms: Number | None = None,
+    mounting: Literal["any", "recorded"] = "any",
+    tolerance_db: Number | None = None,
+    out: Out = None,
+    seed: Seed = None,
+    crew: Crew = ALONE,
+    as_json: Json = False,
+) -> None:
+    """Compare reducers: speed, accuracy, where they fail, and the simplest that suffices.
 
-    measured = measure_batch(recording.acceleration, samples, recording.rate_hz)
-    values = {name: float(value) for name, value in measured.items()}
-    missing = {name: RIVALS[name].reason for name, value in values.items() if math.isnan(value)}
-    return {"rivals": values, "rivals_reasons": missing}
+    Writes one page into STUDY/tradeoff. Times are measured on this machine: leave it idle.
+
+    Example: feel321 tradeoff my-study
+             feel321 tradeoff oak.csv pine.csv --online --latency-ms 45
+
+    Parameters
+    ----------
+    scenes
+        Also the bundled scenes.
+    thorough
+        Whole recordings, 72 mountings, and difficult scenes; many times as long.
+    online
+        The reducer runs while the vibration is made.
+    latency_ms
+        Longest delay online, device included, in ms.  [default: 45]
+    mounting
+        Mountings of the sensor that advice must hold for.
+    tolerance_db
+        How far from the best is as good, in dB of energy.  [default: 1]
+    """
+    from feel321.analysis.report.folder import check_target
+    from feel321.analysis.tradeoff import judge
+    from feel321.analysis.tradeoff.measure import measure_tradeoff
+    from feel321.analysis.tradeoff.page import advise_tradeoff
+    from feel321.stimuli.reducers.registry import REDUCERS
+    from feel321.study.analyze import find_ratings, gather_recordings
+    from feel321.study.methods import list_for_tradeoff
+    from feel321.study.settings.read import read_settings
+
+    folder, extra = _find_places(places, scenes=scenes)
+    try:
+        tolerance = judge.TOLERANCE_DB if tolerance_db is None else tolerance_db
+        context = judge.Context(online, latency_ms, mounting, tolerance)
+    except ValueError as error:
+        text = f"--{error}".replace("set online=True", "add --online")
+        text = text.replace("latency_ms", "latency-ms").replace("tolerance_db", "tolerance-db")
+        shared.refuse_use(text)
+    output = out or (folder or Path()) / "tradeoff"
+    check_target(output)
+    # Recordings that were named without a study belong to none, whatever the current folder is.
+    study = StudyFolder(folder or output)
+    with shared.show_progress("tradeoff") as progress:
+        recordings = gather_recordings(study.path, scenes=scenes, extra=extra)
+        shared.report_warnings(recordings)
+        settings = read_settings(study.settings) if study.settings.is_file() else None
+        reducers, metrics = list_for_tradeoff(settings, study.path) if settings else ({}, {})
+        windows = [one for one in judge.WINDOWS_MS if one <= context.room_ms]
+        frame = measure_tradeoff(
+            recordings,
+            reducers=dict(REDUCERS) | reducers,
+            metrics=metrics,
+            windows_ms=windows if context.online else (),
+            thorough=thorough,
+            rng=(settings.study.seed if settings else 0) if seed is None else seed,
+            workers=crew.employ(),
+            progress=progress,
+        )
+        margin = settings.analysis.margin if settings else None
+        result = advise_tradeoff(frame, context, ratings=find_ratings(study), margin=margin)
+    with shared.recording(study, "tradeoff", output):
+        result.write(output)
+    if not as_json:
+        shared.echo(result.summary())
+    shared.print_results(output, as_json=as_json)
 
 
-def _describe_matches(facts: dict[str, Any]) -> Iterator[str]:
-    from feel321.names import MATCHES, METRIC_INFO
-
-    steps = ", ".join(facts["steps"]) or "none, as it was measured"
-    source = f" ({facts['conditioning_from']})" if "conditioning_from" in facts else ""
-    yield f"conditioning of the recording: {steps}{source}"
-    compared = (
-        f"{facts['n_frequencies']} frequencies, {facts['lowest_hz']:.1f} to {facts['highest_hz']:.1f} Hz, "
-        f"{facts['n_left_out']} left out"
-    )
-    silent = ", ".join("xyz"[axis] for axis in facts["silent_axes"]) or "none"
-    details = {"spectral_match": f" ({compared})", "temporal_match": f" (silent axes: {silent})"}
-    for name in MATCHES:
-        reason, detail = facts["reasons"].get(name), details.get(name, "")
-        value = f"none: {reason}" if reason else f"{facts[name]:.4f}{detail}"
-        yield f"{name.replace('_', ' ')} {value}"
-    for name, value in facts.get("rivals", {}).items():
-        info, reason = METRIC_INFO[name], facts["rivals_reasons"].get(name)
-        sense = "higher is better" if info.higher == "better" else "lower is better"
-        unit = f" {info.unit}" if info.unit else ""
-        yield f"{info.label} " + (f"none: {reason}" if reason else f"{value:.4f}{unit} ({sense})")
+def _find_places(places: Sequence[Path], *, scenes: bool) -> tuple[Path | None, tuple[Path, ...]]:
+    """Tell the folder of a study from recordings; the current folder is the study where nothing else was named."""
+    if not places and not scenes:
+        return require_study(Path()).path, ()
+    studies = [one for one in places if (one / "study.toml").is_file()]
+    extra = tuple(one for one in places if one not in studies)
+    if len(studies) > 1:
+        shared.refuse_use(f"name one study, got {', '.join(map(str, studies))}")
+    for one in extra:
+        if not one.exists():
+            raise FileNotFoundError(f"{one}: no such study or recording; check the name")
+    return (studies[0] if studies else None), extra

@@ -30,8 +30,8 @@ from feel321.records import to_json_value
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import list_info, list_labels
 from feel321.study.checkpoints import find_newest
-from feel321.study.columns import RATING_COLUMNS
 from feel321.study.export.narrative import METHODS_FILE, make_methods, render
+from feel321.study.folder import RATING_COLUMNS
 from feel321.study.people import Progress, list_progress
 from feel321.study.persons.answers import list_answers
 from feel321.study.ratings import list_judgements, write_ratings

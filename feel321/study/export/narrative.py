@@ -16,9 +16,8 @@ from feel321.analysis.report.folder import METHODS
 from feel321.files import write_text
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.stimuli.match import HIGHEST_HZ
-from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.manifest import read_details, read_stimuli
 from feel321.study.actuator.certificate import list_certificates, read_certificate
-from feel321.study.folder import read_recipe
 from feel321.study.freeze import read_frozen
 from feel321.study.numbers import read_holders
 from feel321.study.people import find_rig_use
@@ -93,7 +92,7 @@ def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bo
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli).stimuli
     with intake.open_text(study.manifest) as file:
         tests = [row for row in csv.DictReader(file) if row["role"] == "test"]
-    recipe = read_recipe(study.stimuli)
+    recipe = read_details(study.stimuli).recipe
     filters = (("high", "high_pass_hz"), ("low", "low_pass_hz"))
     steps = ((word, recipe["conditioning"].get(key)) for word, key in filters)
     certificates, unknown = find_used(study)

@@ -54,8 +54,8 @@ from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Trial
 from feel321.stimuli.sets.recipe import ORIGINAL
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
 from feel321.study.observer.percepts import Percept, compare_percepts, read_percepts
+from feel321.study.settings.about import ObserverTable
 from feel321.study.settings.fields import one_of
-from feel321.study.settings.schema import ObserverTable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -1,7 +1,7 @@
 """How different every stimulus of a set feels from its recording's original.
 
 Counted is what lies between 20 and 1000 Hz, in multiples of the vibrotactile threshold
-(`feel321.stimuli.sets.anchors`); axes add by energy, because the hand hardly distinguishes directions of
+(`feel321.stimuli.thresholds`); axes add by energy, because the hand hardly distinguishes directions of
 vibration [1]_. Four differences are kept apart:
 
 - *spectral*: root mean square difference, over frequencies evenly spaced in octaves, of the levels above threshold in
@@ -124,8 +124,7 @@ def sense(acceleration: NDArray[np.float64], rate_hz: float) -> Sensation:
     from scipy import fft
 
     from feel321.stimuli.match import WEBER_FRACTION, WeberSmoothing, log_grid
-    from feel321.stimuli.sets.anchors import felt_level
-    from feel321.stimuli.thresholds import acceleration_threshold
+    from feel321.stimuli.thresholds import acceleration_threshold, felt_level
 
     n = acceleration.shape[-1]
     # Lengths with large prime factors cost ten times as much.

@@ -11,8 +11,7 @@ from zlib import crc32
 from feel321.protocols.blocks import ASKED, DB_PER_POINT, FIRST, INTERVALS, MIDDLE, SECOND
 from feel321.protocols.threshold import predict_correct
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Page, Part, Scale, Trial
-from feel321.stimuli.sets.anchors import to_db
-from feel321.stimuli.thresholds import acceleration_threshold
+from feel321.stimuli.thresholds import acceleration_threshold, to_db
 from feel321.study.observer.model import (
     HALF,
     RANDOM_CLICKER,

@@ -30,10 +30,9 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import people as progress
 from feel321.study.checkpoints import declaring, is_begun, note_checkpoint
 from feel321.study.folder import StudyFolder
-from feel321.study.matches import MATCHES_FILE, write_matches
 from feel321.study.numbers import RELEASED, Holder, read_holder
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
-from feel321.study.ratings import write_ratings
+from feel321.study.ratings import MATCHES_FILE, write_matches, write_ratings
 from feel321.study.session.events import NoteTaken, SessionFinished, SessionReleased
 from feel321.study.session.journal import (
     PARTICIPANT_ID,

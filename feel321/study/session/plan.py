@@ -38,6 +38,7 @@ from feel321.protocols.trial import (
     place_in_groups,
     select_group,
 )
+from feel321.stimuli.sets.manifest import find_methods
 from feel321.study.admission import require_protocols
 from feel321.study.session import events
 from feel321.study.session import journal as journals
@@ -183,7 +184,8 @@ def make_plan(
         number=number,
         simulated=simulated,
         stimuli_sha256=stimuli.sha256,
-        methods=stimuli.find_methods() | digest_protocols(task.protocol for task in own.tasks),
+        methods=find_methods(stimuli.folder)
+        | digest_protocols(task.protocol for task in own.tasks),
         **decided,
     )
 

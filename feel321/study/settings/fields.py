@@ -4,13 +4,14 @@ A rule refuses with "must be ...; what to do"; `parse_toml` adds the place and t
 """
 
 import json
+import re
 import tomllib
 from collections.abc import Callable, Collection, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar, get_args
 
-from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError, WrapValidator
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, WrapValidator
 from pydantic_core import ErrorDetails, PydanticCustomError
 from pydantic_core.core_schema import ValidationInfo
 
@@ -19,6 +20,9 @@ from feel321.extensions import is_given
 
 OFF = "off"
 """Switches a setting off: TOML has no null."""
+
+MOST = 1e9
+"""Beyond this no setting means anything, whatever its unit; what costs time or memory has a ceiling of its own."""
 
 
 class TomlTable(BaseModel):
@@ -52,6 +56,17 @@ def own_or_one_of(names: Collection[str], kind: str, table: str) -> AfterValidat
     return AfterValidator(check)
 
 
+def like(pattern: str, words: str) -> AfterValidator:
+    """Make the rule that a text is of a form; its first group is kept."""
+
+    def check(text: str) -> str:
+        if (found := re.fullmatch(pattern, text)) is None:
+            raise ValueError(f"must be {words}")
+        return found[1]
+
+    return AfterValidator(check)
+
+
 def check_distinct(names: tuple[str, ...]) -> tuple[str, ...]:
     """Demand each name once."""
     if doubled := sorted({name for name in names if names.count(name) > 1}):
@@ -72,45 +87,20 @@ def _check_words(text: str) -> str:
     return text
 
 
-def number_or(names: Collection[str], *, least: float, most: float) -> WrapValidator:
-    """Make the rule that a value is a number in a range, or one of some words."""
-    number = TypeAdapter(Annotated[float, Field(ge=least, le=most)])
-
-    def check(value: object, _read: Callable[[object], object]) -> object:
-        if isinstance(value, str) and value in names:
-            return value
-        try:
-            return number.validate_python(value, strict=True)
-        except ValidationError as error:
-            raise _refuse(error, names) from None
-
-    return WrapValidator(check)
-
-
 def _take_off(value: object, read: Callable[[object], object]) -> object:
     if value == OFF:
         return None
     try:
         return read(value)
     except ValidationError as error:
-        raise _refuse(error, [OFF]) from None
-
-
-def _refuse(error: ValidationError, words: Collection[str]) -> PydanticCustomError:
-    allowed = {
-        "reason": error.errors()[0]["msg"],
-        "words": " or ".join(f'"{word}"' for word in words),
-    }
-    return PydanticCustomError("word_or", "{reason} or {words}", allowed)
+        reason = {"reason": error.errors()[0]["msg"]}
+        raise PydanticCustomError("or_off", '{reason} or "off"', reason) from None
 
 
 Distinct = AfterValidator(check_distinct)
 Some = AfterValidator(check_some)
 OrOff = WrapValidator(_take_off)
 Words = Annotated[str, AfterValidator(_check_words)]
-MOST = 1e9
-"""Beyond this no setting means anything, whatever its unit; what costs time or memory has a ceiling of its own."""
-
 Count = Annotated[int, Field(ge=0, le=10**6)]
 AtLeastOne = Annotated[int, Field(ge=1, le=10**6)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
@@ -123,9 +113,6 @@ Share = Annotated[float, Field(ge=0, le=1)]
 PositiveOrOff = Annotated[Positive | None, OrOff]
 
 Whole = TypeVar("Whole", bound=TomlTable)
-
-_WRONG_KEY = "[key]"
-"""What pydantic adds to the place of a name that is not allowed; the name stands before it."""
 
 
 def parse_toml(path: Path, model: type[Whole]) -> Whole:
@@ -143,10 +130,8 @@ def parse_toml(path: Path, model: type[Whole]) -> Whole:
     try:
         return model.model_validate_json(content, strict=True, context=tables)
     except ValidationError as error:
-        lines = (
-            f"{path.name}: {_translate(detail, model)}"
-            for detail in error.errors(include_url=False)
-        )
+        details = error.errors(include_url=False)
+        lines = (f"{path.name}: {_translate(detail, model)}" for detail in details)
         raise ValueError("\n".join(lines)) from None
 
 
@@ -163,10 +148,9 @@ def _translate(detail: ErrorDetails, model: type[TomlTable]) -> str:
         case "json_invalid":  # We wrote the JSON: only its depth can be wrong.
             return "TOML nested too deeply; use fewer levels"
         case "extra_forbidden":
-            near = get_close_matches(str(detail["loc"][-1]), table.model_fields, n=1)
-            known = (
-                f"did you mean {near[0]}?" if near else f"known: {', '.join(table.model_fields)}"
-            )
+            names = table.model_fields
+            near = get_close_matches(str(detail["loc"][-1]), names, n=1)
+            known = f"did you mean {near[0]}?" if near else f"known: {', '.join(names)}"
             return f"{place}: unknown setting; {known}"
         case "missing":
             return f"{place}: missing; add it"
@@ -175,11 +159,8 @@ def _translate(detail: ErrorDetails, model: type[TomlTable]) -> str:
         case _:  # What JSON calls an object is a table in TOML.
             reason = detail["msg"].replace("Input should", "must").replace("an object", "a table")
     # Whole tables are too long to repeat, and some reasons say themselves what was found.
-    got = (
-        ""
-        if "{" in repr(detail["input"]) or "got " in reason
-        else f"got {intake.clip(repr(detail['input']))}"
-    )
+    value = repr(detail["input"])
+    got = "" if "{" in value or "got " in reason else f"got {intake.clip(value)}"
     if not reason.startswith("must "):
         return f"{place}: {got}{', ' if got else ''}{reason}"
     rule, _, remedy = reason.partition("; ")
@@ -194,7 +175,7 @@ def _locate(location: Sequence[int | str], model: type[TomlTable]) -> tuple[str,
             place += f"[{part + 1}]"
         elif len(tables) > 1:  # the kind of a table, which is no key
             tables = [table for table in tables if part in table.model_fields][:1]
-        elif part != _WRONG_KEY:
+        elif part != "[key]":  # what pydantic adds to a name that is not allowed
             place += f".{part}" if place else part
             field = tables[0].model_fields.get(part)
             tables = (list_tables(field.annotation) if field else []) or tables

@@ -1,31 +1,33 @@
-"""Read `study.toml` into recordings, recipe, texts and design; check it as a whole."""
+"""Read and edit `study.toml`; turn it into recordings, recipe, texts and design; check it as a whole."""
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, replace
 from difflib import get_close_matches
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-from feel321.doors import name_of, refuse_name
+from feel321 import intake
+from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
+from feel321.files import create_text, make_folder, temporary_folder, write_text
 from feel321.names import METRIC_INFO, WRITTEN
 from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import MODEL, read_texts
-from feel321.protocols.trial import ASIDE, CHOOSING, SURFACE, Flow, Item, Task, select_group
+from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
-from feel321.stimuli.formats.own import find_format, read_own
-from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.formats.read import find_format, read_own, read_recording
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, check_names
-from feel321.stimuli.sets.unread import Unread
+from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, Unread, check_names
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
+from feel321.study.folder import TEMPLATES, StudyFolder
 from feel321.study.session.identity import identify_frozen
 from feel321.study.session.journal import digest
 from feel321.study.session.plan import Design
@@ -51,21 +53,25 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
     """
     settings = parse_toml(path, Settings)
     session, home = settings.session, folder or path.parent
-    name = settings.study.name or home.resolve().name
-    update = {
-        "study": settings.study.model_copy(update={"name": name}),
-        "recordings": tuple(_list_entries(settings, path, home)),
-    }
-    settings = settings.model_copy(update=update)
+    entries: list[SceneTable | FileTable] = []
+    for number, entry in enumerate(settings.recordings, start=1):
+        try:
+            entries += entry.list_entries(home) if isinstance(entry, FilesTable) else [entry]
+        except (NotImplementedError, ValueError) as error:
+            raise ValueError(f"{path.name}: recordings[{number}].files {error}") from None
     try:
-        check_names([entry.title for entry in settings.recordings])
+        check_names([entry.title for entry in entries])
         names = admission.admit_protocols(session.protocols, home)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: {error}") from None
-    if names != session.protocols:
-        settings = settings.model_copy(
-            update={"session": session.model_copy(update={"protocols": names})}
-        )
+    name = settings.study.name or home.resolve().name
+    settings = settings.model_copy(
+        update={
+            "study": settings.study.model_copy(update={"name": name}),
+            "recordings": tuple(entries),
+            "session": session.model_copy(update={"protocols": names}),
+        }
+    )
     settings = _declare_metrics(settings)
     if mistakes := find_conflicts(settings):
         raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
@@ -75,31 +81,93 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
 def _declare_metrics(settings: Settings) -> Settings:
     """Let a build measure the metrics that only the analysis names, which knows all by their short names."""
     wanted, measured = settings.analysis.metrics, settings.stimuli.metrics
-    coded = {
-        name: table.use for name, table in settings.metrics.items() if table.use or table.command
-    }
+    coded = {name: one.use for name, one in settings.metrics.items() if one.use or one.command}
     known = {*measured, *map(name_of, measured), *(coded.get(name) for name in measured), *WRITTEN}
-    new = [
-        name
-        for name in wanted
-        if name not in known and (name in METRICS or is_given("metric", name, coded))
-    ]
+    lacking = [name for name in wanted if name not in known]
+    new = [name for name in lacking if name in METRICS or is_given("metric", name, coded)]
+    short = tuple(dict.fromkeys(map(name_of, wanted)))
     tables = {
         "stimuli": settings.stimuli.model_copy(update={"metrics": (*measured, *new)}),
-        "analysis": settings.analysis.model_copy(
-            update={"metrics": tuple(dict.fromkeys(map(name_of, wanted)))}
-        ),
+        "analysis": settings.analysis.model_copy(update={"metrics": short}),
     }
     return settings.model_copy(update=tables)
 
 
-def _list_entries(settings: Settings, path: Path, home: Path) -> Iterator[SceneTable | FileTable]:
-    """List the recordings one by one, those too that a pattern names together."""
-    for number, entry in enumerate(settings.recordings, start=1):
-        try:
-            yield from entry.list_entries(home) if isinstance(entry, FilesTable) else [entry]
-        except (NotImplementedError, ValueError) as error:
-            raise ValueError(f"{path.name}: recordings[{number}].files {error}") from None
+def change_settings(text: str, changes: Mapping[str, object]) -> str:
+    r"""Change settings by their dotted names; None takes a setting out, so that its default holds.
+
+    Examples
+    --------
+    >>> print(change_settings("[rig]\nheadroom = 0.9  # of full scale", {"rig.headroom": 0.5}))
+    [rig]
+    headroom = 0.5  # of full scale
+    """
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    for name, value in changes.items():
+        if not re.fullmatch(r"[\w-]+(\.[\w-]+)+", name):
+            raise ValueError(f"settings must have names such as 'session.repeats', got {name!r}")
+        *tables, key = name.split(".")
+        place: Any = document
+        for table in tables:
+            if value is not None and table not in place:
+                place[table] = tomlkit.table()
+            place = place.get(table, {})
+            if not isinstance(place, dict):
+                where = f"{name}: {table} is not a table of settings"
+                raise ValueError(f"{where}; edit study.toml")  # noqa: TRY004 - of the file
+        before = place.get(key)
+        if value is None:
+            place.pop(key, None)
+        else:
+            place[key] = item = tomlkit.item(_make_plain(name, value))
+            if hasattr(before, "trivia"):  # the comment behind it stays
+                item.trivia.comment = before.trivia.comment
+                item.trivia.comment_ws = before.trivia.comment_ws
+    return tomlkit.dumps(document)
+
+
+def _make_plain(name: str, value: object) -> Any:  # noqa: ANN401 - whatever TOML holds
+    """Make lists of tuples and Python's numbers of NumPy's; refuse what TOML cannot hold."""
+    try:
+        return json.loads(json.dumps(value, allow_nan=False, default=lambda one: one.tolist()))
+    except (AttributeError, TypeError, ValueError):
+        allowed = "text, a number, true or false, or a list or table of these"
+        raise ValueError(f"{name} must be {allowed}; got {describe(value)}") from None
+
+
+def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
+    """Change settings in a `study.toml`, which is left as it is if a setting is refused."""
+    read_settings(path)
+    before = intake.read_small(path)
+    newline = "\r\n" if "\r\n" in before else "\n"
+    text = change_settings(before.replace("\r\n", "\n"), changes).replace("\n", newline)
+    with temporary_folder() as folder:
+        write_text(folder / path.name, text)
+        read_settings(folder / path.name, path.parent)
+    write_text(path, text)
+
+
+def add_methods(study: StudyFolder) -> None:
+    """Add an example of every kind of method of a lab's own to a study that was just begun."""
+    home = study.path / "methods"
+    make_folder(home)
+    for entry in (TEMPLATES / "methods").iterdir():
+        if entry.name.endswith(".py.txt"):
+            create_text(home / entry.name.removesuffix(".txt"), entry.read_text(encoding="utf-8"))
+    taps = [100 * 0.9 ** (n % 250) * (-1) ** (n // 4) for n in range(2000)]
+    lines = ["2000", *(f"{0.4 * one:.4f} {-0.3 * one:.4f} {one:.4f}" for one in taps)]
+    create_text(study.path / "recordings" / "tap.xyz", "\n".join(lines) + "\n")
+    changes = {
+        "stimuli.reducers": ["say321", "pca321", "dft321", "my321", "wav321"],
+        "stimuli.metrics": ["snr"],
+        "session.protocols": ["realism", "similarity", "methods/roughness.py:roughness"],
+        "analysis.screening": ["methods/slow.py:slow"],
+    }
+    text = change_settings(intake.read_small(study.settings), changes)
+    tables = (TEMPLATES / "methods" / "tables.toml").read_text(encoding="utf-8")
+    write_text(study.settings, text + tables)
 
 
 # From settings to signals: recordings and the recipe for the stimuli.
@@ -122,15 +190,7 @@ def list_origins(settings: Settings) -> dict[str, str]:
 
 
 def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
-    """Read every recording of a study."""
-    recordings, mistakes = try_recordings(settings, folder)
-    if mistakes:
-        raise ValueError("\n".join(mistakes))
-    return recordings
-
-
-def try_recordings(settings: Settings, folder: Path) -> tuple[list[Recording], list[str]]:
-    """Read every recording of a study that can be read, and say why the others cannot."""
+    """Read every recording of a study; all that cannot be read are named at once."""
     recordings: list[Recording] = []
     mistakes: list[str] = []
     for source in list_unread(settings, folder):
@@ -138,7 +198,9 @@ def try_recordings(settings: Settings, folder: Path) -> tuple[list[Recording], l
             recordings.append(source.read())
         except (OSError, TypeError, ValueError) as error:
             mistakes.append(f"recording {source.name!r}: {error}")
-    return recordings, mistakes
+    if mistakes:
+        raise ValueError("\n".join(mistakes))
+    return recordings
 
 
 def list_unread(settings: Settings, folder: Path) -> list[Unread]:
@@ -165,9 +227,7 @@ def open_entry(
         recording = read_own(method, folder / entry.file)
     else:
         recording = read_recording(folder / entry.file, **own)
-    if entry.rotation is not None:
-        recording = turn_recording(recording, entry.rotation)
-    return recording
+    return recording if entry.rotation is None else turn_recording(recording, entry.rotation)
 
 
 def turn_recording(recording: Recording, rotation: int) -> Recording:
@@ -180,11 +240,9 @@ def turn_recording(recording: Recording, rotation: int) -> Recording:
     from feel321.stimuli.rotation import random_rotations
 
     turn = random_rotations(1, np.random.default_rng(rotation))[0]
-    return replace(
-        recording,
-        acceleration=np.einsum("ij,jn->in", turn, recording.acceleration),
-        sha256=hashlib.sha256(f"{recording.sha256} rotation {rotation}".encode()).hexdigest(),
-    )
+    turned = np.einsum("ij,jn->in", turn, recording.acceleration)
+    sha256 = hashlib.sha256(f"{recording.sha256} rotation {rotation}".encode()).hexdigest()
+    return replace(recording, acceleration=turned, sha256=sha256)
 
 
 def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
@@ -235,7 +293,7 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     """Read all texts of a study, the lab's own scales and consent among them."""
     language = find_language(settings, folder)
     texts = read_texts(language)
-    if mute := list(find_mute_scales(settings, texts["scales"])):
+    if mute := list(_find_mute_scales(settings, texts["scales"])):
         raise ValueError("\n".join(f"study.toml: {line} (here, or in {language})" for line in mute))
     texts["scales"] |= {name: table.to_texts() for name, table in settings.scales.items()}
     admission.add_texts(texts, settings.session.protocols)
@@ -251,36 +309,29 @@ def make_design(settings: Settings, folder: Path | None = None) -> Design:
     """
     session = settings.session
     rehearsal = session.rehearsal.model_dump(by_alias=True)
-    trials = {name: rehearsal.pop(name) for name in ("training", "practice")}
+    rounds = {name: rehearsal.pop(name) for name in ("training", "practice")}
+    tables = {name: settings.tasks.get(name, TaskTable()) for name in session.protocols}
+    breaks, quality = session.breaks.model_dump(by_alias=True), session.quality.model_dump()
+    questions: list[Question] = []
+    for table in session.questions:
+        if table.use:
+            texts = read_texts(MODEL if folder is None else find_language(settings, folder))
+            questions += read_ready(table.use, texts, when=table.when)
+        else:
+            questions.append(table.make_question())
     return Design(
         seed=settings.study.seed,
         order=session.order,
         task_order=session.task_order,
         repeats=session.repeats,
         recordings_per_participant=session.recordings_per_participant,
-        tasks=tuple(
-            settings.tasks.get(name, TaskTable()).make_task(name, **trials)
-            for name in session.protocols
-        ),
+        tasks=tuple(table.make_task(name, **rounds) for name, table in tables.items()),
         between=dict(settings.between),
-        flow=Flow(
-            **rehearsal, **session.breaks.model_dump(by_alias=True), **session.quality.model_dump()
-        ),
+        flow=Flow(**rehearsal, **breaks, **quality),
         threshold=session.threshold.make_block() if session.threshold else None,
         matching=session.matching.make_block(settings.stimuli.levels) if session.matching else None,
-        questions=_make_questions(settings, folder),
+        questions=tuple(questions),
     )
-
-
-def _make_questions(settings: Settings, folder: Path | None) -> tuple[Question, ...]:
-    questions: list[Question] = []
-    for table in settings.session.questions:
-        if table.use:
-            language = MODEL if folder is None else find_language(settings, folder)
-            questions += read_ready(table.use, read_texts(language), when=table.when)
-        else:
-            questions.append(table.make_question())
-    return tuple(questions)
 
 
 def make_identity(
@@ -295,16 +346,16 @@ def make_identity(
     calibration: identity of the rig's certificate, or that there is none; None where no rig plays.
     """
     texts = read_study_texts(settings, folder)
-    consent = texts["pages"][CONSENT]["text"]
-    _leave_out_later(texts, settings.session.protocols)
+    methods = {one.name: one.sha256 for one in make_recipe(settings, folder).methods}
+    methods |= digest_protocols(settings.session.protocols)
     return {
         "locale": settings.session.language,
         "texts_sha256": digest(json.dumps(texts, sort_keys=True)),
-        "consent": consent,
+        "consent": texts["pages"][CONSENT]["text"],
         "rig": settings.rig.of_stimuli(),
         "calibration": calibration,
         "presenter": presenter,
-        **_identify_methods(settings, folder),
+        **({"methods": methods} if methods else {}),
         **identify_frozen(folder),
     }
 
@@ -317,28 +368,6 @@ def make_terms(design: Design, settings: Settings, folder: Path) -> dict[str, An
     return own | {name: identity.get(name) for name in ("locale", "texts_sha256", "rig", "methods")}
 
 
-def _identify_methods(settings: Settings, folder: Path) -> dict[str, Any]:
-    """Return the digests of the lab's own methods that the stimuli are made with, if there are any."""
-    found = {one.name: one.sha256 for one in make_recipe(settings, folder).methods}
-    found |= digest_protocols(settings.session.protocols)
-    return {"methods": found} if found else {}
-
-
-LATER = ("triplet", "preference")
-"""Protocols that came when there were sessions already."""
-
-
-def _leave_out_later(texts: dict[str, Any], protocols: Sequence[str]) -> None:
-    """Leave out texts that came later and that a session does not show, so that one begun before can go on."""
-    # Pages aside from the plan ask nothing, and the plan holds what questions ask.
-    del texts["questions"]
-    for name in (name for name in LATER if name not in protocols):
-        texts["scales"].pop(name, None)
-        texts["pages"].pop(f"instructions.{name}", None)
-    for key in ASIDE:
-        texts["pages"].pop(key, None)
-
-
 # What each table of `study.toml` may say by itself, but not together with the others.
 
 
@@ -346,18 +375,18 @@ def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
     # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
     checks = (
-        _check_own, _check_reference, _check_metrics, _check_tasks, _check_scales, _check_between,
-        _check_matching,
+        _check_methods, _check_metrics, _check_stimuli, _check_tasks, _check_scales, _check_between,
     )  # fmt: skip
     if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
-    found = [*_check_samples(settings, tasks), *dict.fromkeys(_check_comparisons(settings, tasks))]
-    return found or list(_check_length(settings, tasks))
+    return list(dict.fromkeys(_check_comparisons(settings, tasks))) or list(
+        _check_length(settings, tasks)
+    )
 
 
-def _check_own(settings: Settings) -> Iterator[str]:
-    """Refuse tables that would replace a reducer or metric of feel321's: they would be left unread."""
+def _check_methods(settings: Settings) -> Iterator[str]:
+    """Refuse tables that would replace a method of feel321's: they would be left unread."""
     taken = {"reducers": {*REDUCERS, ORIGINAL, NO_REFERENCE}, "metrics": METRICS}
     for kind, names in taken.items():
         for name, table in getattr(settings, kind).items():
@@ -369,16 +398,8 @@ def _check_own(settings: Settings) -> Iterator[str]:
             yield f"metrics.{name}.higher must be {right!r} for this metric, got {table.higher!r}; remove it"
 
 
-def _check_reference(settings: Settings) -> Iterator[str]:
-    if (reference := settings.stimuli.reference) in settings.stimuli.reducers:
-        yield (
-            f"stimuli.reference must not be one of stimuli.reducers too, got {reference!r}; "
-            "take it out of the reducers"
-        )
-
-
 def _check_metrics(settings: Settings) -> Iterator[str]:
-    """Check that further metrics are there; that of a lab is not imported yet."""
+    """Refuse further metrics that are none; that of a lab is not imported yet."""
     further = [name for name in METRICS if name not in WRITTEN]
     for number, name in enumerate(settings.stimuli.metrics, start=1):
         if name in WRITTEN:
@@ -387,54 +408,51 @@ def _check_metrics(settings: Settings) -> Iterator[str]:
             yield refuse_name(name, further, f"stimuli.metrics[{number}]")
 
 
-def _check_matching(settings: Settings) -> Iterator[str]:
-    """Check that there is what is to be matched, and something to match it with."""
-    if (matching := settings.session.matching) is None:
-        return
-    if matching.level not in {None, *settings.stimuli.levels}:
-        yield (
-            f"session.matching.level must be one of stimuli.levels, got {matching.level!r}; add it there"
-        )
-    if settings.stimuli.reference == NO_REFERENCE:
-        yield f"session.matching needs a reference, got stimuli.reference = {NO_REFERENCE!r}; set another one"
+def _check_stimuli(settings: Settings) -> Iterator[str]:
+    """Check that there is what is to be compared or matched."""
+    stimuli, matching = settings.stimuli, settings.session.matching
+    if (reference := stimuli.reference) in stimuli.reducers:
+        rule = "must not be one of stimuli.reducers too"
+        yield f"stimuli.reference {rule}, got {reference!r}; take it out of the reducers"
+    if matching and matching.level not in {None, *stimuli.levels}:
+        rule = f"must be one of stimuli.levels, got {matching.level!r}"
+        yield f"session.matching.level {rule}; add it there"
+    if matching and reference == NO_REFERENCE:
+        yield f"session.matching needs a reference, got stimuli.reference = {reference!r}; set another one"
 
 
 def _check_tasks(settings: Settings) -> Iterator[str]:
+    """Try each setting of a task by itself, so that every mistake is found; then all together."""
     for name, table in settings.tasks.items():
-        # Each setting by itself, so that every mistake is found; then all together.
         alone = [TaskTable(**{key: value}) for key, value in table if key in table.model_fields_set]
-        found = [line for one in alone if (line := _try_task(name, one))]
-        yield from dict.fromkeys(found or filter(None, [_try_task(name, table)]))
-
-
-def _try_task(name: str, table: TaskTable) -> str:
-    try:
-        table.make_task(name)
-    except ValueError as error:
-        return str(error)
-    return ""
+        faults = []
+        for one in (*alone, table):
+            try:
+                one.make_task(name)
+            except ValueError as error:
+                faults.append(str(error))
+        yield from dict.fromkeys(faults[:-1] or faults)
 
 
 def _check_scales(settings: Settings) -> Iterator[str]:
     """Check that every scale has its words; those in a file of the lab's own are found when it is read."""
     if not settings.session.language.endswith(LANGUAGE_FILE):
-        yield from find_mute_scales(settings, read_texts(settings.session.language)["scales"])
+        yield from _find_mute_scales(settings, read_texts(settings.session.language)["scales"])
 
 
-def find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[str]:
+def _find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[str]:
     """Find scales that are asked and have no words, and words for scales that are no sliders."""
     for name in settings.scales:
         if texts.get(name, {}).get("choices"):
             yield f"scales.{name}: must not be set, the answer to {name} is a choice; remove it"
     known = {*texts, *settings.scales}
-    for task, table in settings.tasks.items():
-        for name in table.scales:
-            if name not in known:
-                near = get_close_matches(name, known, n=1)
-                hint = f"did you mean {near[0]!r}? Or " if near else ""
-                yield (
-                    f"tasks.{task}.scales: {name!r} has no words; {hint}add [scales.{name}] with question, low and high"
-                )
+    asked = [(task, name) for task, table in settings.tasks.items() for name in table.scales]
+    for task, name in asked:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}? Or " if near else ""
+            remedy = f"{hint}add [scales.{name}] with question, low and high"
+            yield f"tasks.{task}.scales: {name!r} has no words; {remedy}"
 
 
 def _check_between(settings: Settings) -> Iterator[str]:
@@ -445,13 +463,12 @@ def _check_between(settings: Settings) -> Iterator[str]:
     for factor, (place, allowed) in places.items():
         for name in settings.between.get(factor, ()):
             if name not in allowed:
-                yield (
-                    f"between.{factor} must be one of {', '.join(allowed)}, got {name!r}; or add it to {place}"
-                )
+                rule = f"must be one of {', '.join(allowed)}, got {name!r}"
+                yield f"between.{factor} {rule}; or add it to {place}"
 
 
-def _check_samples(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
-    """Check that each surface has a name where participants touch it."""
+def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
+    """Check that surfaces have names, and that the stimuli to be built are what the tasks need."""
     on_surfaces = [task.protocol for task in tasks if task.surface or task.reference == SURFACE]
     for number, recording in enumerate(settings.recordings, start=1):
         if on_surfaces and not recording.sample:
@@ -459,10 +476,6 @@ def _check_samples(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]
                 f"recordings[{number}].sample: missing, but participants touch the real surface in "
                 f"{' and '.join(on_surfaces)}; add the name that it has in the lab"
             )
-
-
-def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
-    """Check that the stimuli to be built are what the tasks need."""
     for items, own in _list_groups(settings, tasks):
         for task in own:
             try:
@@ -480,43 +493,37 @@ def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
             f"session.recordings_per_participant must be at most the {everything} recordings of the study, "
             f"got {share}; leave it out, and everybody feels them all"
         )
+    repeats = settings.session.repeats
     trials = max(
-        (share or everything)
-        * settings.session.repeats
-        * sum(len(PROTOCOLS[task.protocol].compare(items, task)) for task in own)
+        sum(len(PROTOCOLS[task.protocol].compare(items, task)) for task in own)
         for items, own in _list_groups(settings, tasks)
-    )
+    ) * (repeats * (share or everything))
     if trials > MOST_TRIALS:
         yield (
-            f"a session must have at most {MOST_TRIALS} trials, got {trials} with session.repeats = "
-            f"{settings.session.repeats}; use fewer repeats, reducers or recordings, or let each participant feel a "
-            "share of them: session.recordings_per_participant"
+            f"a session must have at most {MOST_TRIALS} trials, got {trials} with session.repeats = {repeats}; use "
+            "fewer repeats, reducers or recordings, or let each participant feel a share of them: "
+            "session.recordings_per_participant"
         )
 
 
 def _list_groups(
     settings: Settings, tasks: tuple[Task, ...]
 ) -> Iterator[tuple[tuple[Item, ...], tuple[Task, ...]]]:
-    """List items and tasks of the groups that differ in them."""
-    factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
-    for levels in product(*factors.values()):
-        groups = dict(zip(factors, levels, strict=True))
-        yield select_group(list_items(settings), tasks, groups)
-
-
-def list_items(settings: Settings) -> list[Item]:
-    """List the stimuli that will be built from the first recording; those of the others are alike."""
-    from feel321.stimuli.sets.anchors import ANCHORS
+    """List the stimuli, as built from the first recording, and the tasks of the groups that differ in them."""
+    from feel321.stimuli.sets.recipe import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title
     made = [(name_of(name), "test") for name in stimuli.reducers]
     made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
     made += [(name, "anchor") for name in ANCHORS] * stimuli.anchors
-    return [
+    items = [
         Item(f"{recording}-{role}-{reducer}-{level}", recording, reducer, level, role)
         for level in stimuli.levels
         for reducer, role in made
     ]
+    factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
+    for levels in product(*factors.values()):
+        yield select_group(items, tasks, dict(zip(factors, levels, strict=True)))
 
 
 def list_remarks(settings: Settings) -> list[str]:

@@ -7,14 +7,13 @@ stimuli or the protocols know under another name has that name as its `serializa
 import math
 import re
 from collections.abc import Mapping
-from math import prod
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
 
 from feel321 import intake
-from feel321.doors import name_of
+from feel321.protocols import questions
 from feel321.protocols.blocks import MatchingBlock, ThresholdBlock, name_tone
 from feel321.protocols.order import ORDERS, TASK_ORDERS
 from feel321.protocols.tasks import make_task, refine_task
@@ -25,17 +24,14 @@ from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import AXES, UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.anchors import ANCHORS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.admission import OURS, name_protocols
-from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
+from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.session.plan import POLICIES, Stale
 from feel321.study.settings import fields as kinds
-from feel321.study.settings.asking import Questions, Scales
-from feel321.study.settings.paper import PaperTable
-from feel321.study.settings.publication import PublicationTable
+from feel321.study.settings.about import ObserverTable, PaperTable, PublicationTable
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
 _BLOCK, _MATCHING = ThresholdBlock("bayesian", (), USUAL), MatchingBlock("")
@@ -72,13 +68,91 @@ def _check_groups(between: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, .
 
 def count_groups(between: Mapping[str, tuple[str, ...]]) -> int:
     """Count the groups that factors make."""
-    return prod(len(levels) for levels in between.values())
+    return math.prod(len(levels) for levels in between.values())
 
 
-# What participants do: `[session]`, `[tasks]` and `[between]`.
+Factor = Annotated[str, AfterValidator(check_factor)]
+Levels = Annotated[tuple[kinds.Words, ...], kinds.Some]
+Between = Annotated[dict[Factor, Levels], AfterValidator(_check_groups)]
+
+# What participants are asked: `[scales.NAME]` and `[[session.questions]]`.
+
+Label = Annotated[str, AfterValidator(questions.check_label)]
+
+
+class ScaleTable(kinds.TomlTable):
+    """`[scales.NAME]`: a scale of the lab's own, or other words for one of feel321's."""
+
+    question: kinds.Words
+    low: kinds.Words
+    high: kinds.Words
+    anchors: tuple[kinds.Words, ...] = ()
+
+    @model_validator(mode="after")
+    def _check_ends(self) -> Self:
+        if self.low == self.high:
+            raise ValueError(f"low and high must differ, got {self.low!r} for both")
+        return self
+
+    def to_texts(self) -> dict[str, str | list[str]]:
+        """Return its texts as a language holds them."""
+        texts = {"question": self.question, "low_label": self.low, "high_label": self.high}
+        return texts | ({"anchors": list(self.anchors)} if self.anchors else {})
+
+
+class QuestionTable(kinds.TomlTable):
+    """`[[session.questions]]`: a question page, or a ready one by its name."""
+
+    use: Annotated[str, kinds.one_of(questions.READY)] | None = None
+    name: Label | None = None
+    kind: Annotated[str, kinds.one_of(questions.KINDS)] | None = None
+    question: kinds.Words | None = None
+    options: tuple[str, ...] = ()
+    low: kinds.Finite | None = None
+    high: kinds.Finite | None = None
+    when: Annotated[str, kinds.one_of(questions.TIMES)] = questions.TIMES[0]
+    personal: bool = False
+    required: bool = True
+
+    @model_validator(mode="after")
+    def _check_whole(self) -> Self:
+        others = sorted(self.model_fields_set - {"use", "when"})
+        if self.use and others:
+            own = f"use = {self.use!r} brings its own questions"
+            raise ValueError(f"{own}; remove {', '.join(others)}, or use")
+        for key in () if self.use else ("name", "kind", "question"):
+            if getattr(self, key) is None:
+                raise ValueError(f"{key} is missing; add it, or use = 'demographics'")
+        if not self.use:
+            questions.check_question(self.make_question())
+        return self
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its questions."""
+        return tuple(questions.READY[self.use]) if self.use else (self.name or "",)
+
+    def make_question(self) -> questions.Question:
+        """Make the question of a plan."""
+        return questions.Question(**self.model_dump(exclude={"use"}))
+
+
+def _check_questions(tables: tuple[QuestionTable, ...]) -> tuple[QuestionTable, ...]:
+    names = kinds.check_distinct(tuple(name for table in tables for name in table.names))
+    if len(names) > questions.MOST_QUESTIONS:
+        most = questions.MOST_QUESTIONS
+        raise ValueError(f"must be at most {most} questions, got {len(names)}")
+    return tables
+
+
+# What participants do: `[session]` and `[tasks.NAME]`.
 
 LANGUAGE_FILE = ".toml"
 """How the name of a lab's own file of texts ends."""
+
+Level = Annotated[float, Field(ge=-120, le=60)]
+UpTo100 = Annotated[kinds.Count, Field(le=100)]
+UpToAnHour = Annotated[kinds.NotNegative, Field(le=3600)]
 
 
 def _check_language(language: str) -> str:
@@ -92,13 +166,13 @@ def _check_language(language: str) -> str:
 class RehearsalTable(kinds.TomlTable):
     """`[session.rehearsal]`: what comes before the trials that count."""
 
-    training: Annotated[kinds.Count, Field(le=100)] = 4
-    practice: Annotated[kinds.Count, Field(le=100)] = 2
+    training: UpTo100 = 4
+    practice: UpTo100 = 2
     pass_share: kinds.Share = Field(
         default=_FLOW.training_pass, serialization_alias="training_pass"
     )
-    rounds: int = Field(
-        default=_FLOW.training_rounds, ge=1, le=100, serialization_alias="training_rounds"
+    rounds: Annotated[int, Field(ge=1, le=100, serialization_alias="training_rounds")] = (
+        _FLOW.training_rounds
     )
 
 
@@ -111,8 +185,8 @@ class BreaksTable(kinds.TomlTable):
     every_min: Annotated[Annotated[kinds.Positive, Field(le=1440)] | None, kinds.OrOff] = Field(
         default=_FLOW.break_min, serialization_alias="break_min"
     )
-    break_s: Annotated[kinds.NotNegative, Field(le=3600)] = _FLOW.break_s
-    rest_s: Annotated[kinds.NotNegative, Field(le=3600)] = _FLOW.rest_s
+    break_s: UpToAnHour = _FLOW.break_s
+    rest_s: UpToAnHour = _FLOW.rest_s
 
 
 class QualityTable(kinds.TomlTable):
@@ -137,30 +211,26 @@ class StaleTable(kinds.TomlTable):
     policy: Annotated[str, kinds.one_of(POLICIES)] = _STALE.policy
 
 
-MOST_FREQUENCIES = 8
-"""Each frequency takes four to five minutes."""
-
-
-Level = Annotated[float, Field(ge=-120, le=60)]
-
-
 def _check_apart(frequencies: tuple[float, ...]) -> tuple[float, ...]:
     kinds.check_distinct(tuple(name_tone(frequency) for frequency in frequencies))
     return frequencies
 
 
 class ThresholdTable(kinds.TomlTable):
-    """`[session.threshold]`: the detection threshold of each participant, measured before the trials."""
+    """`[session.threshold]`: the detection threshold of each participant, measured before the trials.
+
+    Each frequency takes four to five minutes, so there are at most eight.
+    """
 
     frequencies_hz: Annotated[
         tuple[Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)], ...],
-        Field(min_length=1, max_length=MOST_FREQUENCIES),
+        Field(min_length=1, max_length=8),
         AfterValidator(_check_apart),
     ]
     procedure: Annotated[str, kinds.one_of(PROCEDURES)] = _BLOCK.procedure
     trials: Annotated[int, Field(ge=5, le=200)] = USUAL.trials
     catch_every: Annotated[kinds.Count, Field(le=200)] = USUAL.catch_every
-    practice: Annotated[kinds.Count, Field(le=100)] = _BLOCK.practice
+    practice: UpTo100 = _BLOCK.practice
     duration_s: Annotated[float, Field(ge=0.1, le=2)] = _BLOCK.duration_s
     gap_s: Annotated[kinds.NotNegative, Field(le=5)] = _BLOCK.gap_s
     start_db: Level = USUAL.start_db
@@ -193,13 +263,6 @@ class MatchingTable(kinds.TomlTable):
 _OWN_PROTOCOL = kinds.own_or_one_of(OURS, "protocol", "protocols")
 
 
-def _check_task(name: str, info: ValidationInfo) -> str:
-    """Demand the name of one of feel321's protocols, or the short name of one of the study's own."""
-    session = (info.context or {}).get("session")
-    given = session.get("protocols") if isinstance(session, dict) else ()
-    return kinds.check_one_of(name, (*OURS, *name_protocols(given)))
-
-
 class SessionTable(kinds.TomlTable):
     """`[session]`: what participants do."""
 
@@ -220,7 +283,14 @@ class SessionTable(kinds.TomlTable):
     stale: StaleTable = StaleTable()
     threshold: ThresholdTable | None = None
     matching: MatchingTable | None = None
-    questions: Questions = ()
+    questions: Annotated[tuple[QuestionTable, ...], AfterValidator(_check_questions)] = ()
+
+
+def _check_task(name: str, info: ValidationInfo) -> str:
+    """Demand the name of one of feel321's protocols, or the short name of one of the study's own."""
+    session = (info.context or {}).get("session")
+    given = session.get("protocols") if isinstance(session, dict) else ()
+    return kinds.check_one_of(name, (*OURS, *name_protocols(given)))
 
 
 class TaskTable(kinds.TomlTable):
@@ -242,23 +312,7 @@ class TaskTable(kinds.TomlTable):
         return refine_task(make_task(name, training=training, practice=practice, **own), **options)
 
 
-Tasks = dict[Annotated[str, AfterValidator(_check_task)], TaskTable]
-Between = Annotated[
-    dict[
-        Annotated[str, AfterValidator(check_factor)], Annotated[tuple[kinds.Words, ...], kinds.Some]
-    ],
-    AfterValidator(_check_groups),
-]
-
-
-# What is felt: `[[recordings]]`, `[stimuli]` and `[rig]`; who feels it, and what becomes of the ratings.
-
-
-class StudyTable(kinds.TomlTable):
-    """`[study]`: name and seed."""
-
-    name: kinds.Words = ""  # the folder's, once the file is read
-    seed: kinds.Seed = 321
+# What is felt: `[[recordings]]`, `[stimuli]` and `[rig]`, with methods of the lab's own.
 
 
 class SourceTable(kinds.TomlTable):
@@ -274,9 +328,10 @@ class SourceTable(kinds.TomlTable):
     def title(self) -> str:
         """The recording's name: `oak` by default for `recordings/oak.csv`, in orientation 1 `oak-r1`."""
         turned = "" if self.rotation is None else f"-r{self.rotation}"
-        return self.name or f"{self._find_source()}{turned}"
+        return self.name or f"{self.find_source()}{turned}"
 
-    def _find_source(self) -> str:
+    def find_source(self) -> str:
+        """Find the name of what it was made from."""
         raise NotImplementedError
 
 
@@ -300,7 +355,8 @@ class SceneTable(SourceTable):
         intake.check_samples(n_samples, AXES, self.rate_hz)
         return self
 
-    def _find_source(self) -> str:
+    def find_source(self) -> str:
+        """Find the name of the scene."""
         return self.scene.replace("+", "-")
 
 
@@ -314,7 +370,8 @@ class FileTable(SourceTable):
     full_scale: kinds.Positive | None = None
     resample: bool = False
 
-    def _find_source(self) -> str:
+    def find_source(self) -> str:
+        """Find the name of the file."""
         return PurePath(self.file).stem
 
 
@@ -339,18 +396,17 @@ class FilesTable(FileTable):
                 f"must be within the study's folder, got {self.files!r}; link it there"
             )
         found = (path for path in folder.glob(self.files) if path.name[0] != "." and path.is_file())
-        own = self.model_dump(exclude={"files"})
         names = sorted(path.relative_to(folder).as_posix() for path in found)
         if not names:
             raise ValueError(
                 f"must match at least one file, got {self.files!r}; write a pattern such as 'corpus/*.wav'"
             )
+        own = self.model_dump(exclude={"files"})
         return [FileTable(file=name, **own) for name in names]
 
 
 def _find_kind(entry: object) -> str:
-    tables = {"scene": SceneTable, "files": FilesTable}
-    for kind, table in tables.items():
+    for kind, table in {"scene": SceneTable, "files": FilesTable}.items():
         if isinstance(entry, table) or (isinstance(entry, dict) and kind in entry):
             return kind
     return "file"
@@ -387,9 +443,14 @@ ACCEPT = "accept"
 BELOW_THRESHOLD = ("refuse", ACCEPT)
 """Whether stimuli that are weaker than the detection threshold keep a study from running."""
 
-
 _OWN_REDUCER = kinds.own_or_one_of(REDUCERS, "reducer", "reducers")
 _OWN_REFERENCE = kinds.own_or_one_of((ORIGINAL, NO_REFERENCE, *REDUCERS), "reducer", "reducers")
+
+
+def _check_gain(gain: float | str) -> float | str:
+    if gain not in GAINS and (isinstance(gain, str) or not 1e-6 <= gain <= 1e6):  # noqa: PLR2004 - any rig's
+        raise ValueError('must be "set", "per_recording", or a number from 1e-6 to 1e6')
+    return gain
 
 
 class StimuliTable(kinds.TomlTable):
@@ -401,7 +462,7 @@ class StimuliTable(kinds.TomlTable):
     )
     anchors: bool = _RECIPE.anchors
     reference: Annotated[str, _OWN_REFERENCE] = _RECIPE.reference
-    gain: Annotated[float | str, kinds.number_or(GAINS, least=1e-6, most=1e6)] = _RECIPE.gain
+    gain: Annotated[float | str, AfterValidator(_check_gain)] = _RECIPE.gain
     fade_s: kinds.Seconds = _RECIPE.fade_s
     threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = _RECIPE.threshold
     below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
@@ -460,57 +521,14 @@ class RigTable(kinds.TomlTable):
         return self.model_dump(exclude={"certificate"})
 
 
-def _check_terms(terms: dict[str, float], info: ValidationInfo) -> dict[str, float]:
-    """Demand reducers as the manifest names them; without a whole file, a lab's own are not known."""
-    if info.context is None:
-        return terms
-    stimuli, own = (info.context.get(table) for table in ("stimuli", "reducers"))
-    felt = stimuli.get("reducers") if isinstance(stimuli, dict) else ()
-    known = [*REDUCERS, *ANCHORS, *(own if isinstance(own, dict) else ())]
-    known += [name_of(name) for name in felt or () if isinstance(name, str)]
-    for name in terms:
-        kinds.check_one_of(name, known)
-    return terms
+# Who feels it, and what becomes of the ratings.
 
 
-class ObserverTable(kinds.TomlTable):
-    """`[observer]`: how simulated participants feel and differ."""
+class StudyTable(kinds.TomlTable):
+    """`[study]`: name and seed."""
 
-    intercept: kinds.Finite = 10.0
-    spectral: kinds.Finite = 45.0
-    temporal: kinds.Finite = 35.0
-    threshold_spectral: kinds.Finite = 0.0
-    envelope: kinds.Finite = 0.0
-    level: kinds.Finite = 0.0
-    direction: kinds.Finite = 0.0
-    vector_magnitude: kinds.Finite = 0.0
-    reducers: Annotated[dict[str, kinds.Finite], AfterValidator(_check_terms)] = Field(
-        default_factory=dict
-    )
-    bias_sd: kinds.NotNegative = 6.0
-    gain_sd: kinds.NotNegative = 0.15
-    slope_sd: kinds.NotNegative = 0.0
-    noise_sd: kinds.NotNegative = 8.0
-    noise_spread: kinds.NotNegative = 0.25
-    lapse_rate: kinds.Share = 0.0
-    detection_sd: kinds.NotNegative = 4.0
-    detection_slope: kinds.Positive = 3.0
-    matching_sd: kinds.NotNegative = 1.0
-    order: kinds.Finite = 0.0
-    fatigue: kinds.Finite = 0.0
-    fatigue_noise: kinds.NotNegative = 0.0
-    straight_liners: kinds.Share = 0.0
-    random_clickers: kinds.Share = 0.0
-    scale_reversers: kinds.Share = 0.0
-
-    @model_validator(mode="after")
-    def _check_shares(self) -> Self:
-        bad = self.straight_liners + self.random_clickers + self.scale_reversers
-        if bad > 1 + 1e-9:
-            raise ValueError(
-                f"straight_liners, random_clickers, scale_reversers must be at most 1 together, got {bad:g}"
-            )
-        return self
+    name: kinds.Words = ""  # the folder's, once the file is read
+    seed: kinds.Seed = 321
 
 
 class AnalysisTable(kinds.TomlTable):
@@ -547,8 +565,10 @@ class Settings(kinds.TomlTable):
     formats: dict[str, kinds.Words] = Field(default_factory=dict)
     rig: RigTable = RigTable()
     session: SessionTable = SessionTable()
-    tasks: Tasks = Field(default_factory=dict)
-    scales: Scales = Field(default_factory=dict)
+    tasks: dict[Annotated[str, AfterValidator(_check_task)], TaskTable] = Field(
+        default_factory=dict
+    )
+    scales: dict[Label, ScaleTable] = Field(default_factory=dict)
     between: Between = Field(default_factory=dict)
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()

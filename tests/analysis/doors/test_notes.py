@@ -17,7 +17,7 @@ from feel321.analysis.table.reading import read_table
 from feel321.analysis.table.roster import ROSTER
 from feel321.analysis.table.schema import LABELS, RATINGS
 from feel321.stimuli.sets.manifest import COLUMN_UNITS
-from feel321.study.columns import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
+from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.settings.read import list_origins, read_settings
 
 if TYPE_CHECKING:

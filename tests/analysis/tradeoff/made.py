@@ -33,7 +33,7 @@ def make_frame(reducers: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
     for name, value in {"duration_s": 2.0, "felt_level": 9.0, "eigenvalue_ratio": 0.2}.items():
         add("", RECORDED, name, value)
     for place, (reducer, own) in enumerate(reducers.items()):
-        needs = {"axes": 1, "parameters": 0, "state": 0, "operations": own.get("operations", place)}
+        needs = {"parameters": 0, "state": 0, "operations": own.get("operations", place)}
         for name, value in {**needs, "latency_ms": own.get("latency_ms", 0.0)}.items():
             add(reducer, "", name, value)
         for condition in (RECORDED, MOUNTED, *HALVES):

@@ -2,52 +2,31 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from feel321.analysis.tradeoff import cost
-from feel321.analysis.tradeoff.measure import (
-    COLUMNS,
-    HALVES,
-    find_change,
-    find_properties,
-    measure_tradeoff,
-    spread_turns,
-)
+from feel321.analysis.tradeoff.measure import measure_tradeoff, spread_turns
 from feel321.stimuli.match import temporal_match
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
+from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import INVARIANTS
-from feel321.stimuli.sets.anchors import felt_level
-from feel321.stimuli.synthesis import make_scene
+from feel321.stimuli.thresholds import felt_level
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import pandas as pd
+
 KEY = ["kind", "recording", "reducer", "condition", "measure"]
-TIMES = ["cost_ratio", "ns_per_sample", "block_us", "block_load"]
 
 
 def read(frame: pd.DataFrame, reducer: str, condition: str, measure: str) -> float:
     own = frame[frame["reducer"].eq(reducer) & frame["condition"].eq(condition)]
     return float(own[own["measure"] == measure]["value"].iloc[0])
-
-
-def test_one_row_per_number_and_every_reducer_on_every_recording(frame: pd.DataFrame) -> None:
-    assert tuple(frame) == COLUMNS
-    assert not frame.duplicated(KEY).any()
-    known = frame[frame["measure"] == "temporal_match"].groupby("recording")["reducer"].nunique()
-    assert known.to_dict() == dict.fromkeys(
-        ("bumps", "constrained_drag", "circular_motion"), len(REDUCERS)
-    )
-    assert set(frame[frame["recording"] == "calm"]["measure"]) - {*TIMES} == {
-        "rate_hz", "duration_s", "felt_level",
-    }  # fmt: skip
 
 
 def to_db(ratio: float) -> float:
@@ -82,56 +61,6 @@ def test_numbers_are_those_of_the_public_functions(
     assert read(own, name, "mounting", "temporal_match") == pytest.approx(np.mean(turned), abs=1e-6)
 
 
-def test_orientations_are_even_rotations_in_which_no_axis_is_special() -> None:
-    turns = spread_turns(8)
-    assert turns.shape == (24, 3, 3)
-    assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3))
-    assert np.allclose(np.linalg.det(turns), 1)
-    # Each axis of the sensor looks along the same directions, and no direction is preferred.
-    first, second = (np.sort(np.round(turns[:, axis, 0], 9)) for axis in (0, 1))
-    assert np.array_equal(first, second)
-    assert np.allclose(np.square(turns).mean(axis=0), 1 / 3, atol=0.1)
-
-
-def test_single_axes_are_equal_over_all_mountings(frame: pd.DataFrame) -> None:
-    turned = frame[(frame["condition"] == "mounting") & (frame["measure"] != "change_db")]
-    wide = turned.pivot_table(index=["recording", "measure"], columns="reducer", values="high")
-    for form in ("", "_matched"):
-        x, y, z = (wide[f"sa{axis}321{form}"] for axis in "xyz")
-        assert np.allclose(x, y, atol=1e-6)
-        assert np.allclose(x, z, atol=1e-6)
-
-
-def test_the_seed_decides_noise_and_gaps_only(recordings: list[Recording]) -> None:
-    few = {"reducers": ["pca321", "dft321"]}
-    first, again, other = (measure_tradeoff(recordings[0], rng=rng, **few) for rng in (1, 1, 2))
-    first, again, other = (
-        one[~one["measure"].isin(TIMES)].reset_index(drop=True) for one in (first, again, other)
-    )
-    pd.testing.assert_frame_equal(first, again)
-    differs = first.loc[first["value"] != other["value"], "condition"]
-    assert set(differs) <= {"noise", "gaps"}
-    assert len(differs)
-
-
-def test_a_change_is_one_of_energy_and_its_sign_is_not_felt() -> None:
-    signal = np.array([3.0, 4.0])
-    assert find_change(signal, -signal) == 0
-    assert find_change(signal, 1.1 * signal) == pytest.approx(0.01)
-    assert find_change(signal, np.array([3.0, 5.0])) == pytest.approx(1 / 25)
-    assert find_change(0 * signal, 0 * signal) == 0
-    assert find_change(0 * signal, signal) == 1
-
-
-def test_properties_tell_who_leads_and_what_cancels() -> None:
-    time = np.arange(4000) / 4000
-    tone, other = np.sin(2 * np.pi * 100 * time), np.sin(2 * np.pi * 150 * time)
-    found = find_properties(np.array([2 * tone, -tone, -tone]))
-    assert found == pytest.approx({"eigenvalue_ratio": 0.0, "cancelled_share": 1.0}, abs=1e-9)
-    found = find_properties(np.array([2 * tone, other, 0 * tone]))
-    assert found == pytest.approx({"eigenvalue_ratio": 0.25, "cancelled_share": 0.0}, abs=1e-9)
-
-
 def tap() -> Recording:
     time = np.arange(2000) / 4000 - 0.25
     shape = np.where(time >= 0, np.exp(-np.maximum(time, 0) / 0.02), 0) * np.sin(800 * time)
@@ -162,18 +91,11 @@ def test_planted_faults_are_found(fault: str) -> None:
     assert found["sound"] == ""
 
 
-def test_halves_are_measured_by_themselves_and_silent_ones_are_not() -> None:
-    frame = measure_tradeoff(tap(), reducers=["mag321"])
-    assert set(frame["condition"]).isdisjoint({HALVES[0]})
-    assert HALVES[1] in set(frame["condition"])
-
-
-def test_windows_and_axes_are_candidates(recordings: list[Recording]) -> None:
+def test_windows_are_candidates(recordings: list[Recording]) -> None:
     some = ["dft321", "dft321_windowed"]
-    frame = measure_tradeoff(recordings[1], reducers=some, windows_ms=(20,), axes=3)
-    names = [*some, "dft321_windowed@20ms", "two_principal_axes", "three_axes"]
-    assert list(frame[frame["measure"] == "axes"]["reducer"]) == names
-    assert read(frame, "three_axes", "as recorded", "motion_db") == pytest.approx(0, abs=1e-9)
+    frame = measure_tradeoff(recordings[1], reducers=some, windows_ms=(20,))
+    names = [*some, "dft321_windowed@20ms"]
+    assert list(frame[frame["measure"] == "operations"]["reducer"]) == names
     assert read(frame, "dft321_windowed@20ms", "", "latency_ms") < 20
 
 
@@ -231,20 +153,4 @@ def test_time_is_relative_to_the_floor_of_the_same_run(monkeypatch: pytest.Monke
     candidates = cost.list_candidates({"slow": lambda a, _: clock.take(0.005, a)})
     found = cost.time_reducers(candidates, tap(), rounds=3, rng=np.random.default_rng(0))
     ((_, times),) = found
-    assert times["cost_ratio"] == pytest.approx((2.5, 2.5, 2.5))
-    assert times["ns_per_sample"][0] == pytest.approx(0.005e9 / 2000)
-
-
-def test_who_streams_has_a_time_per_block_and_a_delay(frame: pd.DataFrame) -> None:
-    timed = set(frame[frame["measure"] == "block_load"]["reducer"])
-    assert timed == set(REDUCERS) - set(WHY_NOT_STREAMING)
-    delays = frame[frame["measure"] == "latency_ms"].set_index("reducer")["value"]
-    for name in REDUCERS:
-        assert np.isinf(delays[name]).all() == (name in WHY_NOT_STREAMING)
-
-
-def test_every_reducer_declares_its_work() -> None:
-    scene = make_scene("bumps", duration_s=0.1)
-    for one in cost.list_candidates(dict(REDUCERS)):
-        needs = SimpleNamespace(**cost.find_needs(one, n_samples=scene.n_samples, rate_hz=1e4))
-        assert np.isfinite([needs.state, needs.operations]).all()
+    assert times == pytest.approx([2.5, 2.5, 2.5])

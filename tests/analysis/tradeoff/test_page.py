@@ -6,7 +6,6 @@ import json
 import re
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -123,11 +122,3 @@ def test_own_metrics_have_a_panel_and_the_battery_a_map(
     # The battery decides nothing about the lab's own recordings.
     own = frame[frame["kind"] != "battery"]
     pd.testing.assert_frame_equal(advise_tradeoff(own).choices, result.choices)
-
-
-def test_a_summary_has_a_line_per_recording(result: Tradeoff) -> None:
-    lines = result.summary().splitlines()
-    assert len(lines) == len(result.choices) + 1
-    assert lines[-1] == result.headline
-    assert lines[-2] == "calm: no advice: silent from 20 to 1000 Hz"
-    assert np.isfinite(result.verdicts["shortfall_db"]).all()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -38,24 +36,9 @@ def test_equivalent_open_and_worse() -> None:
     )
 
 
-def test_the_least_favourable_scale_counts() -> None:
-    other = rate().assign(scale="likeness")
-    swap = {"best": "alike", "alike": "worse", "worse": "best"}
-    other["reducer"] = other["reducer"].replace(swap)
-    found = compare_rated(pd.concat([rate(), other]), margin=5.0)
-    said = dict(zip(found["reducer"], found["agree"], strict=True))
-    assert said == {"best": "worse", "alike": "equivalent", "unsure": "open", "worse": "worse"}
-
-
 def test_without_margin_or_ratings_nobody_is_heard() -> None:
     assert not len(compare_rated(rate()))
     assert not len(compare_rated(None, margin=5.0))
-
-
-def test_one_person_leaves_it_open() -> None:
-    single = rate(people=1).drop_duplicates("reducer")
-    found = compare_rated(single, margin=5.0)
-    assert set(found["agree"]) == {"best", "open"}
 
 
 def test_who_is_rated_worse_is_not_advised_and_the_others_are_reported() -> None:
@@ -67,21 +50,3 @@ def test_who_is_rated_worse_is_not_advised_and_the_others_are_reported() -> None
     assert "ratings do not show whether people agree" in heard.summary()
     other = advise_tradeoff(frame, ratings=rate(recording="elsewhere"), margin=5.0)
     assert other.choices[["answer", "people"]].to_numpy().tolist() == [["worse", ""]]
-
-
-@pytest.mark.parametrize("margin", [0, -5.0, float("nan"), float("inf")])
-def test_a_margin_must_be_one(margin: float) -> None:
-    with pytest.raises(ValueError, match="margin must be a number of points above 0, got"):
-        compare_rated(rate(), margin=margin)
-
-
-@pytest.mark.parametrize(
-    ("ratings", "message"),
-    [
-        (rate().drop(columns="level"), "column level is missing"),
-        ([1, 2], "ratings must be a Table or a pandas DataFrame"),
-    ],
-)
-def test_what_are_no_ratings_is_refused(ratings: Any, message: str) -> None:
-    with pytest.raises((TypeError, ValueError), match=message):
-        compare_rated(ratings, margin=5.0)

@@ -46,15 +46,6 @@ def pack_mat(n_bytes: int, copies: int) -> bytes:
     return HEADER + copies * (struct.pack("<II", 15, len(body)) + body)
 
 
-def pack_directory(n_members: int) -> bytes:
-    """An archive whose directory lists many files."""
-    entry = (
-        struct.pack("<4s4B4HL2L5H2L", b"PK\x01\x02", 20, 0, 20, 0, 0, 0, 0, 0, *([0] * 10)) + b"a"
-    )
-    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 65535, 65535, n_members * len(entry), 0, 0)
-    return b"PK\x03\x04" + n_members * entry + end
-
-
 def bend_size(content: bytes, size: int) -> bytes:
     """Change the size that an archive's directory gives its first file."""
     at = content.index(b"PK\x01\x02") + 24
@@ -67,7 +58,7 @@ ZEROS = 8 * 3 * 50_000_000
 HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "wav: promises 4 GB": ("a.wav", lambda: pack_wav(2**32 - 4, present=64), "promises 357913941 samples"),
     "wav: 60 000 channels": ("a.wav", lambda: pack_wav(64_000, present=64_000, channels=16_000), "16000 for 3 axes"),
-    "npy: promises 2 TB": ("a.npy", lambda: pack_npy((3, 2**36)), "promises 1649267441664 bytes"),
+    "npy: promises 2 TB": ("a.npy", lambda: pack_npy((3, 2**36)), "as an NPY array"),
     "npy: header of 4 GB": ("a.npy", lambda: b"\x93NUMPY\x02\x00\xff\xff\xff\xff" + bytes(64), "as an NPY array"),
     "npz: zeros that inflate to 1.2 GB": (
         "a.npz",
@@ -77,14 +68,10 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
     "npz: promises 1.2 GB that are not there": (
         "a.npz",
         lambda: bend_size(pack_zip(acceleration__npy=pack_npy((3, 50_000_000))), ZEROS + 70),
-        "promises",
+        "its arrays: 1,200 MB, at most",
     ),
-    "npz: objects": ("a.npz", lambda: pack_zip(acceleration__npy=pack_npy((3,), dtype="|O")), "Python objects"),
+    "npz: objects": ("a.npz", lambda: pack_zip(acceleration__npy=pack_npy((3,), dtype="|O")), "Object arrays"),
     "npz: a file that is no array": ("a.npz", lambda: pack_zip(notes__txt=b"1"), "array must be named"),
-    "npz: an array without its mark": (
-        "a.npz", lambda: pack_zip(acceleration__npy=FINE.replace(b"\x93NUMPY", b"\x93\r\n\r\n\1")), "magic string"
-    ),
-    "npz: 65 535 files": ("a.npz", lambda: pack_directory(65535), "more than 1000 files"),
     "mat: 40 variables of 60 MB": ("a.mat", lambda: pack_mat(60_000_000, 40), "cannot be read as a MATLAB file"),
     "csv: a line of 30 MB": ("a.csv", lambda: b"1," * 15_000_000, "longer than 1048576 bytes"),
     "csv: 200 000 columns": ("a.csv", lambda: b"1," * 200_000 + b"1\n", "at most 1000 columns"),

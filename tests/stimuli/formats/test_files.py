@@ -2,9 +2,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import struct
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,11 +36,9 @@ def test_float_wav_is_in_the_unit_of_its_sidecar(tmp_path: Path, signal: Signal)
     assert recording.sha256 == hashlib.sha256(both).hexdigest()
 
 
-def test_sidecar_may_be_toml_and_name_more_channels_in_any_order(
-    tmp_path: Path, signal: Signal
-) -> None:
+def test_a_sidecar_may_name_more_channels_in_any_order(tmp_path: Path, signal: Signal) -> None:
     write_wav(tmp_path / "a.wav", np.vstack([signal, signal[:1]])[[3, 2, 1, 0]], 8000)
-    (tmp_path / "a.toml").write_text('unit = "m/s2"\naxes = ["force", "z", "y", "x"]\n')
+    (tmp_path / "a.json").write_text('{"unit": "m/s2", "axes": ["force", "z", "y", "x"]}')
     recording = read_recording(tmp_path / "a.wav")
     np.testing.assert_array_equal(recording.acceleration, signal.astype(np.float32))
 
@@ -63,39 +58,18 @@ def test_integer_wav_is_a_fraction_of_full_scale(tmp_path: Path) -> None:
     )
 
 
-def test_extensible_float_wav_is_float(tmp_path: Path, signal: Signal) -> None:
-    frames = signal.T.astype("<f4").tobytes()
-    guid = b"\x03\x00\x00\x00\x00\x00\x10\x00\x80\x00\x00\xaa\x00\x38\x9b\x71"
-    layout = struct.pack("<HHIIHHHHI", 0xFFFE, 3, 8000, 96000, 12, 32, 22, 32, 0) + guid
-    chunks = (
-        struct.pack("<4s4sI", b"WAVE", b"fmt ", 40)
-        + layout
-        + struct.pack("<4sI", b"data", len(frames))
-        + frames
-    )
-    (tmp_path / "a.wav").write_bytes(b"RIFF" + struct.pack("<I", len(chunks)) + chunks)
-    recording = read_recording(tmp_path / "a.wav", unit="m/s^2")
-    np.testing.assert_array_equal(recording.acceleration, signal.astype(np.float32))
-    assert recording.warnings == ()
-
-
 @pytest.mark.parametrize(
     ("sidecar", "arguments", "message"),
     [
         ({"rate_hz": 8020}, {}, "header says 8000 Hz and the sidecar 8020 Hz"),
         ({"unit": "ft"}, {}, r"sidecar a\.json: the unit must be .*got 'ft'"),
-        ({"unit": 9}, {}, r"sidecar a\.json: the unit must be .*got 9"),
         ({"unit": "g"}, {"unit": "mg"}, "gives the unit 'g', but unit='mg'"),
         ({"rate_hz": "fast"}, {}, "sidecar .*finite number .*got 'fast'"),
         ({"axes": ["x", "y"]}, {}, 'must be a list with "x", "y" and "z" once each'),
-        ({"axes": 3}, {}, "axes must be .*got 3"),
         ({"axes": ["x", "y", "z", "force"]}, {}, "got 3 for 4 axes"),
         ({"full_scale": 4}, {}, "full_scale .*these are float"),
-        ({"full_scale": -4}, {}, "full_scale must be a finite number above 0, got -4"),
         ({"full_scale": 4}, {"full_scale": 5.0}, "full_scale=5, but the sidecar says 4"),
-        ({}, {"rate_hz": 9000}, "9000 Hz, but 8000 Hz by the file"),
         ({}, {"columns": (0, 1, 2)}, "columns .*got a wav file"),
-        ([], {}, "sidecar a.json: must be a table .*got a list"),
         ({"unt": "g", "Fs": 8000}, {}, "sidecar a.json: .*unit, rate_hz, axes.*got 'unt', 'Fs'"),
         ({"unit": "g", "units": "mg"}, {}, "sidecar a.json: unit and units mean the same"),
     ],
@@ -107,38 +81,6 @@ def test_a_wav_that_contradicts_what_is_said_of_it_is_refused(
     (tmp_path / "a.json").write_text(json.dumps(sidecar))
     with pytest.raises(ValueError, match=rf"^a\.wav: .*{message}"):
         read_recording(tmp_path / "a.wav", **arguments)
-
-
-def test_a_sidecar_may_spell_rate_and_unit_as_an_archive_may(
-    tmp_path: Path, signal: Signal
-) -> None:
-    write_wav(tmp_path / "a.wav", signal, 8000)
-    (tmp_path / "a.json").write_text('{"units": "g", "fs": 8000.4}')
-    recording = read_recording(tmp_path / "a.wav")
-    np.testing.assert_array_equal(
-        recording.acceleration, signal.astype("f4").astype("f8") * STANDARD_GRAVITY
-    )
-    assert recording.rate_hz == 8000.4
-
-
-def test_two_sidecars_are_refused(tmp_path: Path, signal: Signal) -> None:
-    write_wav(tmp_path / "a.wav", signal, 8000)
-    (tmp_path / "a.json").write_text("{}")
-    (tmp_path / "a.toml").write_text("")
-    with pytest.raises(ValueError, match=r"one sidecar, got a\.json and a\.toml"):
-        read_recording(tmp_path / "a.wav")
-
-
-@pytest.mark.parametrize(
-    ("channels", "message"),
-    [(1, "already reduced"), (2, "must be 3 channels, .* got 2"), (4, "got 4 for 3 axes")],
-)
-def test_a_wav_without_three_channels_is_refused(
-    tmp_path: Path, channels: int, message: str
-) -> None:
-    write_wav(tmp_path / "a.wav", np.ones((channels, 9)), 8000)
-    with pytest.raises(ValueError, match=message):
-        read_recording(tmp_path / "a.wav")
 
 
 # --- NPZ, NPY, MAT ---
@@ -174,46 +116,20 @@ def test_named_arrays_are_found(
     assert not any("unit" in line for line in recording.warnings)
 
 
-def test_a_bare_array_is_read_with_a_given_rate(tmp_path: Path, signal: Signal) -> None:
-    np.save(tmp_path / "a.npy", signal.T)
-    recording = read_recording(tmp_path / "a.npy", rate_hz=1000, unit="mg")
-    np.testing.assert_allclose(recording.acceleration, signal * STANDARD_GRAVITY / 1000, rtol=1e-15)
-
-
-def test_a_matlab_4_file_is_read(tmp_path: Path, signal: Signal) -> None:
-    savemat(tmp_path / "a.mat", {"tmp": signal}, format="4")
-    np.testing.assert_array_equal(
-        read_recording(tmp_path / "a.mat", rate_hz=1000).acceleration, signal
-    )
-
-
 ARRAY_REFUSALS = {
     "reduced": ({"acceleration": np.ones(9), "fs": 1}, "already reduced to one axis"),
-    "one row": ({"acceleration": np.ones((1, 9)), "fs": 1}, "already reduced"),
-    "two rows": ({"acceleration": np.ones((2, 9)), "fs": 1}, r"shape \(3, n\) or \(n, 3\).* got .*\(2, 9\)"),
     "four columns": ({"acceleration": np.ones((9, 4)), "fs": 1}, r"exactly three axes; got .*\(9, 4\)"),
-    "cube": ({"acceleration": np.ones((3, 3, 3)), "fs": 1}, r"shape \(3, 3, 3\)"),
     "empty": ({"acceleration": np.ones((3, 0)), "fs": 1}, "it is empty"),
     "two axes": ({"x": np.ones(9), "y": np.ones(9), "fs": 1}, "only the axes x, y"),
     "unequal": (
         {"x": np.ones(9), "y": np.ones(9), "z": np.ones(8), "fs": 1},
         r"equal length, got x 9, y 9, z 8 samples",
     ),
-    "unknown": ({"force": np.ones(9)}, "must be named 'acceleration' .*got force"),
-    "nothing": ({}, "got nothing"),
     "text": ({"acceleration": np.array([["a"] * 3] * 9), "fs": 1}, "'acceleration' must be real numbers, .*<U1"),
-    "complex": ({"acceleration": np.ones((3, 9)) * 1j, "fs": 1}, "type complex128"),
     "NaN": ({"acceleration": np.full((3, 9), np.nan), "fs": 1}, r"got 27 values that are not"),
-    "no rate": ({"acceleration": np.ones((3, 9))}, "no sampling rate and no time column"),
     "two rates": ({"acceleration": np.ones((3, 9)), "fs": [1, 2]}, "the rate must be one number, got 2 values"),
-    "rate and time differ": (
-        {"acceleration": np.ones((3, 9)), "fs": 2, "t": np.arange(9)},
-        "2 Hz, but 1 Hz by the time",
-    ),
-    "short time": ({"acceleration": np.ones((3, 9)), "t": np.arange(8)}, "got 8 for 9 samples"),
     "clock stops": ({"acceleration": np.ones((3, 9)), "t": np.zeros(9)}, "must increase, got 0 after 0 s at sample 1"),
-    "no unit": ({"acceleration": np.ones((3, 9)), "fs": 1, "unit": "ft"}, "unit must be .*got 'ft'"),
-    "pickled": ({"acceleration": np.array([None] * 9)}, "cannot be read as an NPZ archive .*Python objects"),
+    "pickled": ({"acceleration": np.array([None] * 9)}, "cannot be read as an NPZ archive .*Object arrays"),
 }  # fmt: skip
 
 
@@ -223,17 +139,6 @@ def test_arrays_that_are_no_recording_are_refused(tmp_path: Path, case: str) -> 
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(ValueError, match=rf"^a\.npz: .*{message}"):
         read_recording(tmp_path / "a.npz")
-
-
-@pytest.mark.parametrize("name", ["a.npz", "a.mat", "a.npy"])
-def test_half_a_file_is_refused(tmp_path: Path, signal: Signal, name: str) -> None:
-    path = tmp_path / name
-    {"a.npz": np.savez, "a.npy": np.save}.get(name, lambda p, s: savemat(p, {"tmp": s}))(
-        path, signal
-    )
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(ValueError, match=rf"^{name}: cannot be read as an? .*damaged"):
-        read_recording(path, rate_hz=1000)
 
 
 # --- HaTT ---
@@ -265,46 +170,17 @@ def test_hatt_axes_are_found_flat_or_nested(
 
 
 @pytest.mark.parametrize(
-    ("extra", "rate"),
-    [
-        ("<SamplingRate>10 kHz</SamplingRate>", 10000),
-        ("<AccelSampleRate>8000 Hz</AccelSampleRate><ForceSampleRate>1000</ForceSampleRate>", 8000),
-        (
-            "<Accel><SampleRate>1e4</SampleRate></Accel><Force><SampleRate>1000</SampleRate></Force>",
-            10000,
-        ),
-    ],
-)
-def test_hatt_rate_is_the_accelerometers(
-    tmp_path: Path, signal: Signal, extra: str, rate: float
-) -> None:
-    (tmp_path / "a.xml").write_text(_hatt(signal, extra=extra))
-    assert read_recording(tmp_path / "a.xml").rate_hz == rate
-
-
-@pytest.mark.parametrize(
     ("content", "message"),
     [
         ("<R><Accel>1 2 3</Accel></R>", "scalar Accel signal .*already reduced"),
-        ("<R><Force>1</Force></R>", r"AccelX.*got the tags force, rforce"),
-        ("<R/>", r"AccelX.*got the tags none"),
         ("<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY></R>", "only the axes x, y"),
-        ("<R><AccelX>1 2</AccelX><AccelX>1 2</AccelX></R>", "one element for accelx, got 2"),
         (
             "<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY><AccelZ>1</AccelZ></R>",
             r"equal length, got x 2, y 2, z 1",
         ),
         ("<R><AccelX>1 two</AccelX></R>", "a value of the x axis is not a number"),
-        ("<R><AccelX>1 nan</AccelX></R>", "value 1 of the x axis .*got 'nan'"),
-        ("<R><AccelX/></R>", "a value of the x axis is not a number"),
         ("<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ></R>", "no sampling rate"),
-        (
-            "<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ><SampleRate>fast</SampleRate></R>",
-            "sampling rate .*got 'fast'",
-        ),
         ("<R><AccelX>1", "cannot be read as XML"),
-        ("<R><SampleRate>1.2.3</SampleRate>" + "<AccelX/><AccelY/><AccelZ/></R>", "not a number"),
-        pytest.param("<a>" * 20000 + "</a>" * 20000, "more than 10000 tags", id="deep"),
         (
             '<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>',
             "declares a document type or entities",
@@ -344,21 +220,6 @@ def test_any_axis_of_an_lmt_triple_finds_its_sisters(
     assert read_recording(paths[which], unit="g", rate_hz=9000).rate_hz == 9000
 
 
-def test_an_lmt_file_without_sisters_is_refused(tmp_path: Path, signal: Signal) -> None:
-    paths = _write_lmt(tmp_path, signal)
-    paths[0].unlink()
-    with pytest.raises(ValueError, match=r"got no G1RhombAluminumMesh_Movement_X_train1\.txt"):
-        read_recording(paths[2])
-
-
-def test_the_reduced_lmt_folder_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "AccelScansDFT321" / "G1RhombAluminumMesh_Movement_train1.txt"
-    path.parent.mkdir()
-    path.write_text("1\n2\n3\n")
-    with pytest.raises(ValueError, match="AccelScansDFT321 is one channel, so already reduced"):
-        read_recording(path)
-
-
 # --- enDAQ ---
 
 
@@ -384,15 +245,6 @@ def test_lost_samples_of_an_ide_file_are_refused(write_ide: Callable[..., Path])
     assert read_recording(path, resample=True).n_samples == 508
 
 
-def test_without_idelib_the_way_to_get_it_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "a.ide").write_bytes(b"\x1aE\xdf\xa3" + bytes(40))
-    monkeypatch.setitem(sys.modules, "idelib", None)
-    with pytest.raises(ValueError, match=r"pip install -c constraints.txt '\.\[ide\]'"):
-        read_recording(tmp_path / "a.ide")
-
-
 # --- what is no recording at all ---
 
 
@@ -401,21 +253,11 @@ def test_without_idelib_the_way_to_get_it_is_told(
     [
         ("a.csv", b"", r"empty \(0 bytes\)"),
         ("a.csv", "x,y,z\n1,2,3\n".encode("utf-16"), "UTF-16 or UTF-32; save the file as UTF-8"),
-        ("a.csv", "x,y,z\n1,2,3\n".encode("utf-16-le"), "binary data of no known format"),
-        (
-            "a.csv",
-            "t [µs],x,y,z\n1,1,2,3\n".encode("latin-1"),
-            "line 1 holds the byte 0xb5, which is not UTF-8",
-        ),
         ("a.csv", b"x,y,z\n1,2,3\n1,2,\xff\n", "line 3 holds the byte 0xff, which is not UTF-8"),
         ("a.csv", b"\x00\x01\x02garbage", r"binary data of no known format \('\.csv'\)"),
         ("a.wav", b"x,y,z\n1,2,3\n", r"must not hold text; rename it to \.csv"),
         ("a.log", b"x,y,z\n1,2,3\n", r"one of \.csv \.tsv .*, got the suffix '\.log'"),
-        ("a", b"x,y,z\n1,2,3\n", "got the suffix ''"),
         ("a.mat", b"\x89HDF\r\n\x1a\n", r"MATLAB 7\.3 and HDF5 .*'-v7'"),
-        ("a.mat", b"MATLAB 7.3 MAT-file, Platform: GLNXA64", r"MATLAB 7\.3"),
-        ("a.mat", b"\x00\x01\x02\x03", "cannot be read as a MATLAB file"),
-        ("a.npz", b"PK\x03\x04 and no more", "cannot be read as an NPZ archive"),
     ],
 )
 def test_what_is_no_recording_is_refused(
@@ -424,24 +266,3 @@ def test_what_is_no_recording_is_refused(
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ValueError, match=rf"^{name}: .*{message}"):
         read_recording(tmp_path / name)
-
-
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"^a\.csv: there is no such file"):
-        read_recording(tmp_path / "a.csv")
-    (tmp_path / "a.csv").mkdir()
-    with pytest.raises(IsADirectoryError, match=r"^a\.csv: is a folder"):
-        read_recording(tmp_path / "a.csv")
-
-
-def test_a_file_that_the_system_refuses_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "a.csv").write_text("1,2,3\n")
-
-    def refuse(*_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(PermissionError, match=r"^a\.csv: Permission denied$"):
-        read_recording(tmp_path / "a.csv")

@@ -12,7 +12,6 @@ import pytest
 from scipy.io import savemat
 from scipy.sparse import csc_array
 
-from feel321.stimuli.formats import arrays
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import UNITS
 from tests.stimuli.formats.hostile import pack_mat
@@ -63,16 +62,6 @@ def test_other_variables_do_not_matter(tmp_path: Path, signal: NDArray[np.float6
         np.testing.assert_array_equal(recording.acceleration, signal * UNITS["g"])
 
 
-def test_big_endian_and_small_integers_are_read(tmp_path: Path) -> None:
-    words = _element(6, struct.pack(">II", 6, 0), ">") + _element(5, struct.pack(">ii", 3, 2), ">")
-    # A name so short that it stands inside its tag.
-    name = struct.pack(">I", 3 << 16 | 1) + b"tmp\0"
-    body = words + name + _element(3, np.array([1, 2, 3, -4, 5, 6], ">i2").tobytes(), ">")
-    (tmp_path / "a.mat").write_bytes(HEADER[:124] + b"\x01\x00MI" + _element(14, body, ">"))
-    recording = read_recording(tmp_path / "a.mat", rate_hz=1000)
-    np.testing.assert_array_equal(recording.acceleration, [[1, -4], [2, 5], [3, 6]])
-
-
 REFUSALS = {
     "version": HEADER[:124] + b"\x00\x03IM",
     "half a tag": HEADER + b"\x0e\x00\x00",
@@ -94,40 +83,3 @@ def test_damage_is_refused_in_one_line(
     (tmp_path / "a.mat").write_bytes(REFUSALS[case])
     with pytest.raises(ValueError, match=r"^a\.mat: cannot be read as a MATLAB file \([^\n]*$"):
         read_recording(tmp_path / "a.mat", rate_hz=1000)
-
-
-def test_what_inflates_beyond_the_limit_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("FEEL321_LARGEST_MB", "1")
-    large = {f"v{k}": np.zeros((3, 10_000)) for k in range(9)}
-    (tmp_path / "a.mat").write_bytes(_mat(large, compressed=True))
-    with pytest.raises(ValueError, match=r"a\.mat: its variables take more than 1 MB"):
-        read_recording(tmp_path / "a.mat", rate_hz=1000)
-
-
-def test_what_takes_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "a.mat").write_bytes(_mat({"tmp": np.ones((3, 9))}))
-    monkeypatch.setattr(arrays, "CHILD_S", 0.01)
-    with pytest.raises(ValueError, match=r"a\.mat: .*it takes longer than 0\.01 s"):
-        read_recording(tmp_path / "a.mat", rate_hz=1000)
-
-
-@pytest.mark.soak
-def test_chance_damage_is_read_or_refused(tmp_path: Path, signal: NDArray[np.float64]) -> None:
-    """One to four bytes changed, more often in tags than in values, inside compression too."""
-    rng, said = np.random.default_rng(11), list[str]()
-    whole = _mat({"acceleration": signal, "fs": 1000, "unit": "g", "x": {"y": 1}})
-    for _ in range(200):
-        behind = bytearray(whole[len(HEADER) :])
-        for _ in range(rng.integers(1, 5)):
-            place = rng.integers(min(len(behind), rng.choice([24, 90, 10**6])))
-            behind[place] = rng.choice([0, 20, 255, rng.integers(256)])
-        packed = _element(15, zlib.compress(behind)) if rng.random() < 0.3 else bytes(behind)
-        (tmp_path / "a.mat").write_bytes(HEADER + packed)
-        try:
-            read_recording(tmp_path / "a.mat")
-        except ValueError as error:
-            said.append(str(error))
-    assert 60 < len(said) < 200
-    assert all(line.startswith("a.mat: ") and "\n" not in line for line in said)

@@ -131,13 +131,10 @@ def test_a_report_for_people_says_the_same_and_names_a_program_before_the_card(
         "feel321: warning: stylus twin: a program plays it (a sound server, say)"
     )
     assert done.stderr.count("\n") == 1
-    played, pulses, onset, sensed, lag, stop = done.stdout.splitlines()[-6:]
-    assert re.fullmatch(r"stylus twin \(ALSA\) played at 48000 Hz; latency 1\d\d\.\d ms", played)
-    assert re.fullmatch(r"pulses [1-4], failed 0, underruns \d+", pulses)
-    assert onset.startswith("requested to onset ")
-    assert sensed.startswith("sensor: pulse found in ")
-    assert lag.startswith("onset's block to sensor ")
-    assert re.fullmatch(r"a stop is silent after \d+ ms at most; latency_s in .*", stop)
+    facts = dict(line.strip().partition(" ")[::2] for line in done.stdout.splitlines())
+    assert (facts["device"], facts["n_failed"]) == ("stylus twin", "0")
+    assert 100 <= float(facts["latency_ms"]) < 200
+    assert {"onset_ms", "sensed_ms", "level_m_s2", "stop_ms"} <= facts.keys()
 
 
 # No coil plays on channel 3 of the sink.

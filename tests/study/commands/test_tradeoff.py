@@ -10,10 +10,9 @@ import pytest
 
 from feel321.analysis.tradeoff import cost, measure
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.analyze import find_ratings
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.settings.edit import edit_settings
+from feel321.study.settings.read import edit_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -60,17 +59,6 @@ def write_ratings(study: Path) -> None:
         for k, one in enumerate(tests)
     ]
     folder.ratings.write_text("\n".join(lines) + "\n")
-
-
-def test_one_line_per_recording_and_where_the_page_is(study: Path, capsys: Capture) -> None:
-    assert main(["tradeoff", str(study)]) == 0
-    advice, common, page = capsys.readouterr().out.splitlines()
-    assert advice.startswith("bumps: ")
-    assert common.endswith("suffices for the recording.")
-    assert page == str(study / "tradeoff" / "index.html")
-    content = read(study / "tradeoff")
-    assert [one["recording"] for one in content["choices"]] == ["bumps"]
-    assert "people" not in content
 
 
 def read(folder: Path) -> dict[str, Any]:
@@ -120,63 +108,13 @@ def test_ratings_recordings_own_methods_seed_and_folder_are_taken_as_told(
     assert "loudness" in {one["metric"] for one in content["points"]}
 
 
-def test_recordings_alone_need_no_study(
-    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    samples = np.random.default_rng(0).standard_normal((3, 500))
-    np.savez(tmp_path / "other.npz", acceleration=samples, rate_hz=2500.0, unit="m/s^2")
-    monkeypatch.chdir(study)  # whose recordings were not asked for
-    assert main(["tradeoff", "../other.npz", "--out", "made", "--axes", "3"]) == 0
-    assert capsys.readouterr().out.startswith("other: ")
-    content = read(study / "made")
-    assert [one["recording"] for one in content["choices"]] == ["other"]
-    assert "three_axes" in {one["reducer"] for one in content["verdicts"]}
-
-
-def test_thorough_also_looks_for_known_failures(
-    study: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(measure, "THOROUGH", measure.QUICK._replace(takes=1))
-    assert main(["tradeoff", str(study), "--thorough"]) == 0
-    scenes = {one["recording"] for one in read(study / "tradeoff")["verdicts"]}
-    assert scenes == {"bumps", *measure.BATTERY}
-
-
-def test_ratings_are_found_once_there_are_any(study: Path) -> None:
-    assert find_ratings(StudyFolder(study)) is None
-    assert main(["build", str(study)]) == 0
-    assert find_ratings(StudyFolder(study)) is None
-    write_ratings(study)
-    table = find_ratings(StudyFolder(study))
-    assert table is not None
-    assert sorted(table.rows["rating"]) == [41, 42, 51, 52]
-
-
-def test_ratings_are_derived_from_the_journals_where_there_are_some(study: Path) -> None:
-    assert main(["build", str(study)]) == 0
-    assert main(["simulate", str(study), "--participants", "1", "--seed", "0"]) == 0
-    folder = StudyFolder(study)
-    folder.ratings.unlink()
-    table = find_ratings(folder)
-    assert table is not None
-    assert bool(table.rows["simulated"].all())
-    assert folder.ratings.is_file()
-
-
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
         (["{folder}/nowhere"], 1, "nowhere: no such study or recording; check the name"),
         ([], 1, "no study.toml in"),
         (["{folder}", "{folder}/nothing.csv"], 1, "nothing.csv: no such study or recording"),
-        (["--scenes", "--seed", "-1"], 2, '"-1" for --seed. Allowed: 0 or more'),
-        (["--scenes", "--axes", "4"], 2, '"4" for --axes. Allowed: 1 to 3'),
         (["--scenes", "--latency-ms", "5"], 2, "--latency-ms must be left out offline, got 5; add"),
-        (
-            ["--scenes", "--online", "--latency-ms", "nan"],
-            2,
-            '"nan" for --latency-ms. Allowed: -1e+09',
-        ),
         (["--scenes", "--tolerance-db", "22"], 2, "--tolerance-db must be above 0 and below 10"),
     ],
 )
@@ -191,13 +129,3 @@ def test_bad_use_is_one_line(
     assert (out, len(err.splitlines())) == ("", 1)
     assert message in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_page_that_is_not_ours_is_refused_before_anything_is_computed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    monkeypatch.setattr("feel321.study.analyze.gather_recordings", lambda *_, **__: 1 / 0)
-    (tmp_path / "index.html").write_text("mine")
-    assert main(["tradeoff", "--scenes", "--out", str(tmp_path)]) == 1
-    assert "exists and is not of a former report" in capsys.readouterr().err
-    assert (tmp_path / "index.html").read_text() == "mine"

@@ -9,11 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.anchors import felt_level
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
-from feel321.stimuli.thresholds import acceleration_threshold
+from feel321.stimuli.thresholds import acceleration_threshold, felt_level
 from feel321.study.observer.percepts import (
     Percept,
     Sensation,

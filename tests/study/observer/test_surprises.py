@@ -25,7 +25,7 @@ from feel321.study.observer.model import (
 )
 from feel321.study.observer.percepts import Percept
 from feel321.study.settings.read import read_settings
-from feel321.study.simulation import find_planted, regress_planted, simulate_study
+from feel321.study.simulation import regress_planted, simulate_study
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ def test_planted_slopes_are_told_beside_the_terms(tmp_path: Path, stimuli: Stimu
     planted = regress_planted(read_settings(path), given)
     assert planted.reducers == pytest.approx({"third": 20.0})
     assert planted.slopes == pytest.approx({"spectral_match_bounded": 4.5, "temporal_match": 3.5})
-    assert find_planted(read_settings(path), given) == planted.slopes
+    assert regress_planted(read_settings(path), given).slopes == planted.slopes
 
 
 @pytest.mark.parametrize(

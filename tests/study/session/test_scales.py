@@ -10,7 +10,7 @@ import pytest
 from feel321.protocols.tasks import make_task, refine_task
 from feel321.protocols.texts import make_scales, read_texts
 from feel321.study.auditing.replay import audit_steps
-from feel321.study.ratings import _judge
+from feel321.study.ratings import judge
 from feel321.study.session.engine import find_scale
 from feel321.study.session.events import TrialRated
 from feel321.study.session.plan import create_plan, make_plan, require_plan
@@ -103,7 +103,7 @@ def test_a_row_per_scale(threefold: Plan) -> None:
     from feel321.study.session.events import PartPlayed
 
     played = [PartPlayed(1, 1, part.name, 0.0, 0.25, 0, 0, True, "") for part in trial.parts]
-    rows = list(_judge(trial, rated, {part.part: part for part in played}))
+    rows = list(judge(trial, rated, {part.part: part for part in played}))
     assert [(row["scale"], row["rating"], row["onset_s"]) for row in rows] == [
         ("realism", 0.0, 0.25),
         ("roughness", 10.0, 0.25),

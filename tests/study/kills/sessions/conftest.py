@@ -32,7 +32,7 @@ from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import Design, Stale, make_plan, require_plan
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 from feel321.study.sessions import Room, lead_session
-from feel321.study.settings.schema import ObserverTable
+from feel321.study.settings.about import ObserverTable
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:

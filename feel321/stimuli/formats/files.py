@@ -1,0 +1,434 @@
+"""Recordings in array files (NumPy, MATLAB), WAV, HaTT, LMT and IDE files.
+
+- A MATLAB file is met in a child process (`matlab.py`), whose memory and time are limited.
+- WAV: three channels, and a sidecar for what a WAV header cannot say.
+- HaTT (Penn Haptic Texture Toolkit): XML with one element per axis. The tags are known second-hand only, so ``AccelX``
+  and nested ``Accel/X`` are both read, in any case.
+- LMT-108 (TU München): one text file per axis, one value per line, 10 kHz.
+- IDE (enDAQ), read by the optional package idelib.
+"""
+
+import io
+import json
+import logging
+import os
+import re
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from feel321 import intake
+from feel321.stimuli.formats import tables
+from feel321.stimuli.recording import AXES, check_rate
+from feel321.stimuli.wav import read_wav, read_wav_header
+from feel321.types import Samples
+
+Arrays = Mapping[str, NDArray[Any]]
+Value = TypeVar("Value", float, str)
+
+ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
+"""Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""
+
+CHILD_S = 300.0
+"""So long may a MATLAB file take to be read."""
+
+
+def read_npz(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+    """Read an NPZ archive by the names of its arrays."""
+    content = intake.read_bytes(path)
+    with tables.foreign_errors("an NPZ archive"):
+        archive = np.load(io.BytesIO(content), allow_pickle=False)
+        # What the directory promises; no more is read of any array.
+        intake.check_bytes(sum(one.file_size for one in archive.zip.infolist()), "its arrays")
+        arrays = {name: np.asarray(array) for name, array in archive.items()}
+    return _decode(arrays, request)
+
+
+def read_npy(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
+    """Read a single array."""
+    content = intake.read_bytes(path)
+    with tables.foreign_errors("an NPY array"):
+        array = np.load(io.BytesIO(content), allow_pickle=False)
+    return tables.Decoded(tables.as_three_axes(_as_numbers(array, "the array")))
+
+
+def read_mat(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+    """Read a MATLAB file of version 4 to 7 by the names of its variables."""
+    with intake.open_regular(path):
+        limit = intake.read_limit()
+    intake.check_bytes(path.stat().st_size, path.name)
+    child = str(Path(__file__).with_name("matlab.py"))
+    words = [sys.executable, "-P", child, os.path.abspath(path), str(limit)]  # noqa: PTH100 - links stay as they are
+    one_thread = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each maps memory of its own
+    with tables.foreign_errors("a MATLAB file"):
+        try:
+            done = subprocess.run(words, capture_output=True, timeout=CHILD_S, check=False, env=one_thread)  # noqa: S603 - our own program  # fmt: skip
+        except subprocess.TimeoutExpired:
+            raise ValueError(f"it takes longer than {CHILD_S:g} s") from None
+        if done.returncode:
+            said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+            if said.startswith("MemoryError"):
+                raise intake.TooLargeError(
+                    f"its variables take more than {limit / 1e6:,.0f} MB; keep the recording alone, or set a larger "
+                    f"{intake.LIMIT} in the environment"
+                )
+            raise ValueError(intake.clip(said, 200) or "it ends the program that reads it")
+        with np.load(io.BytesIO(done.stdout), allow_pickle=False) as archive:
+            arrays = dict(archive)
+    return _decode(arrays, request)
+
+
+def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
+    """Find samples, rate, time and unit among named arrays."""
+    columns = {name: array for name, array in arrays.items() if array.size != 1}
+    names = tuple(columns)
+    place = _choose(names, request, found=tuple(arrays))
+    axes = [names[i] for i in place.axes]
+    if len(axes) == 1:
+        samples = tables.as_three_axes(_as_numbers(columns[axes[0]], repr(axes[0])))
+    else:
+        vectors = {axis: _vector(columns, name) for axis, name in zip("xyz", axes, strict=True)}
+        samples = tables.stack_axes(vectors)
+    time_s, step_s = None, 0.0
+    if place.time is not None:
+        name, second = names[place.time], place.time_unit_s or 1.0
+        stamps = _vector(columns, name)
+        coarse = columns[name].dtype.type if columns[name].dtype.kind == "f" else np.float64
+        time_s = stamps * second
+        step_s = float(np.spacing(coarse(np.abs(stamps).max(initial=0.0)))) * second
+    rates, units = {}, {}
+    for name, array in arrays.items():
+        if name.casefold() in tables.RATE_KEYS:
+            if array.size != 1:
+                raise ValueError(f"the rate must be one number, got {array.size} values")
+            rates[name] = float(_as_numbers(array, "the rate").item())
+        elif name.casefold() in tables.UNIT_KEYS:
+            units[name] = tables.parse_unit(str(array.squeeze()))
+    if place.unit:
+        units[axes[0]] = place.unit
+    unit, rate_hz = _agree(units), _agree(rates)
+    return tables.Decoded(samples, unit, rate_hz, time_s=time_s, time_step_s=step_s)
+
+
+def _choose(
+    labels: Sequence[str], request: tables.ReadingOptions, *, found: Sequence[str]
+) -> tables.Columns:
+    """Choose the arrays of samples and time: as asked for, else by their names."""
+    if request.columns is not None:
+        return tables.pick_columns(
+            request.columns, labels=labels, n_columns=len(labels), whole=True
+        )
+    bare = [tables.split_unit(label, tables.ACCELERATION_SPELLINGS)[0] for label in labels]
+    if not any(tables.AXIS.fullmatch(name) or name.casefold() in ACCELERATION_KEYS for name in bare):  # fmt: skip
+        named = ", ".join(found) or "nothing"
+        raise ValueError(
+            f"an array must be named 'acceleration' (3, n), or three 'x', 'y' and 'z', got {named}; "
+            "or say columns=(name,)"
+        )
+    return tables.find_columns(labels, wholes=ACCELERATION_KEYS)
+
+
+def _agree(found: Mapping[str, Value]) -> Value | None:
+    """Return the value that all names agree on."""
+    if len(set(found.values())) > 1:
+        said = ", ".join(f"{name} says {value!r}" for name, value in found.items())
+        raise ValueError(f"the file gives several values that differ ({said}); leave one in it")
+    return next(iter(found.values()), None)
+
+
+def _vector(columns: Arrays, name: str) -> Samples:
+    array = columns[name]
+    if max(array.shape) != array.size:  # MATLAB knows no vectors, only rows and columns
+        raise ValueError(f"{name!r} must have one value per sample, got shape {array.shape}")
+    return _as_numbers(array.ravel(), repr(name))
+
+
+def _as_numbers(array: NDArray[Any], what: str) -> Samples:
+    """Convert real numbers to float64; refuse texts, objects and complex numbers."""
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{what} must be real numbers, got values of type {array.dtype}")
+    intake.check_bytes(8 * array.size, what)
+    # What is not finite is refused where its place is known.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return array.astype(np.float64)
+
+
+FULL_SCALE_NOTE = "integer WAV without full_scale: full scale taken as 1.0 in the unit"
+
+
+def read_wav_recording(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+    """Read three channels of a WAV file, with what the JSON file of the same name says of them."""
+    header, beside = read_wav_header(path), path.with_suffix(".json")
+    said = _read_sidecar(beside) if beside.is_file() else {}
+    axes = said.get("axes", ("x", "y", "z"))
+    if header.channels == 1:
+        raise tables.refuse_reduced("a WAV file with 1 channel")
+    if len(axes) != header.channels:
+        raise ValueError(
+            "there must be 3 channels, one per axis x, y, z, or a sidecar whose axes name every channel; "
+            f"got {header.channels} for {len(axes)} axes"
+        )
+    rate_hz = said.get("rate_hz", float(header.rate_hz))
+    if abs(rate_hz - header.rate_hz) > max(1.0, 0.001 * header.rate_hz):
+        raise ValueError(
+            f"the header says {header.rate_hz} Hz and the sidecar {rate_hz:g} Hz, which differ by more than 1 Hz or "
+            "0.1 %; correct the one that is wrong"
+        )
+    own, asked = said.get("full_scale"), request.full_scale
+    asked = None if asked is None else check_rate(asked, "full_scale", "")
+    if asked and own and asked != own:
+        raise ValueError(f"full_scale={asked:g}, but the sidecar says {own:g}; leave one out")
+    full_scale = asked or own
+    if full_scale and header.is_float:
+        raise ValueError(
+            "full_scale is for integer samples, these are float and in the unit already; leave it out"
+        )
+    samples, _ = read_wav(path)
+    return tables.Decoded(
+        samples[[axes.index(axis) for axis in "xyz"]] * (full_scale or 1.0),
+        said.get("unit"),
+        rate_hz,
+        notes=() if full_scale or header.is_float else (FULL_SCALE_NOTE,),
+        sources=(path, beside) if beside.is_file() else (path,),
+    )
+
+
+def _parse_axes(axes: Any) -> list[str]:  # noqa: ANN401 - whatever stands there
+    names = [str(axis).lower() for axis in axes] if isinstance(axes, list | str) else []
+    if sorted(name for name in names if name in {"x", "y", "z"}) != ["x", "y", "z"]:
+        raise ValueError(f'axes must be a list with "x", "y" and "z" once each, got {axes!r}')
+    return names
+
+
+ENTRIES: Mapping[str, tuple[Sequence[str], Callable[[Any], Any]]] = {
+    "unit": (tables.UNIT_KEYS, tables.parse_unit),
+    "rate_hz": (tables.RATE_KEYS, check_rate),
+    "axes": (("axes",), _parse_axes),
+    "full_scale": (("full_scale",), partial(check_rate, what="full_scale", unit="")),
+}
+"""Entry of a sidecar -> its spellings, and what reads it. No others: a misspelt unit is worth a factor of 9.8."""
+
+
+def _read_sidecar(path: Path) -> dict[str, Any]:
+    """Read what a sidecar says, by its first spelling."""
+    try:
+        text = intake.read_small(path)
+        with tables.foreign_errors("JSON"):
+            entries: Any = json.loads(text)
+        return _parse_entries(entries)
+    except ValueError as error:
+        said = str(error).removeprefix(f"{path.name}: ")
+        raise ValueError(f"sidecar {path.name}: {said}") from None
+
+
+def _parse_entries(entries: Any) -> dict[str, Any]:  # noqa: ANN401 - whatever stands there
+    keys = list(dict.fromkeys([*ENTRIES, *tables.UNIT_KEYS, *tables.RATE_KEYS]))
+    allowed = ", ".join(keys)
+    if not isinstance(entries, dict):
+        raise ValueError(f"must be a table with {allowed}, got a {type(entries).__name__}")  # noqa: TRY004 - a file's fault, not a caller's
+    if unknown := [key for key in entries if key not in keys]:
+        raise ValueError(
+            f"entries must be {allowed}, got {', '.join(map(repr, unknown))}; correct or remove it"
+        )
+    found = {}
+    for name, (spellings, parse) in ENTRIES.items():
+        present = [key for key in spellings if entries.get(key) is not None]
+        if len(present) > 1:
+            raise ValueError(f"{' and '.join(present)} mean the same; remove all but one")
+        if present:
+            found[name] = parse(entries[present[0]])
+    return found
+
+
+SENSOR = r"accel(?:eration)?"
+AXIS = re.compile(rf"{SENSOR}_?([xyz])")
+UNIT = re.compile(rf"{SENSOR}_?units?")
+RATE = re.compile(rf"(?:{SENSOR}_?)?sampl(?:e|ing)_?(?:rate|frequency)")
+RATE_VALUE = re.compile(r"(\d+\.?\d*(?:e\+?\d+)?)\s*(k?)(?:hz)?", re.IGNORECASE | re.ASCII)
+
+MOST_TAGS = 10_000
+LARGER = 8
+"""So many tags may an XML file hold, and so many times its text takes in memory."""
+
+
+def read_hatt(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
+    """Read the three axes, the rate and the unit that an XML recording names."""
+    from xml.etree import ElementTree as ET
+
+    content = intake.read_bytes(path, most=intake.read_limit() // LARGER)
+    # Entities can expand without end or name other files; a recording needs neither.
+    if re.search(rb"<!\s*(doctype|entity)", content, re.IGNORECASE):
+        raise ValueError(
+            "the XML declares a document type or entities, which are not read; remove them"
+        )
+    if content.count(b"<") > 2 * MOST_TAGS:
+        raise ValueError(f"there are more than {MOST_TAGS} tags")
+    with tables.foreign_errors("XML"):
+        root = ET.fromstring(content)  # noqa: S314 - entities were refused before
+    # Each tag, small, without namespace, and once more with its parent's before it.
+    tags: dict[str, list[str]] = defaultdict(list)
+    for parent in root.iter():
+        above = parent.tag.rpartition("}")[2].casefold()
+        for child in parent:
+            own = child.tag.rpartition("}")[2].casefold()
+            for tag in (own, above + own):
+                tags[tag].append((child.text or "").strip())
+    axes = {tag[-1]: _only(found, tag) for tag, found in tags.items() if AXIS.fullmatch(tag)}
+    if not axes and re.search(rf"\b{SENSOR}\b", " ".join(tags)):
+        raise tables.refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
+    if not axes:
+        raise ValueError(
+            "the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, "
+            f"got the tags {', '.join(list(tags)[:12]) or 'none'}"
+        )
+    units = {text for tag, found in tags.items() if UNIT.fullmatch(tag) for text in found}
+    return tables.Decoded(
+        tables.stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()}),
+        tables.parse_unit(_only(sorted(units), "units")) if units else None,
+        _rate(tags),
+    )
+
+
+def _only(texts: list[str], tag: str) -> str:
+    if len(texts) != 1:
+        raise ValueError(
+            f"there must be one element for {tag}, got {len(texts)}; it is not clear which is meant"
+        )
+    return texts[0]
+
+
+def _numbers(text: str, axis: str) -> Samples:
+    words = re.split(r"[\s,;]+", text.strip(" \t\r\n,;"))
+    try:
+        values = np.array(words, dtype=np.float64)
+    except ValueError as error:
+        raise ValueError(
+            f"a value of the {axis} axis is not a number ({intake.clip(str(error), 120)}); correct it"
+        ) from None
+    if not np.isfinite(values).all():
+        i = int(np.argmin(np.isfinite(values)))
+        raise ValueError(
+            f"value {i} of the {axis} axis must be a finite number, got {intake.clip(words[i])!r}"
+        )
+    return values
+
+
+def _rate(tags: Mapping[str, list[str]]) -> float | None:
+    rates = {tag: found for tag, found in tags.items() if RATE.fullmatch(tag)}
+    own = {text for tag, found in rates.items() if tag.startswith("accel") for text in found}
+    texts = own or {text for found in rates.values() for text in found}
+    if not texts:
+        return None
+    text = _only(sorted(texts), "the sampling rate")
+    if not (match := RATE_VALUE.fullmatch(text)):
+        raise ValueError(f"the sampling rate must be a number in Hz, got {text!r}")
+    return float(match[1]) * (1000.0 if match[2] else 1.0)
+
+
+NAME = re.compile(r"(.+_(?:Movement|Tapping))_([XYZ])_((?:train|test)\d+)", re.IGNORECASE)
+RATE_HZ = 10000.0
+RATE_NOTE = (
+    "LMT-108 files name no rate: taken as the documented 10000 Hz (rate_hz=... says otherwise)"
+)
+
+
+def is_lmt(path: Path) -> bool:
+    """Whether, by its name, a file is one axis of a triple of the LMT-108 set."""
+    return path.suffix.lower() == ".txt" and NAME.fullmatch(path.stem) is not None
+
+
+def read_lmt(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+    """Read one axis of a triple and its two sisters beside it."""
+    head, axis, tail = NAME.fullmatch(path.stem).groups()  # type: ignore[union-attr]  # is_lmt
+    letters = "XYZ" if axis.isupper() else "xyz"
+    sisters = [path.with_name(f"{head}_{letter}_{tail}{path.suffix}") for letter in letters]
+    if missing := [sister.name for sister in sisters if not sister.is_file()]:
+        raise ValueError(
+            f"there must be one file per axis x, y, z beside it, got no {' and no '.join(missing)}"
+        )
+    axes: dict[str, Samples] = {}
+    for name, sister in zip("xyz", sisters, strict=True):
+        table = tables.split_table(sister)
+        if table.n_columns != 1:
+            raise ValueError(
+                f"{sister.name} must hold one value per line, got {table.n_columns} columns"
+            )
+        axes[name] = tables.read_numbers(table, (0,)).ravel()
+    known = request.rate_hz is not None
+    return tables.Decoded(
+        tables.stack_axes(axes),
+        rate_hz=None if known else RATE_HZ,
+        notes=() if known else (RATE_NOTE,),
+        sources=tuple(sisters),
+        name=f"{head}_{tail}",
+    )
+
+
+LOST_SAMPLE = 1.5
+"""An interval of so many periods means that samples were lost; less is the coarse clock of the blocks."""
+
+
+def read_ide(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
+    """Read the triaxial accelerometer with the highest rate."""
+    try:
+        from idelib import importer
+    except ImportError:
+        how = "install it from feel321's source folder: pip install -c constraints.txt '.[ide]'"
+        raise ValueError(f"an enDAQ recording is read by idelib, which is missing; {how}") from None
+    # In memory: idelib asks for as many bytes as the file promises, of a file they would be allocated.
+    stream = io.BytesIO(intake.read_bytes(path))
+    stream.name = str(path)  # idelib asks for it
+    intake.check_bytes(4 * path.stat().st_size, "its samples")  # of two bytes each
+    before = logging.root.manager.disable
+    logging.disable()  # what is wrong with a file is raised anyway
+    try:
+        with tables.foreign_errors("an enDAQ recording"):
+            dataset = importer.openFile(stream, quiet=True)
+            importer.readData(dataset)
+            channels = [one for one in dataset.channels.values() if one.sessions]
+            found = [_read_channel(one) for one in channels if len(_axes(one)) == AXES]
+    finally:
+        logging.disable(before)
+    measured = [(samples, unit) for samples, unit in found if samples.shape[1] > 1]
+    if not measured:
+        raise ValueError("there must be an accelerometer with three axes and samples, got none")
+    samples, unit = max(measured, key=lambda pair: _rate_hz(pair[0][0]))
+    time_s = samples[0] - samples[0, 0]
+    if np.diff(time_s).max() * _rate_hz(time_s) < LOST_SAMPLE:
+        return tables.Decoded(samples[1:], unit, _rate_hz(time_s))
+    return tables.Decoded(samples[1:], unit, time_s=time_s)
+
+
+def _axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
+    """Return the row of each axis: the recorder's order is not always x, y, z."""
+    rows: dict[str, int] = {}
+    for row, subchannel in enumerate(channel.subchannels or ()):
+        match = re.search(r"\b([xyz])\b", str(subchannel.name), re.IGNORECASE)
+        if match and _unit(subchannel):
+            rows[match[1].lower()] = row
+    return rows
+
+
+def _unit(subchannel: Any) -> str | None:  # noqa: ANN401 - idelib is not typed
+    """Return the unit of acceleration, or None for other quantities."""
+    label_and_unit = subchannel.units or ("", "")
+    return tables.ACCELERATION_SPELLINGS.get(tables.normalise(str(label_and_unit[1])))
+
+
+def _read_channel(channel: Any) -> tuple[Samples, str | None]:  # noqa: ANN401 - idelib is not typed
+    """Return time in s and the three axes, shape (4, n_samples), and their unit."""
+    rows = _axes(channel)
+    values = np.asarray(channel.getSession().arraySlice(), dtype=np.float64)
+    stacked = np.stack([values[0] * 1e-6, *(values[1 + rows[axis]] for axis in "xyz")])
+    return stacked, _unit(channel.subchannels[rows["x"]])
+
+
+def _rate_hz(time_s: Samples) -> float:
+    return float((time_s.size - 1) / (time_s[-1] - time_s[0]))
