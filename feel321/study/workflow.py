@@ -376,7 +376,11 @@ def find_warnings(
     study: StudyFolder, settings: Settings, recordings: Sequence[sets.Facts] = ()
 ) -> list[str]:
     """Find what is allowed in a study and still worth knowing."""
-    remarks = [f"{study.settings.name}: {remark}" for remark in read.list_remarks(settings)]
+    unused = [name for name in settings.tasks if name not in settings.session.protocols]
+    remarks = [
+        f"{study.settings.name}: tasks.{name}: has no effect, {name} is not in session.protocols; add it there"
+        for name in unused
+    ]
     remarks += sets.find_copies(recordings)
     named = [name for name in settings.stimuli.reducers if name in REDUCERS]
     windowed = [name for name in named if "window_s" in signature(REDUCERS[name]).parameters]

@@ -524,26 +524,3 @@ def _list_groups(
     factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
     for levels in product(*factors.values()):
         yield select_group(items, tasks, dict(zip(factors, levels, strict=True)))
-
-
-def list_remarks(settings: Settings) -> list[str]:
-    """List what is allowed in `study.toml` and may not be meant."""
-    session, stale = settings.session, settings.session.stale
-    warms_up = stale.policy == "warm_up" and stale.after_h is not None
-    remarks = [
-        f"tasks.{name}: has no effect, {name} is not in session.protocols; add it there or remove this"
-        for name in settings.tasks
-        if name not in session.protocols
-    ]
-    if "mushra" in session.protocols and not settings.stimuli.anchors:
-        remarks.append(
-            "stimuli.anchors: false, but a page of mushra should have two anchors (ITU-R BS.1534-3); set it to true"
-        )
-    if warms_up and not session.rehearsal.practice:
-        remarks.append(
-            "session.stale.policy: 'warm_up' needs practice, but session.rehearsal.practice is 0; "
-            "set that to 1 or more, or the policy to 'continue'"
-        )
-    if not session.breaks.rest_s:
-        remarks.append("session.breaks.rest_s: 0 leaves fingertips no rest; 60 s are usual")
-    return remarks
