@@ -15,39 +15,30 @@ from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.judge import Context
 from feel321.analysis.tradeoff.page import Tradeoff
-from feel321.protocols.questions import Question
-from feel321.protocols.trial import Page, Part, Trials
+from feel321.protocols.trial import Trials
 from feel321.records import Statistic
 from feel321.stimuli.recording import Signal
 from feel321.study.findings import Audit, Problems, Seal
 from feel321.study.power import StudyPower
-from feel321.study.session.events import SessionEvent
-from feel321.study.session.ports import Act, Place
 from feel321.study.status import Status
 
 __all__ = [
     "About",
-    "Act",
     "Audit",
     "Context",
     "Further",
     "Hypothesis",
     "MixedFit",
-    "Page",
     "Paper",
     "PaperClaim",
-    "Part",
-    "Place",
     "PowerPlan",
     "Primaries",
     "Primary",
     "Problems",
-    "Question",
     "RaterModel",
     "Results",
     "Screening",
     "Seal",
-    "SessionEvent",
     "Signal",
     "Standing",
     "Statistic",

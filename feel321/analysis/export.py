@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 from feel321.analysis.primary import rcode
 from feel321.analysis.primary.model import Slopes, fit_slopes
 from feel321.analysis.primary.plan import ITEM, LEVEL, RATING, SCENE, WHO, make_cells
-from feel321.analysis.report import parts
+from feel321.analysis.report import section as parts
 from feel321.analysis.report.folder import write_flags
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
-from feel321.analysis.table.items import ROLE, STIMULUS, Table, recast_pairs
+from feel321.analysis.table.items import ROLE, STIMULUS, Part, Table, recast_pairs
 from feel321.analysis.table.schema import APART
 from feel321.doors import as_path, as_seed, describe
 from feel321.files import make_folder, write_text
@@ -69,7 +69,7 @@ class ExportedModel:
     rows: a row per judgement, columns by their exported names.
     """
 
-    part: parts.RatingsPart
+    part: Part
     rows: DataFrame
     found: Slopes | None = None
     reason: str = ""

@@ -18,13 +18,12 @@ from typing import Any
 
 from feel321.files import write_table
 from feel321.names import MATCHES
-from feel321.protocols.blocks import SECOND, Matching
 from feel321.protocols.tasks import find_other, score_trial
+from feel321.protocols.threshold import SECOND, Matching
 from feel321.protocols.trial import MATCHING, Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.sensation import find_own_levels
-from feel321.study.session.codes import list_by_code
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -33,7 +32,7 @@ from feel321.study.session.events import (
     TrialShown,
 )
 from feel321.study.session.journal import Records, list_journals, name_journal
-from feel321.study.session.plan import Dossier, Plan, read_as_written
+from feel321.study.session.plan import Dossier, Plan, list_by_code, read_as_written
 
 MATCHES_FILE = "matches.csv"
 MATCH_COLUMNS = (

@@ -194,7 +194,7 @@ def test_a_study_from_new_to_report(
     again = run("simulate", folder, "--participants", "4")
     assert again == f"{study.ratings}: 96 ratings\nplanted in realism, in points: {said}\n"
     people = json.loads(run("status", folder, "--json"))["participants"]
-    assert [entry["done"] for entry in people] == [24] * 4
+    assert [entry["answered"] for entry in people] == [24] * 4
     with study.journals[0].open("ab") as file:
         file.write(b"{}")
     table = run("status", folder)
@@ -209,7 +209,7 @@ def test_a_study_from_new_to_report(
     assert compared.startswith("compared with 3 checkpoints, the last ")
     assert clean == f"{folder}: 4 journals, no contradiction in them"
     # What follows is about files only: whole reports are written in tests/analysis.
-    monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", (correlations.SECTION,))
+    monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", correlations.SECTIONS[:1])
     assert run("analyze", folder) == f"{study.report / 'index.html'}\n"
     assert (study.report / "index.html").stat().st_size > 1000
     journals = "".join(path.read_text(encoding="utf-8") for path in study.journals)

@@ -17,6 +17,7 @@ from feel321.study.folder import StudyFolder, require_study
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.rig import Rig
+    from feel321.study.session.engine import Outcome
     from feel321.study.session.ports import Place
 
 
@@ -57,34 +58,45 @@ def run(  # noqa: PLR0913 - one parameter per option
     """
     if seed is not None and not simulated:
         shared.refuse_use("--seed needs --simulate-participant; people have no seed")
-    from feel321.study.lab import Visit, run_participant
+    from feel321.study.lab import run_participant
+    from feel321.study.sessions import read_room
 
     opened = shared.open_study(study)
-    visit = Visit(
-        participant,
-        windowed=windowed,
-        screen=screen,
-        device=device,
-        simulated=simulated,
-        seed=seed,
-        accept_rig=accept_rig,
-        lsl=lsl,
-    )
     folder = replace(opened.folder, is_rehearsal=rehearse)
     log = SessionLog(participant, folder.rig)
     try:
-        outcome = run_participant(folder, visit, now=opened.now, on_step=log.note, warn=shared.warn)
+        outcome = run_participant(
+            replace(
+                read_room(folder, now=opened.now),
+                windowed=windowed,
+                screen=screen,
+                device=device,
+                accept_rig=accept_rig,
+                lsl=lsl,
+            ),
+            participant,
+            simulated=simulated,
+            seed=seed,
+            on_step=log.note,
+            warn=shared.warn,
+        )
     except (Exception, KeyboardInterrupt) as error:
         log.end(type(error).__name__)
         raise
     log.end(outcome.stopped)
     if outcome.stopped:
         return 1
-    shared.echo(f"{participant}: all {outcome.total} done")
+    shared.echo(f"{participant}: {_count(outcome)}")
     return 0
 
 
 LINE = 60  # characters of the line that says what is left; it is overwritten by the next
+
+
+def _count(place: "Place | Outcome") -> str:
+    """Count answered trials, and those that were given up apart from them."""
+    gone = f", {place.given_up} given up" if place.given_up else ""
+    return f"{place.answered} of {place.total} answered{gone}"
 
 
 @dataclass(slots=True)
@@ -97,7 +109,7 @@ class SessionLog:
 
     def note(self, place: "Place") -> None:
         """Print where the session is now."""
-        done = f"{self.participant}: {place.done} of {place.total} done"
+        done = f"{self.participant}: {_count(place)}"
         if self.place is None:
             shared.echo(f"{done} so far")
         self.place = place
@@ -120,7 +132,7 @@ class SessionLog:
         if self.place is not None and reason:
             # A change of the rig is accepted only once.
             words = [word for word in shared.CALL.get().words if word != "--accept-rig"]
-            done = f"{self.place.done} of {self.place.total} done (aborted: {reason})"
+            done = f"{_count(self.place)} (aborted: {reason})"
             command = join(["feel321", *words])
             shared.echo(f"{self.participant}: {done}; resume with: {command}", err=True)
 

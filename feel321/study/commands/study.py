@@ -24,7 +24,7 @@ from feel321.study.commands.shared import (
     within,
 )
 from feel321.study.folder import StudyFolder, list_bundled, read_template, require_study
-from feel321.study.session.identity import FROZEN_FILE
+from feel321.study.session.opening import FROZEN_FILE
 from feel321.study.study import Study
 
 

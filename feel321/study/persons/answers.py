@@ -13,7 +13,7 @@ import secrets
 from typing import TYPE_CHECKING, Any
 
 from feel321.files import write_table, write_text
-from feel321.protocols.questions import PREFIX, find_question
+from feel321.protocols.texts import PREFIX, find_question
 from feel321.study.session.events import QuestionAnswered, SessionSuperseded
 from feel321.study.session.plan import read_as_written
 

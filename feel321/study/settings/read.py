@@ -15,9 +15,8 @@ from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
 from feel321.files import create_text, make_folder, temporary_folder, write_text
 from feel321.names import METRIC_INFO, WRITTEN
-from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
-from feel321.protocols.texts import MODEL, read_texts
+from feel321.protocols.texts import MODEL, Question, read_ready, read_texts
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import find_format, read_own, read_recording
@@ -28,8 +27,8 @@ from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, Unread, 
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
 from feel321.study.folder import TEMPLATES, StudyFolder
-from feel321.study.session.identity import identify_frozen
 from feel321.study.session.journal import digest
+from feel321.study.session.opening import identify_frozen
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml

@@ -13,12 +13,18 @@ from typing import Annotated, Any, Self
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from feel321 import intake
-from feel321.protocols import questions
-from feel321.protocols.blocks import MatchingBlock, ThresholdBlock, name_tone
+from feel321.protocols import texts
 from feel321.protocols.order import ORDERS, TASK_ORDERS
 from feel321.protocols.tasks import make_task, refine_task
 from feel321.protocols.texts import list_languages
-from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdPlan
+from feel321.protocols.threshold import (
+    PROCEDURES,
+    USUAL,
+    MatchingBlock,
+    ThresholdBlock,
+    ThresholdPlan,
+    name_tone,
+)
 from feel321.protocols.trial import CHOOSING, FLAGS, Flow, Task
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
@@ -77,7 +83,7 @@ Between = Annotated[dict[Factor, Levels], AfterValidator(_check_groups)]
 
 # What participants are asked: `[scales.NAME]` and `[[session.questions]]`.
 
-Label = Annotated[str, AfterValidator(questions.check_label)]
+Label = Annotated[str, AfterValidator(texts.check_label)]
 
 
 class ScaleTable(kinds.TomlTable):
@@ -103,14 +109,14 @@ class ScaleTable(kinds.TomlTable):
 class QuestionTable(kinds.TomlTable):
     """`[[session.questions]]`: a question page, or a ready one by its name."""
 
-    use: Annotated[str, kinds.one_of(questions.READY)] | None = None
+    use: Annotated[str, kinds.one_of(texts.READY)] | None = None
     name: Label | None = None
-    kind: Annotated[str, kinds.one_of(questions.KINDS)] | None = None
+    kind: Annotated[str, kinds.one_of(texts.KINDS)] | None = None
     question: kinds.Words | None = None
     options: tuple[str, ...] = ()
     low: kinds.Finite | None = None
     high: kinds.Finite | None = None
-    when: Annotated[str, kinds.one_of(questions.TIMES)] = questions.TIMES[0]
+    when: Annotated[str, kinds.one_of(texts.TIMES)] = texts.TIMES[0]
     personal: bool = False
     required: bool = True
 
@@ -124,23 +130,23 @@ class QuestionTable(kinds.TomlTable):
             if getattr(self, key) is None:
                 raise ValueError(f"{key} is missing; add it, or use = 'demographics'")
         if not self.use:
-            questions.check_question(self.make_question())
+            texts.check_question(self.make_question())
         return self
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of its questions."""
-        return tuple(questions.READY[self.use]) if self.use else (self.name or "",)
+        return tuple(texts.READY[self.use]) if self.use else (self.name or "",)
 
-    def make_question(self) -> questions.Question:
+    def make_question(self) -> texts.Question:
         """Make the question of a plan."""
-        return questions.Question(**self.model_dump(exclude={"use"}))
+        return texts.Question(**self.model_dump(exclude={"use"}))
 
 
 def _check_questions(tables: tuple[QuestionTable, ...]) -> tuple[QuestionTable, ...]:
     names = kinds.check_distinct(tuple(name for table in tables for name in table.names))
-    if len(names) > questions.MOST_QUESTIONS:
-        most = questions.MOST_QUESTIONS
+    if len(names) > texts.MOST_QUESTIONS:
+        most = texts.MOST_QUESTIONS
         raise ValueError(f"must be at most {most} questions, got {len(names)}")
     return tables
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from feel321.protocols.blocks import ThresholdBlock
-from feel321.protocols.threshold import USUAL
+from feel321.protocols.threshold import USUAL, ThresholdBlock
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.certificate import Certificate, make_manual
 from feel321.study.actuator.output import Output

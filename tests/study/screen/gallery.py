@@ -13,10 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.protocols.blocks import INTERVALS
-from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.texts import read_texts
+from feel321.protocols.texts import Question, read_ready, read_texts
+from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import (
     MATCHING,
     THRESHOLD,

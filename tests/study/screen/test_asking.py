@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from feel321.protocols.questions import MOST_LETTERS, Question
-from feel321.protocols.texts import read_texts
+from feel321.protocols.texts import MOST_LETTERS, Question, read_texts
 from feel321.study.keys import USUAL, KeysTable
 from feel321.study.screen.input import Form, InputEvent
 from feel321.study.screen.layout import find_overflows

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.questions import Question
 from feel321.protocols.tasks import make_task
+from feel321.protocols.texts import Question
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.persons import answers
 from feel321.study.session.plan import create_plan, make_plan, read_dossier, require_plan
