@@ -305,9 +305,10 @@ def fail_with(error: BaseException) -> Callable[..., None]:
     ("place", "verb", "message"),
     [
         ("status.read_status", "status", "interrupted"),
+        ("workflow.build_study", "build", "interrupted"),
         (
-            "workflow.build_study",
-            "build",
+            "simulation.simulate_study",
+            "simulate",
             "interrupted; what is done is kept, the same command continues",
         ),
     ],
