@@ -129,24 +129,17 @@ def test_ties_are_refused_or_count_half(tie: str | None) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "message"),
+    "rows",
     [
-        (
-            [("a", "b", 5, 0), ("b", "c", 3, 2)],
-            "pairs must have no separation, but 'a' always won against all others: no finite",
-        ),
-        (
-            [("a", "b", 5, 2), ("b", "c", 3, 0), ("a", "c", 4, 0)],
-            "pairs must have no separation, but 'c' always lost against all others: no finite",
-        ),
-        (
-            [("a", "b", 5, 2), ("c", "d", 3, 1)],
-            "'a' and 'b' never compared with 'c' and 'd', even through others",
-        ),
+        [("a", "b", 5, 0), ("b", "c", 3, 2)],
+        [("a", "b", 5, 2), ("b", "c", 3, 0), ("a", "c", 4, 0)],
+        [("a", "b", 5, 2), ("c", "d", 3, 1)],
     ],
 )
-def test_separation_is_named(rows: list[tuple[object, ...]], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
+def test_what_always_wins_or_never_meets_the_others_has_no_estimate(
+    rows: list[tuple[object, ...]],
+) -> None:
+    with pytest.raises(ValueError, match="pairs must have no separation"):
         bradley_terry(counts(*rows))
 
 
